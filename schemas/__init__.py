@@ -1,0 +1,1 @@
+"""What travels on Zenoh: keys and payloads."""
