@@ -1,0 +1,223 @@
+"""The frames of HexapodProtocol v1.0.0: values on one side, bytes on the other, and nothing else.
+
+| frame     | byte 1, FRAME LEN | byte 2, FRAME TYPE | the rest                                   |
+|-----------|-------------------|--------------------|--------------------------------------------|
+| ONE LEG   | 14                | 1                  | three times SERVO ID, OP, INT, FLOAT       |
+| ONE SERVO | 6                 | 2                  | once        SERVO ID, OP, INT, FLOAT       |
+
+A servo id is leg (1 to 6) times ten plus joint (1 to 3, from the body outward). INT is whole degrees, FLOAT hundredths
+of a degree, together 0.00° to 180.00°. On a Stop both have no meaning: read as anything, written as 0 0.
+
+The controller checks none of this and corrupts its own memory on a bad id, so a value that is not a legal frame cannot
+be built here. Bytes are counted from 1 in every message, as the specification counts them.
+"""
+
+import enum
+from dataclasses import dataclass
+from typing import Final, Self
+
+LEGS: Final = range(1, 7)
+JOINTS: Final = range(1, 4)
+SERVO_IDS: Final[tuple[int, ...]] = tuple(10 * leg + joint for leg in LEGS for joint in JOINTS)
+MAX_ANGLE_CDEG: Final = 180_00
+
+_SERVO_ID_SET: Final = frozenset(SERVO_IDS)
+_ONE_LEG_LEN: Final = 14
+_ONE_LEG_TYPE: Final = 1
+_ONE_SERVO_LEN: Final = 6
+_ONE_SERVO_TYPE: Final = 2
+_MAX_INT: Final = 180
+_MAX_FLOAT: Final = 99
+
+
+class FrameError(ValueError):
+    """Not a frame of the protocol; the message names the byte (counted from 1) or field, and what would be legal."""
+
+
+class Op(enum.IntEnum):
+    """SERVO OP TYPE: START energises the servo and sets its angle, STOP de-energises it, SET moves it."""
+
+    START = 1
+    STOP = 2
+    SET = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ServoOp:
+    """What one servo is told: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP)."""
+
+    op: Op
+    angle_cdeg: int = 0
+
+    def __post_init__(self) -> None:
+        if type(self.op) is not Op:
+            raise FrameError(f"the operation is {self.op!r}; it is Op.START, Op.STOP or Op.SET")
+        if type(self.angle_cdeg) is not int:  # True is no angle, and a float is degrees or a mistake
+            raise FrameError(f"the angle is {self.angle_cdeg!r}; it is a whole number of hundredths of a degree")
+        if not 0 <= self.angle_cdeg <= MAX_ANGLE_CDEG:
+            raise FrameError(f"the angle is {self.angle_cdeg} hundredths of a degree; it is 0 to {MAX_ANGLE_CDEG}")
+        if self.op is Op.STOP and self.angle_cdeg != 0:
+            raise FrameError(f"the angle of a Stop is {self.angle_cdeg} hundredths of a degree; a Stop has none, so 0")
+
+
+STOP: Final = ServoOp(Op.STOP)
+
+
+@dataclass(frozen=True, slots=True)
+class OneServo:
+    """ONE SERVO: one operation for one servo."""
+
+    servo_id: int
+    command: ServoOp
+
+    def __post_init__(self) -> None:
+        if type(self.servo_id) is not int or self.servo_id not in _SERVO_ID_SET:
+            raise FrameError(f"the servo id is {self.servo_id!r}; {_SERVO_ID_RULE}")
+        if type(self.command) is not ServoOp:
+            raise FrameError(f"the command is {self.command!r}; it is a ServoOp")
+
+    @property
+    def servos(self) -> tuple[tuple[int, ServoOp], ...]:
+        """The (servo id, operation) pairs of the frame, in its order."""
+        return ((self.servo_id, self.command),)
+
+    @property
+    def is_stop(self) -> bool:
+        """Whether all that the frame does is to de-energise."""
+        return self.command.op is Op.STOP
+
+    def to_bytes(self) -> bytes:
+        """The 6 bytes of the frame."""
+        return bytes((_ONE_SERVO_LEN, _ONE_SERVO_TYPE, *_record(self.servo_id, self.command)))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read a ONE SERVO frame. Raises FrameError."""
+        _check_header(data, "ONE SERVO", _ONE_SERVO_LEN, _ONE_SERVO_TYPE)
+        return cls(_read_servo_id(data, 2), _read_op(data, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class OneLeg:
+    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3."""
+
+    leg: int
+    commands: tuple[ServoOp, ServoOp, ServoOp]
+
+    def __post_init__(self) -> None:
+        if type(self.leg) is not int or self.leg not in LEGS:
+            raise FrameError(f"the leg is {self.leg!r}; it is 1 to 6")
+        if type(self.commands) is not tuple or len(self.commands) != len(JOINTS):
+            raise FrameError(f"the commands are {self.commands!r}; they are a tuple of three, for joints 1, 2 and 3")
+        if any(type(command) is not ServoOp for command in self.commands):
+            raise FrameError(f"the commands are {self.commands!r}; each is a ServoOp")
+
+    @property
+    def servos(self) -> tuple[tuple[int, ServoOp], ...]:
+        """The (servo id, operation) pairs of the frame, in its order."""
+        return tuple(zip(servo_ids_of(self.leg), self.commands, strict=True))
+
+    @property
+    def is_stop(self) -> bool:
+        """Whether all that the frame does is to de-energise."""
+        return all(command.op is Op.STOP for command in self.commands)
+
+    def to_bytes(self) -> bytes:
+        """The 14 bytes of the frame."""
+        records = (byte for servo_id, command in self.servos for byte in _record(servo_id, command))
+        return bytes((_ONE_LEG_LEN, _ONE_LEG_TYPE, *records))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read a ONE LEG frame. Raises FrameError, also where the servos are not joints 1, 2, 3 of one leg in order."""
+        _check_header(data, "ONE LEG", _ONE_LEG_LEN, _ONE_LEG_TYPE)
+        leg = leg_of(_read_servo_id(data, 2))
+        for index, expected_id in zip((2, 6, 10), servo_ids_of(leg), strict=True):
+            if _read_servo_id(data, index) != expected_id:
+                raise FrameError(
+                    f"{_found(data, index)} in place of {expected_id}; a ONE LEG frame holds joints 1, 2, 3 of one leg"
+                )
+        return cls(leg, (_read_op(data, 3), _read_op(data, 7), _read_op(data, 11)))
+
+
+Frame = OneLeg | OneServo
+
+
+def leg_of(servo_id: int) -> int:
+    """The leg (1 to 6) of a servo. Raises FrameError for an id that no servo has."""
+    if servo_id not in _SERVO_ID_SET:
+        raise FrameError(f"the servo id is {servo_id!r}; {_SERVO_ID_RULE}")
+    return servo_id // 10
+
+
+def servo_ids_of(leg: int) -> tuple[int, int, int]:
+    """The ids of a leg's joints 1, 2 and 3, from the body outward. Raises FrameError for a leg other than 1 to 6."""
+    if leg not in LEGS:
+        raise FrameError(f"the leg is {leg!r}; it is 1 to 6")
+    return 10 * leg + 1, 10 * leg + 2, 10 * leg + 3
+
+
+def centidegrees(angle_deg: float) -> int:
+    """Degrees to the nearest hundredth of a degree: 90.29 is 9029, where truncation of the product would give 9028."""
+    return round(angle_deg * 100)
+
+
+def stop_leg(leg: int) -> OneLeg:
+    """The frame that de-energises all three servos of a leg."""
+    return OneLeg(leg, (STOP, STOP, STOP))
+
+
+def decode(data: bytes) -> Frame:
+    """Read a frame of either type. Raises FrameError, which names the first byte that is wrong."""
+    if len(data) < 2:
+        raise FrameError(f"byte {len(data) + 1} is missing; a frame starts with FRAME LEN and FRAME TYPE")
+    if data[1] == _ONE_LEG_TYPE:
+        return OneLeg.from_bytes(data)
+    if data[1] == _ONE_SERVO_TYPE:
+        return OneServo.from_bytes(data)
+    raise FrameError(f"{_found(data, 1)}; a FRAME TYPE is 1 (ONE LEG) or 2 (ONE SERVO)")
+
+
+_SERVO_ID_RULE: Final = "a servo id is leg 1-6 then joint 1-3, such as 13"
+
+
+def _record(servo_id: int, command: ServoOp) -> tuple[int, int, int, int]:
+    return servo_id, command.op, *divmod(command.angle_cdeg, 100)
+
+
+def _found(data: bytes, index: int) -> str:
+    return f"byte {index + 1} is {data[index]} (0x{data[index]:02x})"
+
+
+def _check_header(data: bytes, name: str, frame_len: int, frame_type: int) -> None:
+    if len(data) > 0 and data[0] != frame_len:
+        raise FrameError(f"{_found(data, 0)}; the FRAME LEN of a {name} frame (FRAME TYPE {frame_type}) is {frame_len}")
+    if len(data) > 1 and data[1] != frame_type:
+        raise FrameError(f"{_found(data, 1)}; the FRAME TYPE of a {name} frame is {frame_type}")
+    if len(data) < frame_len:
+        raise FrameError(f"byte {len(data) + 1} is missing; a {name} frame has {frame_len} bytes")
+    if len(data) > frame_len:
+        raise FrameError(
+            f"byte {frame_len + 1} is too many; a {name} frame has {frame_len} bytes, here are {len(data)}"
+        )
+
+
+def _read_servo_id(data: bytes, index: int) -> int:
+    if data[index] not in _SERVO_ID_SET:
+        raise FrameError(f"{_found(data, index)}; {_SERVO_ID_RULE}")
+    return data[index]
+
+
+def _read_op(data: bytes, index: int) -> ServoOp:
+    op_code, degrees, hundredths = data[index : index + 3]
+    if op_code == Op.STOP:
+        return STOP
+    if op_code not in (Op.START, Op.SET):
+        raise FrameError(f"{_found(data, index)}; an OP is 1 (Start), 2 (Stop) or 3 (Set)")
+    if degrees > _MAX_INT:
+        raise FrameError(f"{_found(data, index + 1)}; INT PART is 0 to {_MAX_INT} whole degrees")
+    if hundredths > _MAX_FLOAT:
+        raise FrameError(f"{_found(data, index + 2)}; FLOAT PART is 0 to {_MAX_FLOAT} hundredths of a degree")
+    if 100 * degrees + hundredths > MAX_ANGLE_CDEG:
+        raise FrameError(f"{_found(data, index + 2)} after 180 whole degrees; the largest angle is 180.00")
+    return ServoOp(Op(op_code), 100 * degrees + hundredths)
