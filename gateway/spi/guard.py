@@ -1,0 +1,60 @@
+"""The guard at the device's edge: nothing but legal frames, their announcements and the preamble reach SPI.
+
+The encoder cannot build anything else, so whatever is refused here is a bug of the gateway's own. The controller would
+pay for it with its memory (it checks neither ids nor lengths), which is why the check is made once more, on the bytes.
+"""
+
+from typing import Final
+
+from gateway.protocol.frames import FrameError, decode
+from gateway.protocol.framing import Framing
+from gateway.spi import SpiDevice
+
+_ANNOUNCEMENTS: Final = frozenset((bytes((6,)), bytes((14,))))  # the two lengths that a frame can have
+
+
+class IllegalTransferError(RuntimeError):
+    """The gateway tried to write what is no legal transfer: a bug in it, never a fault of the caller or the wire."""
+
+
+class GuardedDevice:
+    """An SPI device that refuses, before the device sees a byte, all that `framing` cannot make of a legal frame.
+
+    Length-prefixed, an announcement is followed by a frame of just that length, or by the preamble, which fills its
+    place. After a failed transfer nobody knows what the controller saw: the preamble or an announcement comes next.
+    """
+
+    def __init__(self, device: SpiDevice, framing: Framing) -> None:
+        self._device = device
+        self._announces = framing is Framing.LENGTH_PREFIXED
+        self._preamble = framing.preamble
+        self._announced_len: int | None = None
+
+    def transfer(self, data: bytes) -> None:
+        """Pass a legal transfer on. Raises IllegalTransferError (and stays as it was), or the device's SpiError."""
+        announced_len = self._checked(data)
+        self._announced_len = None
+        self._device.transfer(data)
+        self._announced_len = announced_len
+
+    def close(self) -> None:
+        """Release the device."""
+        self._device.close()
+
+    def _checked(self, data: bytes) -> int | None:
+        """The length that this transfer announces, if it is an announcement."""
+        if data == self._preamble:
+            return None
+        if self._announces and self._announced_len is None:
+            if data not in _ANNOUNCEMENTS:
+                raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
+            return data[0]
+        if self._announced_len is not None and len(data) != self._announced_len:
+            raise IllegalTransferError(f"[{data.hex(' ')}] is not the frame of {self._announced_len} bytes announced")
+        try:
+            canonical = decode(data).to_bytes()
+        except FrameError as error:
+            raise IllegalTransferError(f"[{data.hex(' ')}] is no frame: {error}") from error
+        if data != canonical:
+            raise IllegalTransferError(f"[{data.hex(' ')}] is not how this frame is written: [{canonical.hex(' ')}]")
+        return None
