@@ -1,0 +1,211 @@
+"""X.509 only, no files: a private CA, the gateway's certificate, a laptop's certificate, and reading them back.
+
+Zenoh's access control knows a laptop by one thing: the first common name of its certificate, compared whole (no
+patterns). So the common name is the **role**, which gateway.json5 lists once and for all, and the laptop's own name
+stands in the organizational unit. A laptop that is new tomorrow needs no change on the robot.
+"""
+
+import datetime as dt
+import ipaddress
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from gateway.errors import ConfigError
+
+LAPTOP_ROLES = ("operator", "observer")
+GATEWAY = "gateway"
+CA = "ca"
+
+CA_DAYS = 3650
+LEAF_DAYS = 730
+# A robot without a network and a battery-backed clock wakes up at the time of its last shutdown, or of its image: a
+# certificate made today would be "not valid yet" to it. Nothing is gained by a late start in a private CA, so all
+# certificates start a year early.
+BACKDATE = dt.timedelta(days=365)
+
+_ORGANIZATION = "hexapod-gateway"
+_LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
+
+
+@dataclass(frozen=True)
+class KeyPair:
+    """A certificate and the key that belongs to it."""
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+    def certificate_pem(self) -> bytes:
+        return self.certificate.public_bytes(serialization.Encoding.PEM)
+
+    def key_pem(self) -> bytes:
+        """PKCS #8, not encrypted: a service that starts at boot has nobody to type a passphrase."""
+        return self.key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+
+
+def make_ca(now: dt.datetime) -> KeyPair:
+    """A CA that signs leaves only; its name carries a random part, so that two CAs are never confused."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    serial = x509.random_serial_number()
+    subject = _name(f"{_ORGANIZATION} CA {serial:040x}"[:28], CA)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(serial)
+        .not_valid_before(now - BACKDATE)
+        .not_valid_after(now + dt.timedelta(days=CA_DAYS))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_key_usage(ca=True), critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    return KeyPair(certificate, key)
+
+
+def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
+    """The gateway's certificate: good as a server for `hosts`, and as a client when it dials a fleet's router."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
+    extensions = [x509.ExtendedKeyUsage(usages), names]
+    return KeyPair(_sign(ca, _name(GATEWAY, GATEWAY), key.public_key(), extensions, days=days, now=now), key)
+
+
+def make_laptop(ca: KeyPair, name: str, role: str, days: int, now: dt.datetime) -> KeyPair:
+    """A laptop's certificate: good as a client only, so that no laptop can pose as the robot to another one."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
+    return KeyPair(_sign(ca, _name(role, name), key.public_key(), [usage], days=days, now=now), key)
+
+
+def renew(ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime) -> x509.Certificate:
+    """`old` with a new life: same holder, same key, same names, a new serial number and expiry."""
+    kept = [
+        item.value
+        for item in old.extensions
+        if isinstance(item.value, x509.ExtendedKeyUsage | x509.SubjectAlternativeName)
+    ]
+    return _sign(ca, old.subject, old.public_key(), kept, days=days, now=now)
+
+
+def parse_host(text: str) -> str:
+    """`text` as a host name in lower case or a plain IP address; raises ConfigError for anything else."""
+    host = text.strip().strip("[]").lower()
+    address = _address(host)
+    if address is not None and not address.is_unspecified and "%" not in host:  # a zone is this machine's own matter
+        return str(address)
+    labels = host.removesuffix(".").split(".")
+    # A last label of digits only is a mistyped address (192.0.2.999), never a host name.
+    if (
+        address is None
+        and all(_LABEL.fullmatch(part) for part in labels)
+        and not labels[-1].isdigit()
+        and len(host) < 254
+    ):
+        return host.removesuffix(".")
+    raise ConfigError(
+        f"{text!r} is neither a host name nor an IP address: give what laptops dial, such as robot.local or 192.0.2.7 "
+        "(no port, no tls/)"
+    )
+
+
+def hosts_of(certificate: x509.Certificate) -> list[str]:
+    """The names and addresses that a gateway's certificate is good for, in the order they were given."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return []
+    return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
+
+
+def role_and_name(certificate: x509.Certificate) -> tuple[str, str]:
+    """Who holds it: ("ca", its name), ("gateway", its first host), or a laptop's (role, name); "" where absent."""
+    common = _attribute(certificate, NameOID.COMMON_NAME)
+    unit = _attribute(certificate, NameOID.ORGANIZATIONAL_UNIT_NAME)
+    try:
+        is_ca = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    except x509.ExtensionNotFound:
+        is_ca = False
+    if is_ca:
+        return CA, common
+    if common == GATEWAY:
+        return GATEWAY, next(iter(hosts_of(certificate)), unit)
+    return common, unit
+
+
+def _sign(
+    ca: KeyPair,
+    subject: x509.Name,
+    key: CertificatePublicKeyTypes,
+    extensions: Sequence[x509.ExtensionType],
+    *,
+    days: int,
+    now: dt.datetime,
+) -> x509.Certificate:
+    issuer = ca.certificate
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer.subject)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(max(now - BACKDATE, issuer.not_valid_before_utc))
+        # A leaf that outlives its CA would be refused while the list still calls it good.
+        .not_valid_after(min(now + dt.timedelta(days=days), issuer.not_valid_after_utc))
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(ca=False), critical=True)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
+    )
+    for extension in extensions:
+        builder = builder.add_extension(extension, critical=False)
+    return builder.sign(ca.key, hashes.SHA256())
+
+
+def _name(common_name: str, unit: str) -> x509.Name:
+    return x509.Name(
+        [
+            x509.NameAttribute(NameOID.COMMON_NAME, common_name),
+            x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit),
+            x509.NameAttribute(NameOID.ORGANIZATION_NAME, _ORGANIZATION),
+        ]
+    )
+
+
+def _key_usage(*, ca: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not ca,
+        key_cert_sign=ca,
+        crl_sign=ca,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _attribute(certificate: x509.Certificate, oid: x509.ObjectIdentifier) -> str:
+    return next((str(attribute.value) for attribute in certificate.subject.get_attributes_for_oid(oid)), "")
+
+
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(host)
+    except ValueError:
+        return None
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    address = _address(host)
+    return x509.DNSName(host) if address is None else x509.IPAddress(address)

@@ -1,0 +1,241 @@
+"""A folder of certificates, made on one machine: `init` once, `issue` for each laptop, `expiries` to see who has what.
+
+Everything is made in memory first and then written as one deed (publish.py), so nothing is left half made.
+"""
+
+import datetime as dt
+import io
+import os
+import re
+import stat
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import serialization
+
+from gateway.certs import authority, zenoh_files
+from gateway.certs.authority import KeyPair
+from gateway.certs.publish import SECRET, Content, publish, replace
+from gateway.certs.reading import read_certificate, read_key
+from gateway.errors import ConfigError
+
+# Letters, digits, - and _: a file name on every system, and no way out of the folder.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
+_RESERVED = ("ca", "gateway")
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """One certificate of a folder, as people ask for it. `role` is ca, gateway, operator or observer."""
+
+    path: Path
+    name: str
+    role: str
+    serial: str
+    not_before: dt.datetime
+    not_after: dt.datetime
+
+    def days_left(self, now: dt.datetime) -> int:
+        """Whole days until it expires; negative once it has."""
+        return (self.not_after - now) // dt.timedelta(days=1)
+
+
+def init(
+    directory: Path,
+    hosts: Sequence[str],
+    *,
+    days: int = authority.LEAF_DAYS,
+    port: int = zenoh_files.DEFAULT_PORT,
+    now: dt.datetime | None = None,
+) -> list[Path]:
+    """Makes a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; returns what it made.
+
+    `directory` is made (0700) if missing. Raises ConfigError if it has a CA already, or any file of the same name.
+    """
+    now = now or _now()
+    names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
+    if not names:
+        raise ConfigError(
+            "name at least one host by which laptops reach the robot: --host robot.local --host 192.0.2.7"
+        )
+    _check_days(days)
+    if not 1 <= port <= 65535:
+        raise ConfigError(f"port {port} is not between 1 and 65535")
+    if os.path.lexists(directory / "ca.key") or os.path.lexists(directory / "ca.pem"):
+        raise ConfigError(
+            f"{directory} has a CA already, and a new one would lock out all laptops: "
+            "`certs issue` adds a laptop to it; for a new CA give another --dir"
+        )
+    ca = authority.make_ca(now)
+    gateway = authority.make_gateway(ca, names, days, now)
+    files = {
+        directory / "ca.key": Content(ca.key_pem(), SECRET),  # first: the one that decides a race of two inits
+        directory / "ca.pem": Content(ca.certificate_pem()),
+        directory / "gateway.key": Content(gateway.key_pem(), SECRET),
+        directory / "gateway.pem": Content(gateway.certificate_pem()),
+        directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port)),
+    }
+    publish(files)
+    return list(files)
+
+
+def issue(
+    directory: Path,
+    name: str,
+    role: str,
+    *,
+    bundle: Path | None = None,
+    days: int = authority.LEAF_DAYS,
+    now: dt.datetime | None = None,
+) -> list[Path]:
+    """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths."""
+    now = now or _now()
+    _check_name(name)
+    if role not in authority.LAPTOP_ROLES:
+        raise ConfigError(
+            f"unknown role {role!r}: choose {' (commands and watches) or '.join(authority.LAPTOP_ROLES)} (only watches)"
+        )
+    _check_days(days)
+    ca = _load_ca(directory, now)
+    gateway = read_certificate(directory / "gateway.pem")
+    hosts, port = authority.hosts_of(gateway), _port(directory / "gateway.json5")
+    taken = next((path for path in _laptop_files(directory, name) if os.path.lexists(path)), None)
+    if taken is not None:
+        raise ConfigError(f"the name {name} is taken ({taken} exists, and is never overwritten): choose another")
+    laptop = authority.make_laptop(ca, name, role, days, now)
+    certificate, key, config = _laptop_files(directory, name)
+    files = {
+        key: Content(laptop.key_pem(), SECRET),
+        certificate: Content(laptop.certificate_pem()),
+        config: Content(zenoh_files.laptop_json5(name, role, hosts, port)),
+    }
+    if bundle is not None:
+        if bundle in files:
+            raise ConfigError(f"--bundle {bundle} is the place of another file: name it {name}.zip")
+        expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
+        members = {path.name: content for path, content in files.items()}
+        members["ca.pem"] = Content(ca.certificate_pem())
+        members["README.txt"] = Content(zenoh_files.laptop_readme(name, role, hosts, expiry))
+        files[bundle] = Content(_zip(members, now), SECRET)
+    publish(files)
+    return list(files)
+
+
+def renew(directory: Path, name: str, *, days: int = authority.LEAF_DAYS, now: dt.datetime | None = None) -> Path:
+    """Gives the certificate of a laptop, or "gateway", a new expiry; its key stays as it is."""
+    now = now or _now()
+    _check_days(days)
+    if name != authority.GATEWAY:
+        _check_name(name)
+    ca, path = _load_ca(directory, now), directory / f"{name}.pem"
+    old = read_certificate(path)
+    try:
+        old.verify_directly_issued_by(ca.certificate)
+    except (ValueError, TypeError, InvalidSignature) as error:
+        raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there") from error
+    renewed = authority.renew(ca, old, days, now).public_bytes(serialization.Encoding.PEM)
+    replace(path, Content(renewed))
+    return path
+
+
+def expiries(directory: Path) -> list[Certificate]:
+    """All certificates (*.pem) of a folder, the CA first, then the gateway's, then by name; ConfigError if none.
+
+    Works on a robot and on a laptop too, which have only their own.
+    """
+    try:
+        paths = sorted(path for path in directory.iterdir() if path.suffix == ".pem" and not path.name.startswith("."))
+    except OSError as error:
+        raise ConfigError(
+            f"cannot read {directory}: {error.strerror}; give the folder that `certs init` made"
+        ) from error
+    if not paths:
+        raise ConfigError(f"{directory} has no certificates (*.pem): make them with `hexapod-gateway certs init`")
+    order = (authority.CA, authority.GATEWAY)
+    found = [describe(path) for path in paths]
+    return sorted(found, key=lambda item: (order.index(item.role) if item.role in order else len(order), item.name))
+
+
+def describe(path: Path) -> Certificate:
+    """Whose certificate the PEM file at `path` is, and until when; raises ConfigError if it cannot be read."""
+    certificate = read_certificate(path)
+    role, name = authority.role_and_name(certificate)
+    return Certificate(
+        path,
+        name,
+        role,
+        f"{certificate.serial_number:x}",
+        certificate.not_valid_before_utc,
+        certificate.not_valid_after_utc,
+    )
+
+
+def _load_ca(directory: Path, now: dt.datetime) -> KeyPair:
+    try:
+        (directory / "ca.key").lstat()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise ConfigError(
+            f"{directory} has no ca.key: give the folder that `hexapod-gateway certs init` made, with --dir"
+        ) from error
+    except OSError:
+        pass  # it may be there: reading it says what is wrong
+    certificate, key = read_certificate(directory / "ca.pem"), read_key(directory / "ca.key")
+    if certificate.public_key() != key.public_key():
+        raise ConfigError(f"{directory}: ca.key and ca.pem do not belong together; restore both from the same copy")
+    if certificate.not_valid_after_utc <= now:
+        raise ConfigError(
+            f"the CA in {directory} expired on {certificate.not_valid_after_utc:%Y-%m-%d}: make a new one with "
+            "`hexapod-gateway certs init` in another folder, and issue all certificates again"
+        )
+    return KeyPair(certificate, key)
+
+
+def _port(config: Path) -> int:
+    """The port in gateway.json5, read back from it: whoever changes it there gets laptops that follow."""
+    try:
+        endpoints = zenoh.Config.from_file(str(config)).get_json("listen/endpoints")
+    except zenoh.ZError as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"cannot read {config}: {reason}; restore it, or mend what it names") from error
+    found = re.search(r'"tls/[^"]*:(\d+)', endpoints)
+    if found is None:
+        raise ConfigError(
+            f"{config} listens on no tls endpoint with a port: mend listen.endpoints, such as tls/[::]:7447"
+        )
+    return int(found[1])
+
+
+def _laptop_files(directory: Path, name: str) -> tuple[Path, Path, Path]:
+    return directory / f"{name}.pem", directory / f"{name}.key", directory / f"{name}.json5"
+
+
+def _zip(members: dict[str, Content], now: dt.datetime) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            entry = zipfile.ZipInfo(name, (now.year, now.month, now.day, now.hour, now.minute, now.second))
+            entry.create_system = 3  # Unix: `unzip` then restores the mode, and the key stays 0600
+            entry.external_attr = (stat.S_IFREG | content.mode) << 16
+            archive.writestr(entry, content.data, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name) or name.lower() in _RESERVED:
+        raise ConfigError(
+            f"{name!r} cannot name a laptop: use letters, digits, - and _ (up to 63, a letter or digit first), "
+            f"and neither {' nor '.join(_RESERVED)}"
+        )
+
+
+def _check_days(days: int) -> None:
+    if not 1 <= days <= authority.CA_DAYS:
+        raise ConfigError(f"--days {days} is not between 1 and {authority.CA_DAYS}, the days a CA lives")
+
+
+def _now() -> dt.datetime:
+    return dt.datetime.now(dt.UTC)

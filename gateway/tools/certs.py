@@ -1,0 +1,153 @@
+"""`hexapod-gateway certs`: arguments in, one call of gateway.certs, a few lines out that say what to do next."""
+
+import datetime as dt
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from gateway import certs
+
+WARN_DAYS = 30
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Certificates: who may reach the robot over the network, and as what.\n\n"
+    "`init` makes a private CA and the robot's files, once; `issue` makes a laptop's, and the robot stays as it is. "
+    "An operator commands and watches, an observer only watches, anyone else gets nothing.\n\n"
+    "Keep the folder on a machine you trust, not on the robot: whoever has its ca.key can let anyone in.",
+)
+
+Directory = Annotated[
+    Path,
+    typer.Option(
+        "--dir", metavar="D", help="The folder with the CA. Example: --dir ~/hexapod-certs", show_default=False
+    ),
+]
+Days = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="How many days the certificate is good for (never longer than its CA, 10 years). Example: --days 90",
+    ),
+]
+
+
+@app.command(epilog="Example: hexapod-gateway certs init --dir ~/hexapod-certs --host robot.local --host 192.0.2.7")
+def init(
+    directory: Directory,
+    host: Annotated[
+        list[str],
+        typer.Option(
+            metavar="HOST",
+            help="A name or address by which laptops dial the robot; repeat it for each. Laptops refuse a robot "
+            "that they reach by any other. Example: --host robot.local --host 192.0.2.7",
+            show_default=False,
+        ),
+    ],
+    port: Annotated[int, typer.Option(metavar="N", help="The port the robot listens on. Example: --port 7447")] = 7447,
+    days: Days = certs.LEAF_DAYS,
+) -> None:
+    """Make a private CA, the robot's certificate, and the Zenoh configuration that lets in only its own.
+
+    Refuses a folder that has a CA already; never overwrites a file; leaves nothing half made.
+    """
+    certs.init(directory, host, days=days, port=port)
+    typer.echo(f"Made a CA and the gateway's files in {directory}.")
+    typer.echo(
+        "Copy to the robot, into one folder, owned by the service's user: gateway.json5 gateway.pem gateway.key ca.pem"
+    )
+    typer.echo("Leave ca.key here, and keep a copy of it somewhere safe. In the robot's gateway.toml:")
+    typer.echo('  [zenoh]\n  config = "/etc/hexapod-gateway/zenoh/gateway.json5"')
+    typer.echo(
+        f"Next, for each laptop: hexapod-gateway certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
+    )
+
+
+@app.command(
+    epilog="Example: hexapod-gateway certs issue alice --role operator --dir ~/hexapod-certs --bundle alice.zip"
+)
+def issue(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="The laptop or its owner: letters, digits, - and _. Example: alice", show_default=False
+        ),
+    ],
+    role: Annotated[
+        str,
+        typer.Option(
+            metavar="ROLE",
+            help="operator: commands and watches. observer: only watches. Example: --role observer",
+            show_default=False,
+        ),
+    ],
+    directory: Directory,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="ZIP",
+            help="Also put all that the laptop needs into this zip, its key included: hand it over in private. "
+            "Example: --bundle alice.zip",
+            show_default=False,
+        ),
+    ] = None,
+    days: Days = certs.LEAF_DAYS,
+) -> None:
+    """Make a laptop's certificate and NAME.json5, ready for --zenoh-config. Nothing changes on the robot.
+
+    A certificate cannot be taken back: give short lives (--days) to laptops that travel.
+    """
+    certs.issue(directory, name, role, bundle=bundle, days=days)
+    typer.echo(f"Made {name}, {role}, in {directory}: {name}.json5 {name}.pem {name}.key")
+    if bundle is not None:
+        typer.echo(
+            f"All that the laptop needs is in {bundle}; its key too, so hand it over in private and delete it then."
+        )
+    typer.echo(f"Try it: hexapod-gateway watch --zenoh-config {directory / name}.json5")
+
+
+@app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")
+def renew(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help='A laptop, or "gateway" for the robot. Example: gateway', show_default=False
+        ),
+    ],
+    directory: Directory,
+    days: Days = certs.LEAF_DAYS,
+) -> None:
+    """Give a certificate a new expiry before it runs out. Its key stays, so only NAME.pem has to be copied again."""
+    path = certs.renew(directory, name, days=days)
+    left = certs.describe(path)
+    typer.echo(f"{path} is good until {left.not_after:%Y-%m-%d}: copy it over the old one on {_where(name)}.")
+
+
+@app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
+def show(directory: Directory) -> None:
+    """Show who has what: name, role, expiry, days left, serial number. Tab-separated when not on a terminal."""
+    now = dt.datetime.now(dt.UTC)
+    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL")
+    rows = [
+        (found.name, found.role, f"{found.not_after:%Y-%m-%d}", str(found.days_left(now)), found.serial)
+        for found in certs.expiries(directory)
+    ]
+    console = Console()
+    if not console.is_terminal:
+        for row in (head, *rows):
+            typer.echo("\t".join(row))
+        return
+    table = Table()
+    for title in head:
+        table.add_column(title.capitalize(), justify="right" if title == "DAYS LEFT" else "left", overflow="fold")
+    for row in rows:
+        left = int(row[3])
+        table.add_row(*row, style="red" if left < 0 else "yellow" if left < WARN_DAYS else None)
+    console.print(table)
+
+
+def _where(name: str) -> str:
+    return "the robot, and restart the service" if name == "gateway" else f"{name}'s machine"

@@ -1,0 +1,87 @@
+"""Reads a Zenoh configuration file; the one place where paths inside it are made absolute.
+
+Zenoh itself takes them from the folder the program was started in, which is `/` for a service and anything for a
+laptop. Here they are meant from the file's own folder, so the folder can be unzipped, copied and mounted anywhere.
+"""
+
+import datetime as dt
+import json
+from pathlib import Path
+
+import zenoh
+
+from gateway.certs.reading import read_certificates, read_file
+from gateway.errors import ConfigError
+
+_TLS = "transport/link/tls"
+_CERTIFICATES = (f"{_TLS}/listen_certificate", f"{_TLS}/connect_certificate")
+_CA = f"{_TLS}/root_ca_certificate"
+_FILES = (
+    _CA,
+    *_CERTIFICATES,
+    f"{_TLS}/listen_private_key",
+    f"{_TLS}/connect_private_key",
+    "transport/auth/usrpwd/dictionary_file",
+    "transport/auth/pubkey/public_key_file",
+    "transport/auth/pubkey/private_key_file",
+    "transport/auth/pubkey/known_keys_file",
+)
+
+
+def load_config(path: Path) -> zenoh.Config:
+    """The configuration at `path` (.json5 .json .yaml .toml) with absolute paths, ready for `zenoh.open`.
+
+    Raises ConfigError, one line, for a typo, a file it names that is missing or unreadable, and a certificate that
+    has expired: `zenoh.open` would only say that it cannot connect.
+    """
+    path = path.absolute()
+    read_file(path, "Zenoh configuration")
+    try:
+        config = zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ConfigError(f"{path}: {_one_line(error)}") from error
+    for setting, file in _named_files(config, path.parent).items():
+        _check(setting, file, path)
+        config.insert_json5(setting, json.dumps(str(file)))
+    return config
+
+
+def load_client_config(path: Path) -> zenoh.Config:
+    """What `--zenoh-config` names on a laptop; ConfigError as in `load_config`, and for the gateway's own."""
+    config = load_config(path)
+    if config.get_json(f"{_TLS}/listen_private_key") != "null":
+        raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
+    return config
+
+
+def certificate_files(path: Path) -> list[Path]:
+    """The certificates that the Zenoh configuration at `path` names, the CA first. Raises as `load_config`."""
+    files = _named_files(load_config(path), path.absolute().parent)
+    return list(dict.fromkeys(file for setting, file in files.items() if setting in (_CA, *_CERTIFICATES)))
+
+
+def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
+    values = {setting: json.loads(config.get_json(setting)) for setting in _FILES}
+    return {setting: folder / value for setting, value in values.items() if isinstance(value, str)}
+
+
+def _check(setting: str, file: Path, config: Path) -> None:
+    try:
+        read_file(file, setting.rpartition("/")[2])
+        if setting not in (_CA, *_CERTIFICATES):
+            return
+        certificates = read_certificates(file)
+    except ConfigError as error:
+        raise ConfigError(f"{config}: {error}") from error
+    # Of a chain the first is one's own; of several CAs, any may be the one in use.
+    ends = [certificate.not_valid_after_utc for certificate in certificates]
+    end = max(ends) if setting == _CA else ends[0]
+    if end <= dt.datetime.now(dt.UTC):
+        raise ConfigError(
+            f"{file} expired on {end:%Y-%m-%d}: get a new one from `hexapod-gateway certs renew` (is this clock right?)"
+        )
+
+
+def _one_line(error: Exception) -> str:
+    """Zenoh's reason without its source position."""
+    return " ".join(str(error).split()).partition(" at /")[0]
