@@ -1,0 +1,240 @@
+"""A simulated controller: it reads raw bytes as the published STM32F446 firmware does, and moves 18 simulated servos.
+
+What it takes from that firmware (PROTOCOL.md, "What the published firmware adds"):
+
+* `length-prefixed` is the firmware as it is: one byte is a length, then that many bytes are awaited, and only then
+  looked at. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
+* Chip select plays no part: bytes are one stream, so a lost byte misaligns all that follows, until a pause.
+* A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
+* A receive that takes 1000 ms is given up. The published firmware then still looks at what has come of it, with zeros
+  for the rest, so half of a ONE SERVO Start does start its servo; the controller that follows the document drops it.
+* A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
+"""
+
+import collections
+import functools
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.errors import SpiError
+from gateway.protocol.frames import SERVO_IDS, Op
+from gateway.protocol.framing import Framing
+
+RECEIVE_TIMEOUT_NS: Final = 1_000_000_000  # HEXAPOD_RECEIVE_TIMEOUT, 1000 ms
+MAX_SPEED_DEG_S: Final = 60 / 0.17  # MG996R at 4.8 V without load: 0.17 s for 60°
+KEPT_TRANSFERS: Final = 10_000  # the newest; 33 s of six legs at 50 Hz
+
+_RECEIVE_BUFFER_LEN: Final = 64  # MESSAGE_MAX_LEN
+_RECORDS_BY_LEN_AND_TYPE: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}  # where each servo's four bytes begin
+_DONE: Final = {Op.START: "started at", Op.SET: "set to"}
+
+
+@dataclass(slots=True)
+class ServoState:
+    """One servo: PWM output on or off, pulse in µs (None before the first), and where its horn is, 0° to 180°."""
+
+    energised: bool = False
+    pulse_us: int | None = None
+    angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
+
+
+class SimulatedController:
+    """An SpiDevice with a controller and its servos behind it, and faults to order."""
+
+    def __init__(
+        self,
+        framing: Framing,
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+        on_change: Callable[[str], None] | None = None,
+    ) -> None:
+        """`clock` gives nanoseconds. `on_change` is told in one line what each executed frame did."""
+        self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
+        self.executed = 0
+        self.corruptions: collections.Counter[str] = collections.Counter()
+        self._announced = framing is Framing.LENGTH_PREFIXED
+        self._clock = clock
+        self._sleep = sleep
+        self._on_change = on_change
+
+        self._body = bytearray()
+        self._body_len = 0  # 0: the next byte is a length
+        self._give_up_ns = 0
+
+        self._servos = {servo_id: ServoState() for servo_id in SERVO_IDS}
+        self._moved_ns = clock()
+
+        self._failing_transfers = 0
+        self._failing_until_ns = self._moved_ns
+        self._silent_until_ns = self._moved_ns
+        self._bytes_to_lose = 0
+        self._stall_s = 0.0
+
+    # ---- the device
+
+    def transfer(self, data: bytes) -> None:
+        """Take the bytes of one transfer. Raises SpiError only where a fault was ordered."""
+        if self._stall_s > 0:
+            stall_s, self._stall_s = self._stall_s, 0.0
+            self._sleep(stall_s)
+        now_ns = self._clock()
+        if self._failing_transfers > 0:
+            self._failing_transfers -= 1
+            raise SpiError("the simulated SPI device failed a transfer")
+        if now_ns < self._failing_until_ns:
+            raise SpiError("the simulated SPI device fails for a while")
+        self.transfers.append((now_ns, data))
+        if now_ns < self._silent_until_ns:
+            return
+        if self._bytes_to_lose > 0:
+            lost = min(self._bytes_to_lose, len(data))
+            self._bytes_to_lose -= lost
+            data = data[lost:]
+        self._expire_receive(now_ns)
+        self._receive(data, now_ns)
+
+    def close(self) -> None:
+        """Nothing to release: the controller and its servos outlive the connection to them, and may be opened again."""
+
+    # ---- what a person at the robot sees
+
+    @property
+    def servos(self) -> dict[int, ServoState]:
+        """The 18 servos by id, as they are now."""
+        now_ns = self._clock()
+        self._expire_receive(now_ns)
+        self._move(now_ns)
+        return self._servos
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The ids of the servos whose PWM output is on now."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
+
+    # ---- faults to order
+
+    def fail_next(self, count: int) -> None:
+        """Let the next `count` transfers raise SpiError; the controller sees none of their bytes."""
+        self._failing_transfers = count
+
+    def fail_for_ms(self, duration_ms: float) -> None:
+        """Let every transfer raise SpiError for a while from now; the controller sees none of their bytes."""
+        self._failing_until_ns = self._clock() + round(duration_ms * 1e6)
+
+    def silent_for_ms(self, duration_ms: float) -> None:
+        """Let the controller hear nothing for a while from now, although transfers succeed."""
+        self._silent_until_ns = self._clock() + round(duration_ms * 1e6)
+
+    def lose_bytes(self, count: int) -> None:
+        """Lose the next `count` bytes on the wire."""
+        self._bytes_to_lose = count
+
+    def stall(self, duration_s: float) -> None:
+        """Let the next transfer take that long."""
+        self._stall_s = duration_s
+
+    def heal(self) -> None:
+        """End all ordered faults."""
+        self._failing_transfers = 0
+        self._failing_until_ns = self._silent_until_ns = self._clock()
+        self._bytes_to_lose = 0
+        self._stall_s = 0.0
+
+    # ---- the firmware
+
+    def _receive(self, data: bytes, now_ns: int) -> None:
+        position = 0
+        while position < len(data):
+            if self._body_len == 0:
+                self._expect(data[position], now_ns)
+                position += 1
+            else:
+                missing = self._body_len - len(self._body)
+                self._body += data[position : position + missing]
+                position += missing
+            if 0 < self._body_len == len(self._body):
+                self._interpret(now_ns)
+
+    def _expect(self, length: int, now_ns: int) -> None:
+        if length > _RECEIVE_BUFFER_LEN:
+            self.corruptions[f"a length of {length} overran the receive buffer of {_RECEIVE_BUFFER_LEN} bytes"] += 1
+        self._body_len = length
+        if length > 0 and not self._announced:
+            self._body.append(length)
+        self._give_up_ns = now_ns + RECEIVE_TIMEOUT_NS
+
+    def _expire_receive(self, now_ns: int) -> None:
+        if self._body_len == 0 or now_ns < self._give_up_ns:
+            return
+        if self._announced:
+            self._body += bytes(self._body_len - len(self._body))
+            self._interpret(self._give_up_ns)
+        else:
+            self._body.clear()
+            self._body_len = 0
+
+    def _interpret(self, now_ns: int) -> None:
+        body = bytes(self._body)
+        self._body.clear()
+        self._body_len = 0
+        records = _RECORDS_BY_LEN_AND_TYPE.get((len(body), body[1])) if len(body) > 1 else None
+        if records is None:
+            return
+        self._move(now_ns)
+        changes = [self._drive(*body[start : start + 4]) for start in records]
+        self.executed += 1
+        if self._on_change is not None:
+            self._on_change("; ".join(changes))
+
+    def _drive(self, servo_id: int, op: int, whole_deg: int, hundredths: int) -> str:
+        if op not in (Op.START, Op.STOP, Op.SET):
+            return f"operation {op} ignored"
+        index = (servo_id // 10 - 1) * 3 + servo_id % 10 - 1 & 0xFF  # the firmware's arithmetic, in a uint8_t
+        if index >= len(SERVO_IDS):
+            what = f"servo id {servo_id} indexed entry {index} of a servo table of {len(SERVO_IDS)}"
+            self.corruptions[what] += 1
+            return what
+        driven_id = SERVO_IDS[index]
+        if driven_id != servo_id:
+            self.corruptions[f"servo id {servo_id} drove servo {driven_id}"] += 1
+        servo = self._servos[driven_id]
+        if op == Op.STOP:
+            servo.energised = False
+            return f"servo {driven_id} stopped"
+        if op == Op.START:
+            servo.energised = True
+        servo.pulse_us = pulse_us(whole_deg, hundredths)
+        change = f"servo {driven_id} {_DONE[Op(op)]} {whole_deg + hundredths / 100:.2f}°, {servo.pulse_us} µs"
+        return change if servo.energised else f"{change}, and stays off"
+
+    def _move(self, now_ns: int) -> None:
+        reach_deg = MAX_SPEED_DEG_S * (now_ns - self._moved_ns) / 1e9
+        self._moved_ns = max(now_ns, self._moved_ns)
+        for servo in self._servos.values():
+            if servo.energised and servo.pulse_us is not None:
+                target_deg = min((servo.pulse_us - 544) * 180 / (2550 - 544), 180.0)  # a horn ends at its stop
+                way_deg = target_deg - servo.angle_deg
+                servo.angle_deg = (
+                    target_deg
+                    if abs(way_deg) <= reach_deg
+                    else servo.angle_deg + max(-reach_deg, min(way_deg, reach_deg))
+                )
+
+
+def _float32(value: float) -> float:
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+@functools.cache
+def pulse_us(whole_deg: int, hundredths: int) -> int:
+    """The compare value, in µs, that the firmware sets for INT PART and FLOAT PART: 544 at 0°, 2550 at 180°.
+
+    Rounded to single precision after each operation, in the firmware's order, then truncated.
+    """
+    angle_deg = _float32(whole_deg + _float32(hundredths / _float32(100.0)))
+    scaled = _float32(_float32(angle_deg * (2550.0 - 544.0)) / 180.0)
+    return int(_float32(scaled + 544.0))
