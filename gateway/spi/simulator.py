@@ -193,7 +193,7 @@ class SimulatedController:
     def _drive(self, servo_id: int, op: int, whole_deg: int, hundredths: int) -> str:
         if op not in (Op.START, Op.STOP, Op.SET):
             return f"operation {op} ignored"
-        index = (servo_id // 10 - 1) * 3 + servo_id % 10 - 1 & 0xFF  # the firmware's arithmetic, in a uint8_t
+        index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) & 0xFF  # the firmware's arithmetic, in a uint8_t
         if index >= len(SERVO_IDS):
             what = f"servo id {servo_id} indexed entry {index} of a servo table of {len(SERVO_IDS)}"
             self.corruptions[what] += 1
@@ -213,7 +213,7 @@ class SimulatedController:
 
     def _move(self, now_ns: int) -> None:
         reach_deg = MAX_SPEED_DEG_S * (now_ns - self._moved_ns) / 1e9
-        self._moved_ns = max(now_ns, self._moved_ns)
+        self._moved_ns = now_ns
         for servo in self._servos.values():
             if servo.energised and servo.pulse_us is not None:
                 target_deg = min((servo.pulse_us - 544) * 180 / (2550 - 544), 180.0)  # a horn ends at its stop
