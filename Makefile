@@ -1,0 +1,72 @@
+# `make run`: the service with a simulated controller. `make test`: everything. `make help` for the rest.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# What the hardware tests need of Debian: an emulated kernel device, for the system's own Python.
+DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux
+
+.PHONY: help run test check bench schemas format clean debian-packages
+
+help:
+	@echo "make run      the service with a simulated controller (makes $(VENV))"
+	@echo "make test     all tests"
+	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
+	@echo "make bench    the benchmark: this gateway beside the naive script"
+	@echo "make schemas  write schemas/json/ anew"
+	@echo "make format   let ruff format"
+
+run: $(VENV)/run
+	@$(BIN)/hexapod-gateway run --sim
+
+test: $(VENV)/dev debian-packages
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+check: $(VENV)/dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m schemas --check
+
+bench: $(VENV)/dev debian-packages
+	$(BIN)/python -m tests.benchmarks
+
+schemas: $(VENV)/dev
+	$(BIN)/python -m schemas
+
+format: $(VENV)/dev
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+# ---- the virtual environment, in two sizes
+
+$(VENV)/bin/python:
+	@$(PYTHON) -m venv $(VENV) || { \
+		rm -rf $(VENV); \
+		echo "Python's venv is missing; on Debian: apt-get install python3-venv"; exit 1; }
+
+$(VENV)/run: $(VENV)/bin/python pyproject.toml
+	@echo "Installing hexapod-gateway into $(VENV) …"
+	@$(BIN)/pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/dev: $(VENV)/bin/python pyproject.toml
+	@echo "Installing hexapod-gateway with its development tools into $(VENV) …"
+	@$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check -e '.[spi]' || \
+		echo "spidev could not be built (python3-dev and gcc?); the hardware tests will be skipped"
+	@touch $@ $(VENV)/run
+
+# Root, or sudo without a password, installs what is missing; anyone else is told by the skipped tests.
+debian-packages:
+	@missing=$$(dpkg-query -W -f='$${db:Status-Status} $${Package}\n' $(DEBIAN_PACKAGES) 2>/dev/null \
+		| awk '$$1 == "installed" {print $$2}' | sort > $(VENV)/.have; \
+		printf '%s\n' $(DEBIAN_PACKAGES) | sort | comm -23 - $(VENV)/.have | tr '\n' ' '); \
+	if [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
+		if [ "$$(id -u)" = 0 ]; then sudo=; elif sudo -n true 2>/dev/null; then sudo=sudo; else exit 0; fi; \
+		echo "Installing Debian packages for the hardware tests: $$missing"; \
+		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive \
+			apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
+	fi

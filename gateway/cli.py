@@ -1,0 +1,176 @@
+"""The command line: arguments in, one function call each, and errors as one line with their exit code."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from gateway import __version__, settings
+from gateway.errors import ConfigError, GatewayError
+from gateway.tools import commands
+
+app = typer.Typer(
+    name="hexapod-gateway",
+    help="Zenoh to SPI gateway for a six-legged robot: commands in, HexapodProtocol v1.0.0 frames out, silence means Stop.",
+    epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
+    "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", metavar="PATH", help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists."
+    ),
+]
+ConnectOption = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Where the gateway listens. Default: tcp/127.0.0.1:7447, or what the --zenoh-config file says.",
+    ),
+]
+ZenohConfigOption = Annotated[
+    Path | None,
+    typer.Option("--zenoh-config", metavar="PATH", help="Zenoh configuration (JSON5), for certificates."),
+]
+TimeoutOption = Annotated[
+    float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after so many seconds.")
+]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"hexapod-gateway {__version__} (HexapodProtocol 1.0.0)")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    del version
+
+
+@app.command()
+def run(
+    config: ConfigOption = None,
+    sim: Annotated[bool, typer.Option("--sim", help="Put a simulated controller in place of SPI.")] = False,
+) -> None:
+    """Run the service until SIGTERM or Ctrl-C.
+
+    Stops all six legs, then takes commands. Exit codes: 0 stopped on request, 2 configuration, 3 SPI device, 4 Zenoh.
+    """
+    commands.run(settings.load(config), simulated=sim)
+
+
+@app.command("stop-servos")
+def stop_servos(config: ConfigOption = None) -> None:
+    """Stop all six legs straight over SPI, without Zenoh and without a running gateway.
+
+    For when the service has died, or nobody knows; the service unit runs it after every end. Exit codes: 0, 2, 3.
+    """
+    commands.stop_servos(settings.load(config))
+
+
+@app.command()
+def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+    """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`.
+
+    Exit codes: 0 all six Stops are written, 1 not all of them, 4 no gateway answers.
+    """
+    sys.exit(commands.estop(commands.connection(connect, zenoh_config, timeout)))
+
+
+@app.command()
+def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+    """Leave the emergency stop. Nothing moves until it is started again.
+
+    Exit codes: 0 accepted, 1 refused, 4 no gateway answers.
+    """
+    sys.exit(commands.reset(commands.connection(connect, zenoh_config, timeout)))
+
+
+@app.command()
+def decode(
+    hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
+) -> None:
+    """Explain a frame, or say exactly what is wrong with it.
+
+    Several frames may stand in one argument list; each begins with its length. Exit codes: 0 legal, 1 not.
+    """
+    sys.exit(commands.decode(hex_bytes))
+
+
+send = typer.Typer(
+    help="Send one acknowledged command through a running gateway.\n\n"
+    "A leg that is started once is stopped again by the watchdog (after 250 ms, by default); --hold repeats the command "
+    "every 50 ms. Exit codes: 0 accepted, 1 refused (the reason is printed), 4 no gateway answers.",
+    no_args_is_help=True,
+)
+app.add_typer(send, name="send")
+
+HoldOption = Annotated[
+    float, typer.Option("--hold", metavar="S", min=0, help="Repeat every 50 ms for so many seconds.")
+]
+OpArgument = Annotated[str, typer.Argument(metavar="OP", help="start, set or stop")]
+
+
+@send.command("leg")
+def send_leg(
+    leg: Annotated[int, typer.Argument(metavar="N", min=1, max=6, help="1 to 6")],
+    op: OpArgument,
+    angles: Annotated[
+        list[float] | None, typer.Argument(metavar="[A B C]", help="Degrees, 0 to 180, joints 1, 2, 3")
+    ] = None,
+    hold: HoldOption = 0,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Start, set or stop a leg: `send leg 3 start 90 45 120 --hold 5`."""
+    connection = commands.connection(connect, zenoh_config, timeout)
+    sys.exit(commands.send_leg(connection, leg, op, angles or [], hold_s=hold))
+
+
+@send.command("servo")
+def send_servo(
+    servo_id: Annotated[int, typer.Argument(metavar="ID", help="The leg and the joint: 11 to 63")],
+    op: OpArgument,
+    angle: Annotated[float | None, typer.Argument(metavar="[A]", help="Degrees, 0 to 180")] = None,
+    hold: HoldOption = 0,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Start, set or stop one servo: `send servo 32 start 90`."""
+    connection = commands.connection(connect, zenoh_config, timeout)
+    sys.exit(commands.send_servo(connection, servo_id, op, angle, hold_s=hold))
+
+
+@send.command("stop")
+def send_stop(
+    connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
+) -> None:
+    """Stop all six legs. They can be started again at once; `estop` also forbids that."""
+    sys.exit(commands.send_stop(commands.connection(connect, zenoh_config, timeout)))
+
+
+def main() -> NoReturn:
+    """The console script."""
+    try:
+        app()
+    except GatewayError as error:
+        for line in str(error).splitlines():
+            sys.stderr.write(f"hexapod-gateway: {line}\n")
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    raise AssertionError(ConfigError)

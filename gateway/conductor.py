@@ -1,0 +1,357 @@
+"""The loop's side: takes what came in, asks the supervisor, writes the frames, answers and tells.
+
+Everything here runs on the one asyncio loop, which owns all state. Nothing waits but a transfer.
+"""
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from gateway import __version__
+from gateway.errors import SpiError
+from gateway.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Command,
+    Effect,
+    EmergencyStop,
+    Event,
+    Refused,
+    Reset,
+    Settled,
+    ShutDown,
+    TimePassed,
+    Transmit,
+)
+from gateway.inbox import Received, Reply, Verb
+from gateway.intake import Intent, Rejection, decode, stop_all_of, too_large
+from gateway.metrics import Metrics
+from gateway.outbox import Outbox, wall_clock
+from gateway.protocol import VERSION
+from gateway.refusals import RefusalLimit
+from gateway.settings import Settings
+from gateway.spi.bus import Bus
+from gateway.supervisor import Supervisor
+from schemas import keys, telemetry
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.telemetry import Ack, Kind, Mode, Reason
+
+FIRST_REOPEN_S: Final = 0.02
+"""Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
+LAST_REOPEN_S: Final = 2.0
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """A command that the supervisor knows by its number, as far as it must be answered."""
+
+    key: str
+    source: str | None
+    reply: Reply | None
+
+
+class Conductor:
+    """One robot's gateway, from received messages to written frames."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        supervisor: Supervisor,
+        bus: Bus,
+        outbox: Outbox,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        clock: Callable[[], int],
+        simulated: bool,
+    ) -> None:
+        self._settings = settings
+        self._supervisor = supervisor
+        self._bus = bus
+        self._loop = loop
+        self._clock = clock
+        self._simulated = simulated
+        self._started_ns = clock()
+        self._orders: dict[int, _Order] = {}
+        self._numbers = itertools.count(1)
+        self._refusals = RefusalLimit()
+        self._timer: asyncio.TimerHandle | None = None
+        self._reopen_timer: asyncio.TimerHandle | None = None
+        self._reopen_s = FIRST_REOPEN_S
+        self._told_mode = Mode.STARTING
+        self.metrics = Metrics()
+        self.outbox = outbox
+        self.take: Callable[[], Iterable[Received]] = tuple
+        """Where messages come from; the service connects the inbox here once everything stands."""
+
+    # ---- start and end
+
+    def start(self) -> None:
+        """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
+        self._bus.open()
+        fault = self._carry_out(self._supervisor.step(BusOpened(), self._clock()))[1]
+        if fault is not None:
+            raise fault
+        self._arm()
+
+    def announce_start(self) -> None:
+        """Tell that commands are taken from now on."""
+        self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands", None, None, None)
+        self._tell_mode()
+
+    def shut_down(self) -> None:
+        """Refuse all commands from now on, and stop all six legs."""
+        if self._reopen_timer is not None:
+            self._reopen_timer.cancel()
+        if self._supervisor.mode is Mode.BUS_FAULT:
+            self._reopen()  # a last attempt: the Stops below are worth it
+        self._step(ShutDown(), self._clock())
+
+    @property
+    def repeats_due(self) -> bool:
+        """Whether the supervisor still has something to send by itself."""
+        return self._supervisor.due_ns is not None
+
+    def close(self) -> None:
+        """Release the bus and the timers."""
+        for timer in (self._timer, self._reopen_timer):
+            if timer is not None:
+                timer.cancel()
+        self._bus.close()
+
+    # ---- what happens
+
+    def tick(self) -> None:
+        """Take what came in and do what is due. One tick is one instant: everything in it has the same time."""
+        now_ns = self._clock()
+        if self._supervisor.due_ns is not None and now_ns >= self._supervisor.due_ns:
+            self._step(TimePassed(), now_ns)
+        for received in self.take():
+            self._receive(received, now_ns)
+        self._arm()
+
+    def answer_state(self, reply: Reply) -> None:
+        """Answer a `get` on the state."""
+        reply(self.state().model_dump_json().encode())
+
+    def _receive(self, received: Received, now_ns: int) -> None:
+        if received.key == keys.ESTOP:
+            self._emergency_stop(received, now_ns)
+            return
+        intent = _intent(received)
+        if isinstance(intent, Rejection):
+            self._refuse(received.expression, received.source, received.reply, intent.reason, intent.detail)
+            return
+        source = intent.source or received.source
+        number = next(self._numbers)
+        self._orders[number] = _Order(received.key, source, received.reply)
+        if received.key == keys.RESET:
+            self._step(Reset(number, source, received.key), now_ns)
+        else:
+            self._step(Command(number, received.channel, intent.targets), now_ns)
+
+    def _emergency_stop(self, received: Received, now_ns: int) -> None:
+        # Nothing of the payload is looked at: whatever it is, somebody wants the robot to stop.
+        if self._supervisor.mode is Mode.BUS_FAULT:
+            self._reopen()
+        stop_frames = self._step(EmergencyStop(received.source, received.key), now_ns)
+        latency_us = (self._clock() - received.received_ns) / 1000
+        if received.reply is not None:
+            self._reply(received.reply, Ack(accepted=True, stop_frames=stop_frames, latency_us=max(0.0, latency_us)))
+
+    def _step(self, event: Event, now_ns: int) -> int:
+        """Let the supervisor take an event and carry out what it says. Returns the number of frames written."""
+        written, fault = self._carry_out(self._supervisor.step(event, now_ns))
+        if fault is not None:
+            self._bus_failed(fault)
+        self._tell_mode()
+        return written
+
+    def _carry_out(self, effects: list[Effect]) -> tuple[int, SpiError | None]:
+        """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
+        fault: SpiError | None = None
+        written: list[tuple[Transmit, int]] = []
+        for effect in effects:
+            match effect:
+                case Transmit():
+                    if fault is not None and not effect.frame.is_stop:
+                        continue
+                    try:
+                        self._bus.write(effect.frame)
+                    except SpiError as error:
+                        fault = fault or error
+                        continue
+                    now_ns = self._clock()
+                    written.append((effect, now_ns))
+                    if effect.deadline_ns is not None:
+                        self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
+                case Settled() if fault is not None:
+                    self._refuse_order(effect.order, Reason.BUS_FAULT, f"the frame could not be written: {fault}")
+                case Settled():
+                    self._accept(effect)
+                case Refused():
+                    self._refuse_order(effect.order, effect.reason, effect.detail)
+                case Announce():
+                    self._tell(effect.kind, effect.detail, effect.source, effect.key, None)
+        if self._settings.telemetry.frames:
+            for transmit, monotonic_ns in written:
+                self._tell_frame(transmit, monotonic_ns)
+        return len(written), fault
+
+    # ---- the bus
+
+    def _bus_failed(self, fault: SpiError) -> None:
+        self._bus.close()
+        self._carry_out(self._supervisor.step(BusFailed(str(fault)), self._clock()))
+        if self._supervisor.mode is Mode.BUS_FAULT:
+            self._reopen_later()
+
+    def _reopen_later(self) -> None:
+        if self._reopen_timer is not None:
+            self._reopen_timer.cancel()
+        self._reopen_timer = self._loop.call_later(self._reopen_s, self._reopen)
+        self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)
+
+    def _reopen(self) -> None:
+        try:
+            self._bus.open()
+        except SpiError as error:
+            logger.debug("the SPI device does not answer yet: %s", error)
+            self._reopen_later()
+            return
+        self._step(BusOpened(), self._clock())
+        if self._supervisor.mode is not Mode.BUS_FAULT:
+            self._reopen_s = FIRST_REOPEN_S
+            if self._reopen_timer is not None:
+                self._reopen_timer.cancel()
+        self._arm()
+
+    # ---- time
+
+    def _arm(self) -> None:
+        """Wake up when the supervisor wants to. A timer that is early is left alone: looking is cheaper than changing."""
+        due_ns = self._supervisor.due_ns
+        if due_ns is None:
+            return
+        due_s = due_ns / 1e9
+        if self._timer is not None and not self._timer.cancelled() and self._timer.when() <= due_s:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_at(due_s, self._woken)
+
+    def _woken(self) -> None:
+        self._timer = None
+        self.tick()
+
+    # ---- answers and reports
+
+    def _accept(self, settled: Settled) -> None:
+        self.metrics.accepted += 1
+        self.metrics.coalesced += settled.coalesced
+        order = self._orders.pop(settled.order)
+        if order.reply is not None:
+            self._reply(order.reply, Ack(accepted=True, coalesced=True if settled.coalesced else None))
+
+    def _refuse_order(self, number: int, reason: Reason, detail: str) -> None:
+        order = self._orders.pop(number)
+        self._refuse(order.key, order.source, order.reply, reason, detail)
+
+    def _refuse(self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str) -> None:
+        self.metrics.rejected += 1
+        if reply is not None:
+            self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
+        left_out = self._refusals.admit(source, self._clock())
+        if left_out is not None:
+            self._tell(Kind.COMMAND_REJECTED, detail + left_out, source, key, reason)
+
+    def _reply(self, reply: Reply, ack: Ack) -> None:
+        reply(ack.model_dump_json().encode())
+
+    def _tell(self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None) -> None:
+        level = logging.WARNING if kind in _WARNINGS else logging.INFO
+        logger.log(level, detail, extra={"kind": kind, "source": source, "key": key, "reason": reason})
+        event = telemetry.Event(time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail)
+        self.outbox.publish(keys.EVENT, event)
+
+    def _tell_frame(self, transmit: Transmit, monotonic_ns: int) -> None:
+        record = telemetry.FrameRecord(
+            time=wall_clock(), monotonic_ns=monotonic_ns, bytes=transmit.frame.to_bytes().hex(), cause=transmit.cause
+        )
+        self.outbox.publish(keys.FRAME, record)
+
+    def _tell_mode(self) -> None:
+        mode = self._supervisor.mode
+        if mode is not self._told_mode:
+            self._told_mode = mode
+            logger.info("mode %s", mode, extra={"mode": mode})
+            self.outbox.publish(keys.STATE, self.state())
+
+    def state(self) -> telemetry.GatewayState:
+        """What the gateway knows now."""
+        now_ns = self._clock()
+        legs = self._supervisor.legs
+        return telemetry.GatewayState(
+            mode=self._supervisor.mode,
+            time=wall_clock(),
+            uptime_s=(now_ns - self._started_ns) / 1e9,
+            version=__version__,
+            protocol=VERSION,
+            simulated=self._simulated,
+            legs=tuple(
+                telemetry.LegReport(
+                    leg=leg.number,
+                    watchdog=leg.watchdog,
+                    age_ms=None if leg.heard_ns is None else (now_ns - leg.heard_ns) / 1e6,
+                    servos=tuple(  # type: ignore[arg-type]
+                        telemetry.ServoReport(
+                            id=servo.servo_id,
+                            running=servo.running,
+                            angle_deg=None if servo.angle_cdeg is None else servo.angle_cdeg / 100,
+                        )
+                        for servo in leg.servos
+                    ),
+                )
+                for leg in legs
+            ),
+            commands=telemetry.CommandCounts(
+                accepted=self.metrics.accepted, rejected=self.metrics.rejected, coalesced=self.metrics.coalesced
+            ),
+            spi=telemetry.SpiReport(
+                device="simulated controller" if self._simulated else self._settings.spi.device,
+                framing=self._settings.spi.framing,
+                frames=self._bus.frames,
+                errors=self._bus.errors,
+            ),
+            watchdog=telemetry.WatchdogReport(
+                timeout_ms=self._settings.watchdog.timeout_ms,
+                expirations=self._supervisor.expirations,
+                stop_latency_us=self.metrics.watchdog_stops.report(),
+            ),
+        )
+
+
+_WARNINGS: Final = frozenset({Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT})
+
+
+def _intent(received: Received) -> Intent | Rejection:
+    """What a message other than the emergency stop asks for."""
+    if received.target is None:
+        try:
+            keys.parse(received.expression)
+        except ValueError as error:
+            return Rejection(Reason.INVALID, str(error))
+        return Rejection(Reason.INVALID, f"{received.expression} names no command key")
+    if received.key == keys.RESET and received.expression != keys.RESET:
+        # A wildcard may name the reset among others; leaving the emergency stop must be meant.
+        return Rejection(Reason.INVALID, f"a reset is not taken from a wildcard; put it on {keys.RESET}")
+    if received.verb is Verb.DELETE:
+        return stop_all_of(received.target)
+    if received.size > MAX_PAYLOAD_BYTES:
+        return too_large(received.size)
+    return decode(received.target, received.payload, received.encoding)

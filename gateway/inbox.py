@@ -1,0 +1,263 @@
+"""The left edge: Zenoh's subscribers and queryables, a ring for each key, and the doorbells that wake the loop.
+
+Zenoh delivers on threads of its own. A callback per message would cost Python time for each, so that a flood of one key
+would delay everything else by seconds. Here each key has a ring in Rust that keeps its newest messages, and one thread
+waits on a subscriber that hears them all: the doorbell. It rings once, waits until the loop has taken what the rings
+hold, and only then listens again, so that work per tick is bounded, and a message that is overwritten costs nothing.
+
+The emergency stop has rings and waiting threads of its own, which no flood of other keys can touch.
+"""
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+import zenoh
+from zenoh.handlers import Handler, RingChannel
+
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE, CommandKey
+
+RING_DEPTH: Final = 8
+"""Messages per key and tick: enough for a start, a stop and some setpoints sent in one go; more would only be older."""
+OTHER_DEPTH: Final = 16
+"""The same for what names no key of ours; it is refused one by one, so there is no use in more."""
+LOOK_AGAIN_S: Final = (0.001, 0.004, 0.016, 0.064)
+"""The doorbell can ring before the message has reached its key's own ring (two deliveries, one after the other, by a
+thread that may be interrupted in between). So a bell whose key had nothing is followed by some more looks."""
+
+logger = logging.getLogger(__name__)
+
+
+class Verb(StrEnum):
+    """How a message came."""
+
+    PUT = "put"
+    DELETE = "delete"
+    GET = "get"
+
+
+Reply = Callable[[bytes], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """One message as it came. `size` is the payload's; a payload that is too large is not copied out of Zenoh.
+
+    `key` is the command key that it is for, `expression` what the sender wrote (a wildcard, or an unknown key).
+    """
+
+    key: str
+    expression: str
+    target: CommandKey | None
+    verb: Verb
+    payload: bytes
+    size: int
+    encoding: str
+    source: str | None
+    received_ns: int
+    reply: Reply | None = None
+
+    @property
+    def channel(self) -> str:
+        """Messages of one channel came in this order; between channels the order is unknown."""
+        return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}"
+
+
+class Waiter:
+    """A thread that waits for a ring's next item, hands it to the loop, and waits until the loop has dealt with it."""
+
+    def __init__(
+        self, name: str, ring: Handler[Any], loop: asyncio.AbstractEventLoop, handle: Callable[[Any, int], None]
+    ):
+        self._ring = ring
+        self._loop = loop
+        self._handle = handle
+        self._done = threading.Event()
+        self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
+        self.thread.start()
+
+    def _wait(self) -> None:
+        # The ring closes with the session, and the loop may close before it: both end the thread.
+        with suppress(zenoh.ZError, RuntimeError):
+            while True:
+                item = self._ring.recv()
+                self._done.clear()
+                self._loop.call_soon_threadsafe(self._on_loop, item, time.monotonic_ns())
+                del item  # a query that is still referenced keeps its asker waiting
+                self._done.wait()
+
+    def _on_loop(self, item: Any, received_ns: int) -> None:
+        try:
+            self._handle(item, received_ns)
+        finally:
+            self._done.set()
+
+
+class Inbox:
+    """Everything that comes in. `on_ring` is called on the loop whenever there is something to `take`."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        on_ring: Callable[[], None],
+        on_state_query: Callable[[Reply], None],
+    ) -> None:
+        self._loop = loop
+        self._on_ring = on_ring
+        self._estops: deque[Received] = deque()
+        self._others: deque[Received] = deque()
+        self._rung: set[str] = set()
+        self._look_again: asyncio.TimerHandle | None = None
+        self._declared: list[Any] = []
+
+        self._rings = {
+            key: (self._subscriber(session, key, RING_DEPTH), self._queryable(session, key, RING_DEPTH))
+            for key in COMMAND_KEYS
+            if key != ESTOP
+        }
+        self._bells = (
+            self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
+            self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
+        )
+        waits: list[tuple[str, Handler[Any], Callable[[Any, int], None]]] = [
+            ("estop-put", self._subscriber(session, ESTOP, 1), self._estop),
+            ("estop-get", self._queryable(session, ESTOP, RING_DEPTH), self._estop),
+            ("doorbell-put", self._bells[0], self._bell),
+            ("doorbell-get", self._bells[1], self._bell),
+            (
+                "state-get",
+                self._queryable(session, STATE, RING_DEPTH),
+                lambda query, _: on_state_query(_replier(query, STATE)),
+            ),
+        ]
+        self._waiters = [Waiter(name, ring, loop, handle) for name, ring, handle in waits]
+
+    def take(self) -> Iterator[Received]:
+        """What the rings hold, at most a ring's depth per key: `legs`, then `leg`, then `servo`, then resets.
+
+        The emergency stop is asked for before every message, so that nothing that waits comes before it.
+        """
+        taken: set[str] = set()
+        for received in self._take_commands():
+            while self._estops:
+                yield self._estops.popleft()
+            taken.add(received.key)
+            yield received
+        while self._estops:
+            yield self._estops.popleft()
+        if self._rung - taken:
+            self._look(0)
+        self._rung.clear()
+
+    def close(self) -> None:
+        """Undeclare everything, which ends the waiting threads, and join them. Blocks; not for the loop's own thread."""
+        for declared in self._declared:
+            with suppress(zenoh.ZError):
+                declared.undeclare()
+        for waiter in self._waiters:
+            waiter.thread.join()
+
+    def _subscriber(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Sample]:
+        subscriber = session.declare_subscriber(key, RingChannel(depth))
+        self._declared.append(subscriber)
+        return subscriber.handler
+
+    def _queryable(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Query]:
+        queryable = session.declare_queryable(key, RingChannel(depth))
+        self._declared.append(queryable)
+        return queryable.handler
+
+    # ---- on the loop
+
+    def _estop(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
+        self._estops.append(_received(item, ESTOP, received_ns))
+        self._on_ring()
+
+    def _bell(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
+        # Empty the bells before the rings are read: a message that comes in between then rings again.
+        self._note(item, received_ns)
+        del item
+        for bell in self._bells:
+            for _ in range(OTHER_DEPTH):
+                more = bell.try_recv()
+                if more is None:
+                    break
+                self._note(more, received_ns)
+        self._on_ring()
+
+    def _note(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
+        """A key of ours is read from its own ring; what names none of ours is refused from here."""
+        key = str(item.key_expr)
+        if key in COMMAND_KEYS:
+            if key != ESTOP:
+                self._rung.add(key)
+        elif "*" not in key or not any(item.key_expr.intersects(zenoh.KeyExpr(known)) for known in COMMAND_KEYS):
+            self._others.append(_received(item, key, received_ns))
+        else:
+            self._rung.add(key)
+
+    def _take_commands(self) -> Iterator[Received]:
+        now_ns = time.monotonic_ns()
+        for key, rings in self._rings.items():
+            for ring in rings:
+                for _ in range(RING_DEPTH):
+                    item = ring.try_recv()
+                    if item is None:
+                        break
+                    yield _received(item, key, now_ns)
+        while self._others:
+            yield self._others.popleft()
+
+    def _look(self, attempt: int) -> None:
+        if self._look_again is not None:
+            self._look_again.cancel()
+        if attempt < len(LOOK_AGAIN_S):
+            self._look_again = self._loop.call_later(LOOK_AGAIN_S[attempt], self._looked, attempt)
+
+    def _looked(self, attempt: int) -> None:
+        self._on_ring()
+        self._look(attempt + 1)
+
+
+def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int) -> Received:
+    payload = item.payload
+    size = len(payload) if payload is not None else 0
+    if isinstance(item, zenoh.Query):
+        verb, reply = Verb.GET, _replier(item, key)
+    else:
+        verb, reply = (Verb.DELETE if item.kind == zenoh.SampleKind.DELETE else Verb.PUT), None
+    return Received(
+        key=key,
+        expression=str(item.key_expr),
+        target=COMMAND_KEYS.get(key),
+        verb=verb,
+        payload=payload.to_bytes() if payload is not None and size <= MAX_PAYLOAD_BYTES else b"",
+        size=size,
+        encoding=str(item.encoding) if item.encoding is not None else "zenoh/bytes",
+        source=str(item.source_info.source_id.zid) if item.source_info is not None else None,
+        received_ns=received_ns,
+        reply=reply,
+    )
+
+
+def _replier(query: zenoh.Query, key: str) -> Reply:
+    """Answers once, and lets go of the query, for an asker waits as long as anyone holds it."""
+
+    def reply(payload: bytes) -> None:
+        try:
+            with query:
+                query.reply(key, payload, encoding="application/json")
+        except zenoh.ZError as error:
+            logger.warning("a reply on %s could not be sent: %s", key, error)
+
+    return reply

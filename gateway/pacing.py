@@ -1,0 +1,94 @@
+"""When a leg may send next, and what it will send then: pure, in nanoseconds of the monotonic clock.
+
+A leg has turns, one period apart. A command that finds its turn open goes out at once and takes the turn; one that comes
+sooner waits, and only the newest target of each servo is kept. Missed turns are skipped, never made up in a burst:
+
+- late by less than a period (the publisher's jitter): the next turn stays on the grid, so that a stream at just the
+  limit's rate does not fall behind by its own worst jitter;
+- late by more: the grid starts again at this frame.
+
+Stop frames know no turns and never pass through here.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from gateway.protocol.frames import Op, ServoOp
+
+NS_PER_S: Final = 1_000_000_000
+NS_PER_MS: Final = 1_000_000
+
+EARLY_SHARE: Final = 10
+"""A turn opens a tenth of a period early for a leg with nothing waiting: publishers wake up 0.1 to 1 ms off their own
+rhythm, and without this a stream at just the limit's rate would wait that long with every frame. A leg that is sent
+more than its rate always has something waiting, so it never gains by this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """A servo's newest target, and the command (by its order number) that set it."""
+
+    op: ServoOp
+    order: int
+
+
+def merged(older: ServoOp | None, newer: ServoOp) -> ServoOp:
+    """The newest target; a start that waits keeps being a start when only its angle changes."""
+    if older is not None and older.op is Op.START and newer.op is Op.SET:
+        return ServoOp(Op.START, newer.angle_cdeg)
+    return newer
+
+
+@dataclass(slots=True)
+class Turn:
+    """The turns of one leg."""
+
+    period_ns: int
+    next_ns: int = 0
+
+    def is_open(self, now_ns: int, *, something_waits: bool) -> bool:
+        """Whether a frame may go out now."""
+        early_ns = 0 if something_waits else self.period_ns // EARLY_SHARE
+        return now_ns >= self.next_ns - early_ns
+
+    def take(self, now_ns: int) -> None:
+        """A frame goes out now: skip what was missed and set the next turn."""
+        on_grid = now_ns - self.next_ns < self.period_ns
+        self.next_ns = (self.next_ns if on_grid else now_ns) + self.period_ns
+
+
+@dataclass(slots=True)
+class StartQueue:
+    """Legs that wait to be energised, in order, at least `pause_ns` apart; 0 lets all go at once.
+
+    Eighteen servos that draw their starting current in one instant can pull the supply down.
+    """
+
+    pause_ns: int
+    next_ns: int = 0
+    legs: list[int] = field(default_factory=list)
+
+    def admits(self, leg: int, now_ns: int) -> bool:
+        """Whether `leg` may be energised now; if not, it takes its place in the queue."""
+        if self.pause_ns == 0:
+            return True
+        if leg not in self.legs:
+            self.legs.append(leg)
+        return self.legs[0] == leg and now_ns >= self.next_ns
+
+    def started(self, leg: int, now_ns: int) -> None:
+        """`leg` is being energised now."""
+        if self.pause_ns:
+            self.legs.remove(leg)
+            self.next_ns = now_ns + self.pause_ns
+
+    def leave(self, leg: int) -> None:
+        """`leg` waits no more."""
+        if leg in self.legs:
+            self.legs.remove(leg)
+
+    def turn_ns(self, leg: int, leg_turn_ns: int) -> int | None:
+        """When to look at a waiting leg again; None: the leg before it in the queue comes first."""
+        if leg not in self.legs:
+            return leg_turn_ns
+        return max(leg_turn_ns, self.next_ns) if self.legs[0] == leg else None

@@ -1,0 +1,159 @@
+"""The one place that wires the parts: start and end, in order."""
+
+import asyncio
+import logging
+import os
+import selectors
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+import zenoh
+
+from gateway.conductor import Conductor
+from gateway.errors import SpiError
+from gateway.inbox import Inbox
+from gateway.legs import Rules
+from gateway.outbox import ZenohOutbox
+from gateway.pacing import NS_PER_MS, NS_PER_S
+from gateway.protocol.frames import LEGS, stop_leg
+from gateway.settings import Settings
+from gateway.spi import SpiDevice
+from gateway.spi.bus import Bus
+from gateway.spi.kernel import KernelDevice
+from gateway.spi.simulator import SimulatedController
+from gateway.supervisor import Supervisor
+from gateway.zenoh_setup import open_session, service_config
+from schemas.keys import STATE
+
+END_S = 0.8
+"""What the end may take: the contract's second, less what the process needs to go."""
+REPEATS_S = 0.3
+"""Of that, what the repeats of the last Stops may take."""
+
+logger = logging.getLogger(__name__)
+
+
+def rules(settings: Settings) -> Rules:
+    """The supervisor's rules, in its units."""
+    return Rules(
+        timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
+        whole_robot=settings.watchdog.scope == "robot",
+        repeats=settings.watchdog.repeats,
+        repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
+        period_ns=round(NS_PER_S / settings.limits.leg_rate_hz),
+    )
+
+
+def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDevice]:
+    """How the bus opens its device; a simulated controller lives on while the bus opens and closes it."""
+    if not simulated:
+        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz)
+    controller = SimulatedController(settings.spi.framing, on_change=logging.getLogger("gateway.spi.simulator").debug)
+    return lambda: controller
+
+
+def make_bus(settings: Settings, open_device: Callable[[], SpiDevice]) -> Bus:
+    """A bus with the framing and the pauses of the settings."""
+    return Bus(open_device, settings.spi.framing, frame_gap_ns=round(settings.spi.frame_gap_us * 1000))
+
+
+def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = lambda: None) -> None:
+    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
+    # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
+        runner.run(_run(settings, simulated=simulated, on_ready=on_ready))
+
+
+async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None]) -> None:
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    config = service_config(settings.zenoh)
+    bus = make_bus(settings, device_opener(settings, simulated=simulated))
+    outbox = ZenohOutbox()
+    conductor = Conductor(
+        settings, Supervisor(rules(settings)), bus, outbox, loop, clock=time.monotonic_ns, simulated=simulated
+    )
+    try:
+        # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
+        conductor.start()
+        session = await asyncio.to_thread(open_session, config)
+        outbox.open(session)
+        inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
+        conductor.take = inbox.take
+        conductor.announce_start()
+        on_ready()
+        async with asyncio.TaskGroup() as tasks:
+            reports = tasks.create_task(_report_state(settings, conductor, outbox))
+            await ended.wait()
+            reports.cancel()
+        deadline = loop.time() + END_S
+        conductor.shut_down()
+        await _finish_repeats(conductor, loop)
+        conductor.close()
+        await _within(deadline - loop.time(), inbox.close, session.close)
+    finally:
+        conductor.close()
+
+
+async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
+    """Publish the state `telemetry.state_hz` times a second (changes of mode are published as they happen)."""
+    while settings.telemetry.state_hz:
+        await asyncio.sleep(1 / settings.telemetry.state_hz)
+        outbox.publish(STATE, conductor.state())
+
+
+async def _finish_repeats(conductor: Conductor, loop: asyncio.AbstractEventLoop) -> None:
+    deadline = loop.time() + REPEATS_S
+    while conductor.repeats_due and loop.time() < deadline:
+        await asyncio.sleep(0.001)
+
+
+async def _within(timeout_s: float, *closes: Callable[[], object]) -> None:
+    """Close in a thread that nobody has to wait for: a frozen peer can hold Zenoh's close for ten seconds.
+
+    The servos are safe by then, so after `timeout_s` the process goes without it.
+    """
+    closed = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    def run_close() -> None:
+        for close in closes:
+            with suppress(zenoh.ZError):
+                close()
+        with suppress(RuntimeError):
+            loop.call_soon_threadsafe(closed.set)
+
+    threading.Thread(target=run_close, name="close", daemon=True).start()
+    try:
+        await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
+    except TimeoutError:
+        logger.warning("a peer does not let go of its connection; ending without waiting for it")
+        logging.shutdown()
+        # Zenoh's own threads are still inside close, and would keep the interpreter from ending.
+        os._exit(0)
+
+
+def stop_servos(settings: Settings) -> None:
+    """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
+
+    Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm.
+    """
+    bus = make_bus(settings, lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False))
+    bus.open()
+    fault: SpiError | None = None
+    for repeat in range(1 + settings.watchdog.repeats):
+        if repeat:
+            time.sleep(settings.watchdog.repeat_interval_ms / 1000)
+        for leg in LEGS:
+            try:
+                bus.write(stop_leg(leg))
+            except SpiError as error:  # the next leg's Stop may still get through
+                fault = error
+    bus.close()
+    if fault is not None:
+        raise fault

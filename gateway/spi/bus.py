@@ -1,0 +1,77 @@
+"""The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters."""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+from gateway.errors import SpiError
+from gateway.protocol.frames import Frame
+from gateway.protocol.framing import Framing
+from gateway.spi import SpiDevice
+from gateway.spi.guard import GuardedDevice
+
+
+class Bus:
+    """Opens the device, closes it after a fault, and writes whole frames; blocks for the time of a transfer."""
+
+    def __init__(
+        self,
+        open_device: Callable[[], SpiDevice],
+        framing: Framing,
+        *,
+        frame_gap_ns: int,
+        clock: Callable[[], int] = time.monotonic_ns,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._open_device = open_device
+        self._framing = framing
+        self._frame_gap_ns = frame_gap_ns
+        self._clock = clock
+        self._pause = pause
+        self._device: SpiDevice | None = None
+        self._free_ns = 0
+        self.frames = 0
+        self.errors = 0
+
+    def open(self) -> None:
+        """Open the device anew and write the preamble, where the framing has one. Raises SpiError.
+
+        The preamble belongs here and nowhere else: only after opening can no half of a body be on the wire.
+        """
+        self.close()
+        try:
+            self._device = GuardedDevice(self._open_device(), self._framing)
+            if self._framing.preamble is not None:
+                self._transfer(self._framing.preamble)
+        except SpiError:
+            self.errors += 1
+            self.close()
+            raise
+
+    def write(self, frame: Frame) -> None:
+        """Write one frame. Raises SpiError; the device stays open, for the next frame may be a Stop."""
+        try:
+            for data in self._framing.transfers(frame.to_bytes()):
+                self._transfer(data)
+        except SpiError:
+            self.errors += 1
+            raise
+        self.frames += 1
+
+    def close(self) -> None:
+        """Release the device, if it is open. Never raises."""
+        if self._device is not None:
+            with suppress(SpiError):
+                self._device.close()
+            self._device = None
+
+    def _transfer(self, data: bytes) -> None:
+        if self._device is None:
+            raise SpiError("the SPI device is closed")
+        wait_ns = self._free_ns - self._clock()
+        if wait_ns > 0:
+            self._pause(wait_ns / 1e9)
+        try:
+            self._device.transfer(data)
+        finally:
+            self._free_ns = self._clock() + self._frame_gap_ns

@@ -1,0 +1,289 @@
+"""The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and say.
+
+No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
+are carried out by the service in their order. If writing a frame fails, the service says so with `BusFailed`.
+
+The rules, by number of the contract's *Behaviour*:
+
+ 1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
+ 2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is refused,
+    and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
+ 3. Starts and Sets wait for their leg's turn (`pacing`), newest target per servo. A Stop waits for nothing.
+ 4. A leg that runs, or waits to be started, and is named by no accepted command for the timeout, is stopped.
+    Deadlines come before the event of the same step: a command that was late does not save its leg.
+    Every Stop is repeated, until its servo is started again.
+ 5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else.
+ 6. After `BusFailed` nothing is sent and everything is refused until `BusOpened`; what waited is dropped.
+    The latch of an emergency stop stays through it.
+ 7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop.
+
+Within one instant (one `now_ns`), the order of what came by different channels is unknown. So a Stop wins over a Start or
+Set that came by another channel, and the emergency stop wins over a reset.
+"""
+
+from typing import Final
+
+from gateway.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Command,
+    Effect,
+    EmergencyStop,
+    Event,
+    Refused,
+    Reset,
+    Settled,
+    ShutDown,
+    TimePassed,
+    Transmit,
+)
+from gateway.legs import Legs, Rules
+from gateway.pacing import NS_PER_MS
+from gateway.protocol.frames import Op
+from schemas.telemetry import Cause, Kind, Mode, Reason
+
+_QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
+
+TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
+    Mode.STARTING: {
+        BusOpened: frozenset({Mode.IDLE}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        TimePassed: frozenset({Mode.STARTING}),
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.IDLE: {
+        Command: _QUIET,
+        Reset: frozenset({Mode.IDLE}),
+        EmergencyStop: frozenset({Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        TimePassed: _QUIET,
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.ACTIVE: {
+        Command: _QUIET,
+        Reset: _QUIET,
+        EmergencyStop: frozenset({Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        TimePassed: _QUIET,
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.ESTOPPED: {
+        Command: frozenset({Mode.ESTOPPED}),
+        Reset: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        EmergencyStop: frozenset({Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        TimePassed: frozenset({Mode.ESTOPPED}),
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.BUS_FAULT: {
+        Command: frozenset({Mode.BUS_FAULT}),
+        Reset: frozenset({Mode.BUS_FAULT}),
+        EmergencyStop: frozenset({Mode.BUS_FAULT}),
+        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        TimePassed: frozenset({Mode.BUS_FAULT}),
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.STOPPING: {
+        event: frozenset({Mode.STOPPING}) for event in (Command, Reset, EmergencyStop, BusFailed, TimePassed, ShutDown)
+    },
+}
+"""In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
+
+_ESTOPPED: Final = "the emergency stop is engaged; reset it first"
+_BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
+_STOPPING: Final = "the gateway is ending"
+
+
+class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
+    """The caller sent an event that has no place in this mode; the state is as it was."""
+
+
+class Supervisor:
+    """Decides what reaches the robot. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.legs = Legs(rules)
+        self._opened = False  # ever
+        self._bus_ok = False
+        self._latched_ns: int | None = None
+        self._ended = False
+        self.expirations = 0
+        self.due_ns: int | None = None
+        """When `TimePassed` is next needed; None: not before something else happens."""
+
+    @property
+    def mode(self) -> Mode:
+        """What the gateway as a whole is doing; the first that applies."""
+        if self._ended:
+            return Mode.STOPPING
+        if not self._bus_ok:
+            return Mode.BUS_FAULT if self._opened else Mode.STARTING
+        if self._latched_ns is not None:
+            return Mode.ESTOPPED
+        return Mode.ACTIVE if any(servo.running for servo in self.legs.servos.values()) else Mode.IDLE
+
+    def step(self, event: Event, now_ns: int) -> list[Effect]:
+        """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it."""
+        mode = self.mode
+        if type(event) not in TRANSITIONS[mode]:
+            raise IllegalEvent(f"{type(event).__name__} while {mode}")
+        effects: list[Effect] = []
+        # A deadline that has passed comes first: a command that was late must not save its leg.
+        if self.due_ns is not None and now_ns >= self.due_ns:
+            effects += self._advance(now_ns)
+        match event:
+            case Command():
+                effects += self._command(event, now_ns)
+            case TimePassed():
+                pass
+            case EmergencyStop():
+                effects += self._emergency_stop(event, now_ns)
+            case Reset():
+                effects += self._reset(event, now_ns)
+            case BusOpened():
+                effects += self._bus_opened(now_ns)
+            case BusFailed():
+                effects += self._bus_failed(event)
+            case ShutDown():
+                effects += self._shut_down(now_ns)
+        self.due_ns = self.legs.due_ns() if self._bus_ok else None
+        return effects
+
+    # ---- events
+
+    def _command(self, command: Command, now_ns: int) -> list[Effect]:
+        refusal = self._refusal(command, now_ns)
+        if refusal is not None:
+            return [refusal]
+        return self.legs.apply(command, now_ns)
+
+    def _refusal(self, command: Command, now_ns: int) -> Refused | None:
+        """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
+
+        def refused(reason: Reason, detail: str) -> Refused:
+            return Refused(command.order, reason, detail)
+
+        if self._ended:
+            return refused(Reason.STOPPING, _STOPPING)
+        if not self._bus_ok:
+            return refused(Reason.BUS_FAULT, _BUS_FAULT)
+        if self._latched_ns is not None:
+            return refused(Reason.ESTOPPED, _ESTOPPED)
+        for servo_id, op in command.targets:
+            if op.op is Op.STOP:
+                continue
+            limits = self._rules.joint_limits_cdeg.get(servo_id)
+            if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
+                low, high = (limit / 100 for limit in limits)
+                detail = f"servo {servo_id} may go from {low:g} to {high:g} degrees; {op.angle_cdeg / 100:g} is outside"
+                return refused(Reason.JOINT_LIMIT, detail)
+        for servo_id, op in command.targets:
+            servo = self.legs.servos[servo_id]
+            if op.op is Op.STOP:
+                continue
+            if (
+                servo.stopped_at is not None
+                and servo.stopped_at[0] == now_ns
+                and servo.stopped_at[1] != command.channel
+            ):
+                # Which of the two is older is not known, and an older Start must not overtake a Stop.
+                return refused(
+                    Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({servo.stopped_at[1]})"
+                )
+            if op.op is Op.SET and not servo.will_run:
+                return refused(Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it")
+        return None
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        first = self._latched_ns is None
+        self._latched_ns = now_ns
+        effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
+        if first:
+            detail = "emergency stop; all commands are refused until a reset"
+            if not self._bus_ok:
+                detail += "; the SPI bus is at fault, and the Stop frames follow as soon as it answers"
+            effects.append(Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key))
+        return effects
+
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+        if self._ended:
+            return [Refused(event.order, Reason.STOPPING, _STOPPING)]
+        if not self._bus_ok:
+            return [Refused(event.order, Reason.BUS_FAULT, _BUS_FAULT)]
+        if self._latched_ns == now_ns:
+            return [Refused(event.order, Reason.ESTOPPED, "the emergency stop was engaged in the same instant")]
+        if self._latched_ns is None:
+            return [Settled(event.order)]
+        self._latched_ns = None
+        detail = "emergency stop left; nothing moves until it is started again"
+        return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Settled(event.order)]
+
+    def _bus_opened(self, now_ns: int) -> list[Effect]:
+        recovered, self._opened, self._bus_ok = self._opened, True, True
+        effects = self._stop_all(Cause.STARTUP, now_ns, Reason.BUS_FAULT, _BUS_FAULT)
+        if recovered:
+            effects.append(Announce(Kind.BUS_RECOVERED, "the SPI bus answers again; all servos are stopped"))
+        return effects
+
+    def _bus_failed(self, event: BusFailed) -> list[Effect]:
+        first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
+        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
+        self.legs.forget_repeats()  # BusOpened stops all six legs anew
+        if first:
+            effects.append(Announce(Kind.BUS_FAULT, event.detail))
+        return effects
+
+    def _shut_down(self, now_ns: int) -> list[Effect]:
+        self._ended = True
+        announcement = Announce(Kind.STOPPING, "the gateway ends; all servos are stopped")
+        return [*self._stop_all(Cause.SHUTDOWN, now_ns, Reason.STOPPING, _STOPPING), announcement]
+
+    # ---- time
+
+    def _advance(self, now_ns: int) -> list[Effect]:
+        """What the clock asks for: Stops first, so that nothing can delay them, then the legs whose turn has come."""
+        if not self._bus_ok:
+            return []
+        effects = self._expire(now_ns)
+        effects += self.legs.repeat_stops(now_ns)
+        return effects + self.legs.take_turns(now_ns)
+
+    def _expire(self, now_ns: int) -> list[Effect]:
+        deadlines = {
+            leg.number: deadline
+            for leg in self.legs
+            if (deadline := leg.deadline_ns(self._rules.timeout_ns)) is not None
+        }
+        silent = {number: deadline for number, deadline in deadlines.items() if now_ns >= deadline}
+        if not silent:
+            return []
+        self.expirations += len(silent)
+        timeout_ms = self._rules.timeout_ns / NS_PER_MS
+        effects: list[Effect] = []
+        for leg in self.legs if self._rules.whole_robot else [self.legs.by_number[number] for number in silent]:
+            expired = leg.number in silent or leg.watched
+            effects += self.legs.stop(
+                leg,
+                Cause.WATCHDOG,
+                now_ns,
+                Reason.STALE,
+                "the command waited for its turn longer than the watchdog allows",
+                deadline_ns=silent.get(leg.number, min(silent.values())),
+            )
+            leg.expired = expired
+        whole = "; all six legs are stopped" if self._rules.whole_robot else "; it is stopped"
+        for number in silent:
+            effects.append(Announce(Kind.WATCHDOG_EXPIRED, f"leg {number} was not heard for {timeout_ms:g} ms{whole}"))
+        return effects
+
+    # ---- Stops for the gateway's own reasons
+
+    def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        if not self._bus_ok:
+            return self.legs.drop(self.legs.servos.values(), reason, detail)
+        # All six frames before any answer: nothing stands between one Stop and the next.
+        effects = [effect for leg in self.legs for effect in self.legs.stop(leg, cause, now_ns, reason, detail)]
+        return sorted(effects, key=lambda effect: not isinstance(effect, Transmit))

@@ -1,0 +1,106 @@
+"""Zenoh configurations: the service's, from its settings, and a client's."""
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import zenoh
+
+from gateway.errors import ConfigError, ZenohError
+from gateway.settings import ZenohSettings
+
+_SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
+
+
+def service_config(settings: ZenohSettings) -> zenoh.Config:
+    """The service's configuration: its Zenoh file, and what the settings add to it. Raises ConfigError."""
+    config = from_file(settings.config) if settings.config else zenoh.Config()
+    if get(config, "mode") is None:
+        config.insert_json5("mode", '"peer"')
+    listen_given = "listen" in settings.model_fields_set
+    if listen_given or not settings.config or not _file_sets(settings.config, "listen"):
+        _insert(config, "listen/endpoints", list(settings.listen), "zenoh.listen")
+    if settings.connect or not settings.config:
+        _insert(config, "connect/endpoints", list(settings.connect), "zenoh.connect")
+    _scouting_off(config)
+    # A gateway that opens without its listener looks well and hears nobody.
+    config.insert_json5("listen/exit_on_failure", "true")
+    # Shared memory goes around every size limit, and local clients gain nothing by it at this size.
+    config.insert_json5("transport/shared_memory/enabled", "false")
+    return config
+
+
+def client_config(endpoint: str | None, config_file: Path | None = None) -> zenoh.Config:
+    """A client's configuration: the file (certificates), and the endpoint, which overrides the file's. Raises ConfigError."""
+    config = from_file(str(config_file)) if config_file is not None else zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    if endpoint is not None:
+        _insert(config, "connect/endpoints", [endpoint], "--connect")
+    _insert(config, "listen/endpoints", [], "listen")
+    _scouting_off(config)
+    config.insert_json5("connect/retry", json.dumps(_RETRY))
+    return config
+
+
+_RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+"""A client that lost the gateway was back after 0.35 s with this, after 1 to 2 s with Zenoh's own pauses."""
+
+
+def from_file(path: str) -> zenoh.Config:
+    """Read a Zenoh configuration file. Raises ConfigError."""
+    if not Path(path).is_file():
+        raise ConfigError(f"{path}: there is no such Zenoh configuration file")
+    try:
+        return zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise ConfigError(f"{path}: {first_line(error)}") from error
+
+
+def get(config: zenoh.Config, key: str) -> Any:
+    """One value of a configuration, None where it is unset."""
+    try:
+        return json.loads(config.get_json(key))
+    except zenoh.ZError:
+        return None
+
+
+def open_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session. Raises ZenohError with one line."""
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        endpoints = get(config, "listen/endpoints") or get(config, "connect/endpoints")
+        raise ZenohError(_why_not_opened(str(error), endpoints)) from error
+
+
+def first_line(error: Exception) -> str:
+    """Zenoh's errors carry source places behind their sentence; people need the sentence."""
+    return str(error).splitlines()[0].split(" at /")[0]
+
+
+def _why_not_opened(text: str, endpoints: object) -> str:
+    where = ", ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
+    if "Address already in use" in text:
+        return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"
+    if "Cannot assign requested address" in text:
+        return f"{where} is no address of this machine; set another zenoh.listen"
+    return f"Zenoh cannot be opened on {where}: {text.splitlines()[0]}"
+
+
+def _scouting_off(config: zenoh.Config) -> None:
+    """Nobody finds the gateway, or is found by it, by accident: off, unless the file turned it on."""
+    for key in _SCOUTING:
+        if get(config, key) is not True:
+            config.insert_json5(key, "false")
+
+
+def _file_sets(path: str, section: str) -> bool:
+    """Whether the file names endpoints itself; Zenoh's own defaults differ from the empty list."""
+    return bool(get(from_file(path), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))
+
+
+def _insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
+    try:
+        config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        raise ConfigError(f"{setting}: {value} will not do: {first_line(error)}") from error

@@ -1,0 +1,45 @@
+"""`python -m schemas [--check]`: write the JSON Schemas of all payloads, or say which ones are out of date."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
+
+FOLDER = Path(__file__).with_name("json")
+
+
+def documents() -> dict[str, str]:
+    """File name → text of each payload's JSON Schema."""
+    commands: dict[str, TypeAdapter[Any]] = {
+        "ServoCommand": SERVO_COMMAND,
+        **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand)},
+    }
+    reports = {model.__name__: TypeAdapter(model) for model in (Ack, GatewayState, Event, FrameRecord)}
+    made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
+    return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}
+
+
+def main(arguments: list[str]) -> int:
+    """Write the files; with `--check` only compare, and return 1 where one differs."""
+    wanted = documents()
+    present = {path.name: path.read_text() for path in FOLDER.glob("*.json")}
+    if arguments == ["--check"]:
+        for name in sorted(wanted.keys() | present.keys()):
+            if wanted.get(name) != present.get(name):
+                sys.stderr.write(f"schemas/json/{name} is out of date; run `python -m schemas`\n")
+        return int(wanted != present)
+    FOLDER.mkdir(exist_ok=True)
+    for name in present.keys() - wanted.keys():
+        (FOLDER / name).unlink()
+    for name, text in wanted.items():
+        (FOLDER / name).write_text(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,77 @@
+"""What comes in: the payloads of the command keys, strict and closed (no unknown fields, no strings for numbers)."""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+MAX_PAYLOAD_BYTES: Final = 4096
+"""A LegsCommand with every optional field at full length needs some 1200 bytes; anything over this is refused unread."""
+
+AngleDeg = Annotated[
+    float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="degrees, to the nearest hundredth")
+]
+Source = Annotated[str, Field(min_length=1, max_length=64, description="who is commanding")]
+SentMs = Annotated[
+    float, Field(ge=0.0, allow_inf_nan=False, description="the publisher's own monotonic clock, in milliseconds")
+]
+
+
+class Closed(BaseModel):
+    """Strict and frozen, and refuses fields it does not know."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+class Sender(Closed):
+    """The optional fields at the top level of a command: who sent it, and when by its own clock."""
+
+    source: Source | None = None
+    sent_ms: SentMs | None = None
+
+
+class Move(Closed):
+    """Energise a servo and set its angle (`start`), or set the angle of one that runs (`set`)."""
+
+    op: Literal["start", "set"]
+    angle_deg: AngleDeg
+
+
+class Stop(Closed):
+    """De-energise a servo."""
+
+    op: Literal["stop"]
+
+
+ServoSetpoint = Annotated[Move | Stop, Field(discriminator="op")]
+
+
+class LegSetpoint(Closed):
+    """What the three servos of one leg should do: joints 1, 2, 3, counted from the body outward."""
+
+    servos: tuple[ServoSetpoint, ServoSetpoint, ServoSetpoint]
+
+
+class LegCommand(LegSetpoint, Sender):
+    """The payload of `hexapod/leg/{1..6}/cmd`."""
+
+
+class LegsCommand(Sender):
+    """The payload of `hexapod/legs/cmd`: one to six legs, accepted or refused as a whole."""
+
+    legs: Annotated[dict[Literal["1", "2", "3", "4", "5", "6"], LegSetpoint], Field(min_length=1)]
+
+
+class MoveCommand(Move, Sender):
+    """The payload of `hexapod/servo/{11..63}/cmd` that starts or sets."""
+
+
+class StopCommand(Stop, Sender):
+    """The payload of `hexapod/servo/{11..63}/cmd` that stops."""
+
+
+ServoCommand = Annotated[MoveCommand | StopCommand, Field(discriminator="op")]
+SERVO_COMMAND: Final[TypeAdapter[MoveCommand | StopCommand]] = TypeAdapter(ServoCommand)
+
+
+class ResetCommand(Closed):
+    """The payload of `hexapod/reset/cmd`: an empty object (an empty payload will do)."""

@@ -1,0 +1,80 @@
+"""The Zenoh keys of one robot: build them, and tell what a key addresses.
+
+A fleet's prefix is Zenoh's own `namespace` setting; it never appears here.
+"""
+
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+LEGS: Final = range(1, 7)
+JOINTS: Final = range(1, 4)
+SERVO_IDS: Final = tuple(10 * leg + joint for leg in LEGS for joint in JOINTS)
+
+ROOT: Final = "hexapod"
+ALL_COMMANDS: Final = f"{ROOT}/**/cmd"
+LEGS_COMMAND: Final = f"{ROOT}/legs/cmd"
+ESTOP: Final = f"{ROOT}/estop/cmd"
+RESET: Final = f"{ROOT}/reset/cmd"
+STATE: Final = f"{ROOT}/state"
+EVENT: Final = f"{ROOT}/event"
+FRAME: Final = f"{ROOT}/frame"
+ALIVE: Final = f"{ROOT}/alive"
+
+
+class Target(StrEnum):
+    """What a command key addresses."""
+
+    LEG = "leg"
+    SERVO = "servo"
+    LEGS = "legs"
+    ESTOP = "estop"
+    RESET = "reset"
+
+
+class CommandKey(NamedTuple):
+    """A parsed command key; `number` is the leg (1-6), the servo id (11-63), or 0 where the key has none."""
+
+    target: Target
+    number: int = 0
+
+
+def leg_command(leg: int) -> str:
+    """The command key of `leg`, 1 to 6. Raises ValueError for any other."""
+    if leg not in LEGS:
+        raise ValueError(f"leg {leg} does not exist; legs are 1 to 6")
+    return f"{ROOT}/leg/{leg}/cmd"
+
+
+def servo_command(servo_id: int) -> str:
+    """The command key of a servo: leg 1-6, then joint 1-3, so 11 to 63. Raises ValueError for any other."""
+    if servo_id not in SERVO_IDS:
+        raise ValueError(
+            f"servo {servo_id} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+        )
+    return f"{ROOT}/servo/{servo_id}/cmd"
+
+
+COMMAND_KEYS: Final = {
+    LEGS_COMMAND: CommandKey(Target.LEGS),
+    **{leg_command(leg): CommandKey(Target.LEG, leg) for leg in LEGS},
+    **{servo_command(servo_id): CommandKey(Target.SERVO, servo_id) for servo_id in SERVO_IDS},
+    ESTOP: CommandKey(Target.ESTOP),
+    RESET: CommandKey(Target.RESET),
+}
+"""Every command key, in the order in which commands of one instant apply: `legs`, then `leg`, then `servo`."""
+
+
+def parse(key: str) -> CommandKey:
+    """What `key` addresses. Raises ValueError with a sentence that says what a right key looks like."""
+    found = COMMAND_KEYS.get(key)
+    if found is not None:
+        return found
+    match key.split("/"):
+        case [_, "leg", number, "cmd"]:
+            raise ValueError(f"leg {number} does not exist; legs are 1 to 6")
+        case [_, "servo", number, "cmd"]:
+            raise ValueError(
+                f"servo {number} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+            )
+        case _:
+            raise ValueError(f"{key} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")

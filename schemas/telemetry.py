@@ -1,0 +1,172 @@
+"""What goes out: acknowledgements, state, events and frame records."""
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class Report(BaseModel):
+    """Frozen, and closed like everything on Zenoh; built by the gateway, parsed by whoever listens."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Reason(StrEnum):
+    """Why a command was refused."""
+
+    TOO_LARGE = "too_large"
+    BAD_ENCODING = "bad_encoding"
+    MALFORMED = "malformed"
+    INVALID = "invalid"
+    SERVO_STOPPED = "servo_stopped"
+    JOINT_LIMIT = "joint_limit"
+    STALE = "stale"
+    ESTOPPED = "estopped"
+    BUS_FAULT = "bus_fault"
+    STOPPING = "stopping"
+
+
+class Mode(StrEnum):
+    """What the gateway as a whole is doing."""
+
+    STARTING = "starting"
+    IDLE = "idle"
+    ACTIVE = "active"
+    ESTOPPED = "estopped"
+    BUS_FAULT = "bus_fault"
+    STOPPING = "stopping"
+
+
+class Kind(StrEnum):
+    """What an event reports."""
+
+    STARTED = "started"
+    COMMAND_REJECTED = "command_rejected"
+    WATCHDOG_EXPIRED = "watchdog_expired"
+    ESTOP_ENGAGED = "estop_engaged"
+    ESTOP_RESET = "estop_reset"
+    BUS_FAULT = "bus_fault"
+    BUS_RECOVERED = "bus_recovered"
+    STOPPING = "stopping"
+
+
+class Cause(StrEnum):
+    """Why a frame was written."""
+
+    COMMAND = "command"
+    WATCHDOG = "watchdog"
+    ESTOP = "estop"
+    STARTUP = "startup"
+    SHUTDOWN = "shutdown"
+    REPEAT = "repeat"
+
+
+class WatchdogState(StrEnum):
+    """A leg's watchdog: nothing to watch, watching, or it has stopped the leg."""
+
+    IDLE = "idle"
+    ARMED = "armed"
+    EXPIRED = "expired"
+
+
+class Ack(Report):
+    """The reply to an acknowledged command; fields that say nothing are left out of the JSON."""
+
+    accepted: bool
+    reason: Reason | None = None
+    detail: str | None = None
+    coalesced: Literal[True] | None = None
+    stop_frames: Count | None = None
+    latency_us: Annotated[float, Field(ge=0)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
+        return {name: value for name, value in handler(self).items() if value is not None}
+
+
+class ServoReport(Report):
+    """One servo as last commanded; nothing comes back from the controller."""
+
+    id: int
+    running: bool
+    angle_deg: float | None
+
+
+class LegReport(Report):
+    """One leg; `age_ms` is the time since an accepted command named it, null before the first."""
+
+    leg: int
+    watchdog: WatchdogState
+    age_ms: float | None
+    servos: tuple[ServoReport, ServoReport, ServoReport]
+
+
+class CommandCounts(Report):
+    """Commands since the start; a coalesced one was accepted, then replaced by a newer one while it waited."""
+
+    accepted: Count
+    rejected: Count
+    coalesced: Count
+
+
+class SpiReport(Report):
+    """The SPI device, and how many frames and faults it has seen."""
+
+    device: str
+    framing: str
+    frames: Count
+    errors: Count
+
+
+class StopLatency(Report):
+    """Microseconds from a watchdog's deadline to its Stop written; null before the first."""
+
+    p50: float | None
+    p99: float | None
+    max: float | None
+
+
+class WatchdogReport(Report):
+    """The watchdog's setting and record."""
+
+    timeout_ms: float
+    expirations: Count
+    stop_latency_us: StopLatency
+
+
+class GatewayState(Report):
+    """The payload of `hexapod/state`."""
+
+    mode: Mode
+    time: AwareDatetime
+    uptime_s: float
+    version: str
+    protocol: str
+    simulated: bool
+    legs: tuple[LegReport, ...]
+    commands: CommandCounts
+    spi: SpiReport
+    watchdog: WatchdogReport
+
+
+class Event(Report):
+    """The payload of `hexapod/event`."""
+
+    time: AwareDatetime
+    kind: Kind
+    source: str | None
+    key: str | None
+    reason: Reason | None
+    detail: str
+
+
+class FrameRecord(Report):
+    """The payload of `hexapod/frame`: one frame written to SPI, in hex, framing left out."""
+
+    time: AwareDatetime
+    monotonic_ns: int
+    bytes: str
+    cause: Cause

@@ -1,0 +1,336 @@
+"""The test's end of the emulated SPI device: start programs on it, see every transfer, cause every fault.
+
+    with SpiTestbed() as bed:
+        gateway = bed.spawn(["hexapod-gateway", "run", "--config", "gateway.toml"])
+        bed.wait_for_count(6)                            # the six Stops of the start
+        bed.fail(errno.EIO, count=1)
+        ...
+        gateway.kill()
+        bed.spawn(["hexapod-gateway", "stop-servos"])    # the same device, the next program
+
+Everything in it is one stream in order: when `fail` (or any other fault) returns, it holds for every later transfer,
+and all earlier ones are in `transfers`. Waits are for events and end after `timeout_s`; in a coroutine, put them
+into `asyncio.to_thread`.
+"""
+
+import errno as errors
+import importlib.util
+import json
+import os
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self, cast
+
+from tests.hil.child import Child, without_file_privileges
+
+DEVICE = "/dev/spidev0.0"
+SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to
+PROGRAM = Path(__file__).with_name("spi_testbed.py")
+REPLY_TIMEOUT_S = 5.0  # a reply takes about a millisecond; 12 ms where the node goes or returns
+
+
+@cache
+def missing_packages() -> str:
+    """What a test with the emulated device lacks here, in one line; empty when nothing."""
+    if Path(SYSTEM_PYTHON).exists():
+        check = subprocess.run([SYSTEM_PYTHON, PROGRAM, "--check"], capture_output=True, text=True, check=False)
+        packages = check.stdout.split()
+    else:
+        packages = ["python3-gi", "gir1.2-umockdev-1.0", "umockdev"]
+    lacks = [f"Debian packages missing: {' '.join(packages)}"] if packages else []
+    if importlib.util.find_spec("spidev") is None:
+        lacks.append("Python package missing: spidev (hexapod-gateway[spi])")
+    return "; ".join(lacks)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One `spi_ioc_transfer` of a message; a plain write is one segment with the device's own speed and bits."""
+
+    data: bytes
+    speed_hz: int
+    bits_per_word: int
+    delay_us: int
+    cs_change: bool
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """One call that puts bytes on the wire, as it arrived; `errno` is what it was answered, 0 for success."""
+
+    monotonic_ns: int
+    kind: Literal["write", "message", "read"]
+    data: bytes
+    errno: int
+    opening: int
+    mode: int
+    segments: tuple[Segment, ...]
+
+    @property
+    def delivered(self) -> bool:
+        """Whether the controller got it."""
+        return self.errno == 0
+
+    @property
+    def speed_hz(self) -> int:
+        return self.segments[0].speed_hz
+
+    @property
+    def bits_per_word(self) -> int:
+        return self.segments[0].bits_per_word
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One ioctl that sets something up; `errno` as in `Transfer`."""
+
+    monotonic_ns: int
+    kind: Literal["mode", "bits", "speed", "lsb_first"]
+    value: int
+    errno: int
+    opening: int
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A program opened the device (seen at its first call, which spidev makes as it opens); numbered from 1."""
+
+    monotonic_ns: int
+    opening: int
+
+
+Event = Transfer | Setting | Opened
+
+
+class SpiTestbed:
+    """An emulated `/dev/spidev0.0`, which outlives the programs started on it."""
+
+    def __init__(self) -> None:
+        """Start the emulation. Raises RuntimeError with one line where packages are missing."""
+        if lack := missing_packages():
+            raise RuntimeError(lack)
+        self._changed = threading.Condition()
+        self._events: list[Event] = []
+        self._replies: dict[int, str | None] = {}
+        self._ready: dict[str, str] | None = None
+        self._ended = False
+        self._requests = 0
+        self._children: list[Child] = []
+        self._channel, theirs = socket.socketpair()
+        with theirs:
+            self._emulation = subprocess.Popen(
+                [SYSTEM_PYTHON, PROGRAM, "--control-fd", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        if not self._wait(lambda: self._ready is not None, REPLY_TIMEOUT_S):
+            raise RuntimeError(f"the emulated device did not start: {self.close()}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> str:
+        """Kill what still runs and end the emulation; what it said on its standard error."""
+        for child in self._children:
+            child.close()
+        if not self._ended:
+            self._channel.shutdown(socket.SHUT_WR)
+        try:
+            _, said = self._emulation.communicate(timeout=REPLY_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._emulation.kill()
+            _, said = self._emulation.communicate()
+        self._reader.join(REPLY_TIMEOUT_S)
+        self._channel.close()
+        return said
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The variables by which a program sees the emulated device."""
+        assert self._ready is not None
+        return dict(self._ready)
+
+    def spawn(
+        self,
+        command: Sequence[str],
+        *,
+        env: Mapping[str, str] | None = None,
+        cwd: Path | None = None,
+        privileged: bool = True,
+    ) -> Child:
+        """Start a program on the device; several may run at once or in a row. `env` adds to this process's variables.
+
+        `privileged=False`: file permissions bind it even if the test runs as root (for `refuse_open(EACCES)`).
+        """
+        command = command if privileged else without_file_privileges(command)
+        child = Child(command, {**os.environ, **(env or {}), **self.environment}, cwd)
+        self._children.append(child)
+        return child
+
+    @property
+    def events(self) -> list[Event]:
+        """All that has arrived up to now: openings, settings and transfers, in order."""
+        if not self._ended:
+            self._command("sync")
+        with self._changed:
+            return list(self._events)
+
+    @property
+    def transfers(self) -> list[Transfer]:
+        """The transfers that have arrived up to now, in order, also those that were answered an error."""
+        return [event for event in self.events if isinstance(event, Transfer)]
+
+    @property
+    def settings(self) -> list[Setting]:
+        """The settings made up to now, in order."""
+        return [event for event in self.events if isinstance(event, Setting)]
+
+    @property
+    def delivered(self) -> list[bytes]:
+        """The bytes of each transfer the controller got, in order."""
+        return [transfer.data for transfer in self.transfers if transfer.delivered]
+
+    def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 5.0) -> list[Transfer]:
+        """Wait until `predicate` holds for the transfers; these. Raises TimeoutError that lists what did arrive."""
+        transfers: list[Transfer] = []
+
+        def holds() -> bool:
+            transfers[:] = [event for event in self._events if isinstance(event, Transfer)]
+            return predicate(transfers)
+
+        if not self._wait(holds, timeout_s):
+            raise TimeoutError(f"waited {timeout_s} s; arrived: {self._summary()}")
+        return transfers
+
+    def wait_for_count(self, count: int, timeout_s: float = 5.0) -> list[Transfer]:
+        """Wait until at least `count` transfers have arrived since the start; all of them."""
+        return self.wait_for(lambda transfers: len(transfers) >= count, timeout_s)
+
+    def wait_for_data(self, data: bytes, *, since: int = 0, timeout_s: float = 5.0) -> Transfer:
+        """Wait for a transfer of exactly `data`, delivered, at index `since` or later; the first such one."""
+
+        def found(transfers: list[Transfer]) -> list[Transfer]:
+            return [transfer for transfer in transfers[since:] if transfer.data == data and transfer.delivered]
+
+        return found(self.wait_for(lambda transfers: bool(found(transfers)), timeout_s))[0]
+
+    def wait_for_opening(self, number: int, timeout_s: float = 5.0) -> Opened:
+        """Wait until the device is opened for the `number`th time, from 1."""
+        found: list[Opened] = []
+
+        def opened() -> bool:
+            found[:] = [event for event in self._events if isinstance(event, Opened) and event.opening == number]
+            return bool(found)
+
+        if not self._wait(opened, timeout_s):
+            raise TimeoutError(f"waited {timeout_s} s for opening {number}; arrived: {self._summary()}")
+        return found[0]
+
+    def fail(self, errno: int = errors.EIO, count: int | None = None) -> None:
+        """The next `count` transfers answer `errno`; with None, all of them until `heal`."""
+        self._command("fail", code=errno, count=count)
+
+    def heal(self) -> None:
+        """No more errors and delays."""
+        self._command("heal")
+
+    def delay_ms(self, delay_ms: float) -> None:
+        """Each transfer from now on takes this long; 0 ends it."""
+        self._command("delay", delay_ms=delay_ms)
+
+    def block(self) -> None:
+        """Transfers from now on are answered only by `release`; each is recorded as it arrives."""
+        self._command("block")
+
+    def release(self, errno: int = 0) -> None:
+        """Answer the blocked transfers, with `errno` if not 0 (their records still say 0), and block no more."""
+        self._command("release", code=errno)
+
+    def remove_node(self) -> None:
+        """The device goes: opening answers ENOENT, descriptors open now answer ESHUTDOWN for ever."""
+        self._command("remove_node")
+
+    def refuse_open(self, errno: int = errors.EACCES) -> None:
+        """Opening answers `errno`, EACCES (see `spawn`) or ENXIO; descriptors already open go on.
+
+        umockdev aborts a program whose openings failed this way 50 times; `remove_node` has no such limit.
+        """
+        self._command("refuse_open", code=errno)
+
+    def restore_node(self) -> None:
+        """The device is back, as a new node; ends `remove_node` and `refuse_open`."""
+        self._command("restore_node")
+
+    def _command(self, name: str, **arguments: object) -> None:
+        with self._changed:
+            self._requests += 1
+            number = self._requests
+            self._channel.sendall(json.dumps({"id": number, "do": name, **arguments}).encode() + b"\n")
+        if not self._wait(lambda: number in self._replies, REPLY_TIMEOUT_S):
+            raise RuntimeError(f"the emulated device does not answer to {name}")
+        if error := self._replies.pop(number):
+            raise RuntimeError(error)
+
+    def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        with self._changed:
+            while not (held := condition()):
+                left_s = deadline - time.monotonic()
+                if self._ended or left_s <= 0:
+                    break
+                self._changed.wait(left_s)
+        return held
+
+    def _summary(self) -> str:
+        return "\n".join(["", *(str(event) for event in self._events[-20:])]) if self._events else "nothing"
+
+    def _read(self) -> None:
+        with self._channel.makefile("r", encoding="utf-8") as lines:
+            for line in lines:
+                self._take(json.loads(line))
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def _take(self, record: dict[str, Any]) -> None:
+        with self._changed:
+            if record["kind"] == "ready":
+                self._ready = record["environment"]
+            elif record["kind"] == "reply":
+                self._replies[record["id"]] = record["error"]
+            else:
+                self._events.append(_event(record))
+            self._changed.notify_all()
+
+
+def _event(record: dict[str, Any]) -> Event:
+    now_ns, kind, opening = record["t"], record["kind"], record["opening"]
+    if kind == "open":
+        return Opened(now_ns, opening)
+    if kind in ("mode", "bits", "speed", "lsb_first"):
+        return Setting(now_ns, kind, record["value"], record["errno"], opening)
+    segments = tuple(Segment(**{**part, "data": bytes.fromhex(part["data"])}) for part in record["segments"])
+    return Transfer(
+        now_ns,
+        cast(Literal["write", "message", "read"], kind),
+        bytes.fromhex(record["data"]),
+        record["errno"],
+        opening,
+        record["mode"],
+        segments,
+    )

@@ -1,0 +1,147 @@
+"""A program under test: its output, its signals and its end, each waited for as an event and with a bound."""
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+
+class Child:
+    """A running program. Threads read what it prints, so it never stalls on a full pipe."""
+
+    def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None = None) -> None:
+        self.command = list(command)
+        self._popen = subprocess.Popen(
+            self.command,
+            env=dict(env),
+            cwd=cwd,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            bufsize=1,
+        )
+        self._heard = threading.Condition()
+        self._stdout: list[str] = []
+        self._stderr: list[str] = []
+        self._readers = [
+            threading.Thread(target=self._read, args=(pipe, lines), daemon=True)
+            for pipe, lines in ((self._popen.stdout, self._stdout), (self._popen.stderr, self._stderr))
+        ]
+        self._open = len(self._readers)
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def pid(self) -> int:
+        return self._popen.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """The exit status, negative for a signal; None while it runs."""
+        return self._popen.poll()
+
+    @property
+    def stdout(self) -> str:
+        with self._heard:
+            return "".join(self._stdout)
+
+    @property
+    def stderr(self) -> str:
+        with self._heard:
+            return "".join(self._stderr)
+
+    def wait(self, timeout_s: float = 10.0) -> int:
+        """Wait for its end and for all it printed; the exit status. Raises TimeoutError."""
+        try:
+            status = self._popen.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise TimeoutError(f"still running after {timeout_s} s: {self}") from None
+        for reader in self._readers:
+            reader.join(1.0)  # a grandchild may hold the pipes open for longer
+        return status
+
+    def wait_for_output(self, text: str, timeout_s: float = 10.0) -> str:
+        """Wait until either stream has a line with `text` in it; that line. Raises TimeoutError, also at its end."""
+        return self._wait(lambda lines: next((line for line in lines if text in line), None), f"{text!r}", timeout_s)
+
+    def ask(self, line: str, timeout_s: float = 10.0) -> str:
+        """Write one line to its standard input and wait for the next line on its standard output."""
+        with self._heard:
+            before = len(self._stdout)
+        self.tell(line)
+        return self.wait_for_line(before, timeout_s)
+
+    def wait_for_line(self, index: int, timeout_s: float = 10.0) -> str:
+        """Wait for that line of its standard output, counted from 0. Raises TimeoutError, also at its end."""
+        return self._wait(
+            lambda _lines: self._stdout[index] if len(self._stdout) > index else None, f"line {index}", timeout_s
+        )
+
+    def tell(self, line: str) -> None:
+        """Write one line to its standard input."""
+        assert self._popen.stdin is not None
+        self._popen.stdin.write(line + "\n")
+        self._popen.stdin.flush()
+
+    def send_signal(self, number: signal.Signals) -> None:
+        self._popen.send_signal(number)
+
+    def terminate(self) -> None:
+        """SIGTERM: asked to stop."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """SIGKILL, and wait for the end."""
+        self.send_signal(signal.SIGKILL)
+        self._popen.wait(5.0)
+
+    def close(self) -> None:
+        """Kill it if it runs, and close the pipes."""
+        if self.returncode is None:
+            self.kill()
+        for reader in self._readers:
+            reader.join(1.0)
+        for pipe in (self._popen.stdin, self._popen.stdout, self._popen.stderr):
+            if pipe is not None:
+                with suppress(BrokenPipeError):
+                    pipe.close()
+
+    def __str__(self) -> str:
+        state = "running" if self.returncode is None else f"exit status {self.returncode}"
+        return f"{' '.join(self.command)} ({state})\n--- stdout\n{self.stdout}--- stderr\n{self.stderr}"
+
+    def _wait(self, find: Callable[[list[str]], str | None], what: str, timeout_s: float) -> str:
+        deadline = time.monotonic() + timeout_s
+        with self._heard:
+            while (found := find(self._stdout + self._stderr)) is None:
+                left_s = deadline - time.monotonic()
+                if self._open == 0 or left_s <= 0 or not self._heard.wait(left_s):
+                    why = "ended" if self._open == 0 else f"waited {timeout_s} s"
+                    break
+            else:
+                return found
+        raise TimeoutError(f"no {what} ({why}): {self}")
+
+    def _read(self, pipe: IO[str] | None, lines: list[str]) -> None:
+        assert pipe is not None
+        for line in pipe:
+            with self._heard:
+                lines.append(line)
+                self._heard.notify_all()
+        with self._heard:
+            self._open -= 1
+            self._heard.notify_all()
+
+
+def without_file_privileges(command: Sequence[str]) -> list[str]:
+    """The command such that file permissions bind it: as root, without the right to override them."""
+    if os.geteuid() != 0:
+        return list(command)
+    return ["setpriv", "--bounding-set=-dac_override,-dac_read_search", "--", *command]

@@ -1,0 +1,23 @@
+"""The emulated SPI device as a fixture; where its packages are missing, `hil` tests are skipped, but fail in CI."""
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from tests.hil.bed import SpiTestbed, missing_packages
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip or fail in one line that names the packages."""
+    if item.get_closest_marker("hil") and (lack := missing_packages()):
+        if os.environ.get("CI") == "true":
+            pytest.fail(lack, pytrace=False)
+        pytest.skip(lack)
+
+
+@pytest.fixture
+def spi_testbed() -> Iterator[SpiTestbed]:
+    """A fresh emulated `/dev/spidev0.0`; programs still running at the end are killed."""
+    with SpiTestbed() as bed:
+        yield bed

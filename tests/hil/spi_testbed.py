@@ -1,0 +1,400 @@
+#!/usr/bin/python3
+"""An emulated `/dev/spidev0.0` (umockdev) for unmodified programs; runs under the system's Python, which has gi.
+
+By hand:            spi_testbed.py [--log PATH] -- COMMAND …     (one JSON object a line, exits with COMMAND's status)
+By the test kit:    spi_testbed.py --control-fd N               (see `tests/hil/bed.py`, the other end of the socket)
+What is missing:    spi_testbed.py --check                      (one Debian package a line)
+
+On the socket, JSON lines both ways. Out: first `ready` with the environment for children, then every `open`, setting
+and transfer as it arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "fail", …}`.
+
+The answers follow Linux's drivers/spi/spidev.c and spi-bcm2835.c (Raspberry Pi 4): 8 bits only, no lsb-first, 4096
+bytes a transfer, mode and bits outlive the program that set them, the speed falls back at every opening, and an open
+descriptor whose device has gone answers ESHUTDOWN for ever. Nothing is ever received: MISO reads zeros.
+"""
+
+import argparse
+import ctypes
+import errno
+import json
+import os
+import shutil
+import signal
+import socket
+import stat
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+NODE = "spidev0.0"
+PRELOAD = "libumockdev-preload.so.0"
+DEFAULT_SPEED_HZ = 125_000_000  # what the Pi's device tree gives spidev0.0
+BUFSIZ = 4096  # spidev's module parameter, its default
+# From linux/spi/spi.h: CPHA, CPOL, CS_HIGH, 3WIRE, NO_CS: all that spi-bcm2835 supports.
+SUPPORTED_MODE_BITS = 0x01 | 0x02 | 0x04 | 0x10 | 0x40
+LSB_FIRST = 0x08
+# From linux/spi/spidev.h: `_IOC(direction, 'k', number, size)`.
+IOC_MAGIC, IOC_READ = ord("k"), 2
+NR_MESSAGE, NR_MODE, NR_LSB_FIRST, NR_BITS, NR_SPEED, NR_MODE32 = 0, 1, 2, 3, 4, 5
+SETTINGS = {NR_MODE: "mode", NR_LSB_FIRST: "lsb_first", NR_BITS: "bits", NR_SPEED: "speed", NR_MODE32: "mode"}
+# struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, nbits and padding.
+SEGMENT = struct.Struct("=QQIIHBBBBBB")
+
+Emit = Callable[[dict[str, object]], None]
+
+
+def missing_packages() -> list[str]:
+    """The Debian packages this program lacks here."""
+    missing = []
+    try:
+        import gi  # noqa: PLC0415
+    except ImportError:
+        missing.append("python3-gi")
+    else:
+        try:
+            gi.require_version("UMockdev", "1.0")
+        except ValueError:
+            missing.append("gir1.2-umockdev-1.0")
+    try:
+        ctypes.CDLL(PRELOAD)
+    except OSError:
+        missing.append("umockdev")
+    return missing
+
+
+class SpiController:
+    """The emulated bus and its faults. umockdev calls the handlers on its own thread, commands come on the main one."""
+
+    def __init__(self, emit: Emit) -> None:
+        self._emit = emit
+        self._lock = threading.Lock()
+        self._clients: dict[Any, int] = {}  # every one that ever connected, numbered: umockdev wants them kept
+        self._openings: dict[Any, int] = {}
+        self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
+        self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
+        self._fail_errno = 0
+        self._fail_left: int | None = 0
+        self._delay_s = 0.0
+        self._blocking = False
+        self._held: list[Callable[[int], None]] = []
+
+    def fail(self, code: int, count: int | None) -> None:
+        """The next `count` transfers answer `code`; with None, all until `heal`."""
+        with self._lock:
+            self._fail_errno, self._fail_left = code, count
+
+    def heal(self) -> None:
+        """No more errors and delays."""
+        with self._lock:
+            self._fail_left, self._delay_s = 0, 0.0
+
+    def delay(self, delay_ms: float) -> None:
+        """Each transfer from now on takes this long."""
+        with self._lock:
+            self._delay_s = delay_ms / 1000
+
+    def block(self) -> None:
+        """Transfers from now on are answered only by `release`."""
+        with self._lock:
+            self._blocking = True
+
+    def release(self, code: int) -> None:
+        """Answer all held transfers, with `code` where it isn't 0, and hold no more."""
+        with self._lock:
+            self._blocking = False
+            held, self._held = self._held, []
+        for answer in held:
+            answer(code)
+
+    def shut_down(self) -> None:
+        """The device has gone: descriptors open now answer ESHUTDOWN for ever."""
+        with self._lock:
+            self._gone_before = len(self._clients)
+
+    def connected(self, _base: object, client: Any) -> None:
+        """Number the client. No opening yet: umockdev connects also after an open() that failed."""
+        with self._lock:
+            self._clients[client] = len(self._clients) + 1
+
+    def _opening(self, now_ns: int, client: Any) -> int:
+        """The number of this client's opening, which its first call makes known (spidev calls as it opens)."""
+        if client not in self._openings:
+            self._openings[client] = len(self._openings) + 1
+            self._speed_hz = DEFAULT_SPEED_HZ
+            self._emit({"t": now_ns, "kind": "open", "opening": self._openings[client]})
+        return self._openings[client]
+
+    def handle_ioctl(self, _base: object, client: Any) -> bool:
+        now_ns = time.monotonic_ns()
+        request = client.get_request()
+        size, magic, number = request >> 16 & 0x3FFF, request >> 8 & 0xFF, request & 0xFF
+        if magic != IOC_MAGIC or number > NR_MODE32:
+            client.complete(-1, errno.ENOTTY)
+            return True
+        argument = client.get_arg().resolve(0, size)
+        if number == NR_MESSAGE:
+            self._message(now_ns, client, argument, size)
+        elif request >> 30 & IOC_READ:
+            self._read_setting(now_ns, client, argument, number, size)
+        else:
+            value = int.from_bytes(bytes(argument.retrieve()), sys.byteorder)
+            self._write_setting(now_ns, client, number, value)
+        return True
+
+    def handle_write(self, _base: object, client: Any) -> bool:
+        now_ns = time.monotonic_ns()
+        data = bytes(client.get_arg().retrieve())
+        self._transfer(now_ns, client, "write", [(data, 0, 0, 0, 0)])
+        return True
+
+    def handle_read(self, _base: object, client: Any) -> bool:
+        now_ns = time.monotonic_ns()
+        argument = client.get_arg()
+        zeros = bytes(len(argument.retrieve()))
+        argument.update(0, zeros)
+        self._transfer(now_ns, client, "read", [(zeros, 0, 0, 0, 0)])
+        return True
+
+    def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
+        raw = bytes(argument.retrieve())
+        segments = []
+        for offset in range(0, size, SEGMENT.size):
+            tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
+            sent = bytes(argument.resolve(offset, length).retrieve()) if tx_buf and length else bytes(length)
+            if rx_buf and length:
+                argument.resolve(offset + 8, length).update(0, bytes(length))
+            segments.append((sent, speed_hz, bits, delay_us, cs_change))
+        self._transfer(now_ns, client, "message", segments)
+
+    def _transfer(self, now_ns: int, client: Any, kind: str, segments: list[tuple[bytes, int, int, int, int]]) -> None:
+        length = sum(len(segment[0]) for segment in segments)
+        with self._lock:
+            opening = self._opening(now_ns, client)
+            code = self._verdict(client, length)
+            self._emit(
+                {
+                    "t": now_ns,
+                    "kind": kind,
+                    "data": b"".join(segment[0] for segment in segments).hex(),
+                    "errno": code,
+                    "opening": opening,
+                    "mode": self._mode,
+                    "segments": [
+                        {
+                            "data": data.hex(),
+                            "speed_hz": speed_hz or self._speed_hz,
+                            "bits_per_word": bits or self._bits,
+                            "delay_us": delay_us,
+                            "cs_change": bool(cs_change),
+                        }
+                        for data, speed_hz, bits, delay_us, cs_change in segments
+                    ],
+                }
+            )
+            if self._blocking:
+                self._held.append(lambda late: _answer(client, length, late or code))
+                return
+            delay_s = self._delay_s
+        if delay_s:
+            threading.Timer(delay_s, _answer, (client, length, code)).start()
+        else:
+            _answer(client, length, code)
+
+    def _verdict(self, client: Any, length: int) -> int:
+        if self._clients[client] <= self._gone_before:
+            return errno.ESHUTDOWN
+        if length > BUFSIZ:
+            return errno.EMSGSIZE
+        if self._fail_left == 0:
+            return 0
+        if self._fail_left is not None:
+            self._fail_left -= 1
+        return self._fail_errno
+
+    def _read_setting(self, now_ns: int, client: Any, argument: Any, number: int, size: int) -> None:
+        with self._lock:
+            self._opening(now_ns, client)
+            gone = self._clients[client] <= self._gone_before
+            lsb_first = int(bool(self._mode & LSB_FIRST))
+            values = {"mode": self._mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
+        if not gone:
+            argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
+        _answer(client, 0, errno.ESHUTDOWN if gone else 0)
+
+    def _write_setting(self, now_ns: int, client: Any, number: int, value: int) -> None:
+        kind, code = SETTINGS[number], 0
+        with self._lock:
+            opening = self._opening(now_ns, client)
+            if self._clients[client] <= self._gone_before:
+                code = errno.ESHUTDOWN
+            elif kind == "mode" and not value & ~SUPPORTED_MODE_BITS:
+                self._mode = value
+            elif kind == "bits" and value in (0, 8):
+                self._bits = 8
+            elif kind == "speed" and value:
+                self._speed_hz = value
+            elif kind != "lsb_first" or value:
+                code = errno.EINVAL
+            self._emit({"t": now_ns, "kind": kind, "value": value, "errno": code, "opening": opening})
+        _answer(client, 0, code)
+
+
+def _answer(client: Any, result: int, code: int) -> None:
+    """Complete a call; umockdev drops the answer to a caller that died meanwhile."""
+    client.complete(-1 if code else result, code)
+
+
+class Testbed:
+    """The emulated node, its settings and its faults; `commands` is what the control socket may ask for."""
+
+    def __init__(self, emit: Emit) -> None:
+        import gi  # noqa: PLC0415
+
+        gi.require_version("UMockdev", "1.0")
+        from gi.repository import UMockdev  # noqa: PLC0415
+
+        self._controller = SpiController(emit)
+        self._testbed = UMockdev.Testbed.new()
+        self._testbed.add_device("spidev", NODE, None, ["dev", "153:0"], ["DEVNAME", f"/dev/{NODE}"])
+        self._base = UMockdev.IoctlBase()
+        self._base.connect("client-connected", self._controller.connected)
+        self._base.connect("handle-ioctl", self._controller.handle_ioctl)
+        self._base.connect("handle-write", self._controller.handle_write)
+        self._base.connect("handle-read", self._controller.handle_read)
+        self._testbed.attach_ioctl(f"/dev/{NODE}", self._base)
+        self.root = Path(self._testbed.get_root_dir())
+        self._node = self.root / "dev" / NODE
+        self._sockets = self.root / "ioctl"
+        self._hidden = self.root / "ioctl.hidden"
+        self.restore_node()
+        self.commands: dict[str, Callable[..., None]] = {
+            "sync": lambda: None,
+            "fail": self._controller.fail,
+            "heal": self._controller.heal,
+            "delay": self._controller.delay,
+            "block": self._controller.block,
+            "release": self._controller.release,
+            "remove_node": self.remove_node,
+            "refuse_open": self.refuse_open,
+            "restore_node": self.restore_node,
+        }
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a child needs to see the emulated device."""
+        preload = [PRELOAD, *filter(None, [os.environ.get("LD_PRELOAD")])]
+        return {"UMOCKDEV_DIR": str(self.root), "LD_PRELOAD": ":".join(preload)}
+
+    def remove_node(self) -> None:
+        """The device goes: opening finds nothing, open descriptors are dead. Never with a real device behind it."""
+        if Path("/dev", NODE).exists():
+            raise OSError(f"this machine has a real /dev/{NODE}, which the programs under test would open instead")
+        self._node.unlink(missing_ok=True)
+        # Without sockets umockdev lets an opening fail as it would; with them it keeps an entry for each one in a
+        # table of 50, and then aborts the child. One between open() and connect(), microseconds, still needs them.
+        time.sleep(0.01)
+        if self._sockets.exists():
+            self._sockets.rename(self._hidden)
+        self._controller.shut_down()
+
+    def refuse_open(self, code: int) -> None:
+        """Opening answers `code`, EACCES or ENXIO; descriptors already open go on. At most 50 times a child."""
+        if code not in (errno.EACCES, errno.ENXIO):
+            raise ValueError("the node can refuse with EACCES or ENXIO only")
+        self.restore_node()
+        if code == errno.EACCES:
+            self._node.chmod(0)
+        else:  # what Linux answers when a path that names a socket is opened
+            self._node.unlink()
+            with socket.socket(socket.AF_UNIX) as placeholder:
+                placeholder.bind(str(self._node))
+
+    def restore_node(self) -> None:
+        """The device is there again, as a new node (locks on the old one do not hold it)."""
+        if self._hidden.exists():
+            self._hidden.rename(self._sockets)
+        if not (self._node.exists() and stat.S_ISREG(self._node.stat().st_mode)):
+            fresh = self._node.with_name(f".{NODE}")
+            fresh.touch()
+            fresh.rename(self._node)
+        self._node.chmod(0o660)
+
+    def close(self) -> None:
+        """Remove what lies in the file system."""
+        shutil.rmtree(self.root, ignore_errors=True)
+
+
+def serve(channel: socket.socket) -> int:
+    """Obey the test kit until it closes its end."""
+    write_lock = threading.Lock()
+
+    def emit(event: dict[str, object]) -> None:
+        with write_lock, suppress(OSError):
+            channel.sendall(json.dumps(event).encode() + b"\n")
+
+    bed = Testbed(emit)
+    try:
+        emit({"kind": "ready", "environment": bed.environment})
+        for line in channel.makefile("r", encoding="utf-8"):
+            request: dict[str, Any] = json.loads(line)
+            number, name = request.pop("id"), request.pop("do")
+            error = None
+            try:
+                bed.commands[name](**request)
+            except (OSError, ValueError) as reason:
+                error = str(reason)
+            emit({"kind": "reply", "id": number, "error": error})
+    finally:
+        bed.close()
+    return 0
+
+
+def run(command: list[str], log: str) -> int:
+    """Run one command on the emulated device, pass SIGTERM and SIGINT on to it, and return its status."""
+    with nullcontext(sys.stdout) if log == "-" else Path(log).open("w", encoding="utf-8") as output:
+        bed = Testbed(lambda event: print(json.dumps(event), file=output, flush=True))
+        try:
+            child = subprocess.Popen(command, env={**os.environ, **bed.environment})
+
+            def pass_on(number: int, _frame: FrameType | None) -> None:
+                child.send_signal(number)
+
+            signal.signal(signal.SIGTERM, pass_on)
+            signal.signal(signal.SIGINT, pass_on)
+            status = child.wait()
+        finally:
+            bed.close()
+    return status if status >= 0 else 128 - status
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Run programs on an emulated SPI device.")
+    parser.add_argument("--check", action="store_true", help="print the Debian packages missing here")
+    parser.add_argument("--control-fd", type=int, help="serve the test kit on this socket")
+    parser.add_argument("--log", default="-", help="where the JSON lines go (default: standard output)")
+    parser.add_argument("command", nargs="*", help="after --: what to run")
+    options = parser.parse_args()
+    missing = missing_packages()
+    if options.check or missing:
+        print("\n".join(missing), file=sys.stdout if options.check else sys.stderr)
+        return 1 if missing else 0
+    if options.control_fd is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the test run, which then closes the socket
+        with socket.socket(fileno=options.control_fd) as channel:
+            return serve(channel)
+    if not options.command:
+        parser.error("what shall be run?")
+    return run(options.command, options.log)
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stdout.flush()
+    os._exit(code)  # umockdev's thread has no end of its own
