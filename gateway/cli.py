@@ -2,17 +2,18 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from gateway import __version__, settings
-from gateway.errors import ConfigError, GatewayError
-from gateway.tools import commands
+from gateway.errors import GatewayError
+from gateway.tools import certs, commands
 
 app = typer.Typer(
     name="hexapod-gateway",
-    help="Zenoh to SPI gateway for a six-legged robot: commands in, HexapodProtocol v1.0.0 frames out, silence means Stop.",
+    help="Zenoh to SPI gateway for a six-legged robot: commands in, HexapodProtocol v1.0.0 frames out, "
+    "silence means Stop.",
     epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
     "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.",
     no_args_is_help=True,
@@ -109,10 +110,12 @@ def decode(
     sys.exit(commands.decode(hex_bytes))
 
 
+app.add_typer(certs.app, name="certs")
+
 send = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
-    "A leg that is started once is stopped again by the watchdog (after 250 ms, by default); --hold repeats the command "
-    "every 50 ms. Exit codes: 0 accepted, 1 refused (the reason is printed), 4 no gateway answers.",
+    "A leg that is started once is stopped again by the watchdog (after 250 ms, by default); --hold repeats the "
+    "command every 50 ms. Exit codes: 0 accepted, 1 refused (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,
 )
 app.add_typer(send, name="send")
@@ -163,7 +166,7 @@ def send_stop(
     sys.exit(commands.send_stop(commands.connection(connect, zenoh_config, timeout)))
 
 
-def main() -> NoReturn:
+def main() -> None:
     """The console script."""
     try:
         app()
@@ -173,4 +176,3 @@ def main() -> NoReturn:
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(130)
-    raise AssertionError(ConfigError)

@@ -25,6 +25,7 @@ from pydantic import BaseModel
 from gateway.errors import ZenohError
 from gateway.zenoh_setup import client_config, open_session
 from schemas import keys
+from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack, Event, GatewayState
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -34,8 +35,8 @@ R = TypeVar("R", bound=BaseModel)
 class Client:
     """A connection to one gateway.
 
-    `ask` is acknowledged and waits for the answer; `publish` is fire and forget, for streams of setpoints. A running leg
-    must hear something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it.
+    `ask` is acknowledged and waits for the answer; `publish` is fire and forget, for streams of setpoints. A running
+    leg must hear something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it.
     """
 
     def __init__(
@@ -46,7 +47,10 @@ class Client:
         source: str | None = None,
         timeout_s: float = 2.0,
     ) -> None:
-        """Connect. `source` (1 to 64 characters) is who you are in the gateway's events. Raises ZenohError, ConfigError."""
+        """Connect. `source` (1 to 64 characters) is who you are in the gateway's events.
+
+        Raises ZenohError, ConfigError.
+        """
         config = client_config(endpoint, zenoh_config)
         config.insert_json5("connect/timeout_ms", str(round(timeout_s * 1000)))
         self._timeout_s = timeout_s
@@ -79,7 +83,7 @@ class Client:
         """De-energise one leg, or all six."""
         if leg is not None:
             return self.ask(keys.leg_command(leg), leg_payload("stop"))
-        return self.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg_payload("stop") for number in keys.LEGS}})
+        return self.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg_payload("stop") for number in LEGS}})
 
     def servo(self, servo_id: int, op: str, angle_deg: float | None = None) -> Ack:
         """Start, set or stop one servo (11 to 63)."""
@@ -150,7 +154,7 @@ def leg_payload(op: str, angles_deg: tuple[float, ...] = ()) -> dict[str, Any]:
     """The payload of a leg's command: one operation for its three servos, with three angles unless it stops."""
     if op == "stop":
         return {"servos": [servo_payload(op)] * 3}
-    if len(angles_deg) != len(keys.JOINTS):
+    if len(angles_deg) != len(JOINTS):
         raise ValueError(f"{len(angles_deg)} angles; a leg has three joints")
     return {"servos": [servo_payload(op, angle_deg) for angle_deg in angles_deg]}
 

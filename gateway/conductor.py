@@ -84,6 +84,8 @@ class Conductor:
         self._reopen_timer: asyncio.TimerHandle | None = None
         self._reopen_s = FIRST_REOPEN_S
         self._told_mode = Mode.STARTING
+        self.done = asyncio.Event()
+        """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
         self.metrics = Metrics()
         self.outbox = outbox
         self.take: Callable[[], Iterable[Received]] = tuple
@@ -111,11 +113,7 @@ class Conductor:
         if self._supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
         self._step(ShutDown(), self._clock())
-
-    @property
-    def repeats_due(self) -> bool:
-        """Whether the supervisor still has something to send by itself."""
-        return self._supervisor.due_ns is not None
+        self._arm()
 
     def close(self) -> None:
         """Release the bus and the timers."""
@@ -234,9 +232,11 @@ class Conductor:
     # ---- time
 
     def _arm(self) -> None:
-        """Wake up when the supervisor wants to. A timer that is early is left alone: looking is cheaper than changing."""
+        """Wake up when the supervisor wants to. An early timer is left alone: looking is cheaper than changing."""
         due_ns = self._supervisor.due_ns
         if due_ns is None:
+            if self._supervisor.mode is Mode.STOPPING:
+                self.done.set()
             return
         due_s = due_ns / 1e9
         if self._timer is not None and not self._timer.cancelled() and self._timer.when() <= due_s:

@@ -160,7 +160,7 @@ class Inbox:
         self._rung.clear()
 
     def close(self) -> None:
-        """Undeclare everything, which ends the waiting threads, and join them. Blocks; not for the loop's own thread."""
+        """Undeclare everything, which ends the waiting threads, and join them. Blocks; not for the loop's thread."""
         for declared in self._declared:
             with suppress(zenoh.ZError):
                 declared.undeclare()

@@ -1,4 +1,4 @@
-"""From what Zenoh delivered to what somebody wants, or to the reason why not. Nothing else in the gateway knows JSON."""
+"""From what Zenoh delivered to what somebody wants, or why not. Nothing else here knows the commands' JSON."""
 
 import json
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from gateway.protocol.frames import JOINTS, LEGS, SERVO_IDS, STOP, Op, ServoOp, centidegrees, servo_ids_of
+from gateway.protocol.frames import STOP, Op, ServoOp, centidegrees, servo_ids_of
 from schemas.command import (
     MAX_PAYLOAD_BYTES,
     SERVO_COMMAND,
@@ -17,6 +17,7 @@ from schemas.command import (
     Stop,
 )
 from schemas.keys import CommandKey, Target
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Reason
 
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})

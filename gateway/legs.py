@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 
 from gateway.events import Command, Effect, Refused, Settled, Transmit
 from gateway.pacing import NS_PER_MS, NS_PER_S, StartQueue, Turn, Waiting, merged
-from gateway.protocol.frames import LEGS, STOP, OneLeg, OneServo, Op, ServoOp, leg_of, servo_ids_of, stop_leg
+from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, leg_of, servo_ids_of, stop_leg
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Reason, WatchdogState
 
 
@@ -83,6 +84,19 @@ class _Order:
 
     targets: int
     coalesced: bool = False
+
+
+def _whole_leg(leg: Leg) -> OneLeg:
+    """All three servos in one frame; one that nothing waits for is told what it does already."""
+    first, second, third = (
+        servo.waiting.op
+        if servo.waiting is not None
+        else STOP
+        if servo.angle_cdeg is None
+        else ServoOp(Op.SET, servo.angle_cdeg)
+        for servo in leg.servos
+    )
+    return OneLeg(leg.number, (first, second, third))
 
 
 def _servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
@@ -187,10 +201,10 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, *, something_waited: bool) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
-        waiting = [servo for servo in leg.servos if servo.waiting is not None]
+        waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
         if not waiting or not leg.turn.is_open(now_ns, something_waits=something_waited):
             return []
-        energises = any(servo.will_run and not servo.running for servo in waiting)
+        energises = any(servo.will_run and not servo.running for servo, _ in waiting)
         if energises and not self._queue.admits(leg.number, now_ns):
             return []
         if energises:
@@ -198,29 +212,18 @@ class Legs:
         else:
             self._queue.leave(leg.number)
         leg.turn.take(now_ns)
-        ops = tuple(self._op_now(servo) for servo in leg.servos)
-        frame = (
-            OneServo(waiting[0].servo_id, self._op_now(waiting[0])) if len(waiting) == 1 else OneLeg(leg.number, ops)
-        )  # type: ignore[arg-type]
+        frame = OneServo(waiting[0][0].servo_id, waiting[0][1].op) if len(waiting) == 1 else _whole_leg(leg)
         effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
-        for servo in waiting:
-            assert servo.waiting is not None
-            op, order = servo.waiting.op, servo.waiting.order
+        for servo, target in waiting:
             servo.waiting = None
-            if op.op is Op.STOP:
+            if target.op.op is Op.STOP:
                 self._stopped(servo, now_ns, servo.stopped_at[1] if servo.stopped_at else "")
             else:
-                servo.angle_cdeg = op.angle_cdeg
+                servo.angle_cdeg = target.op.angle_cdeg
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
-            effects += self._target_done(order)
+            effects += self._target_done(target.order)
         return effects
-
-    def _op_now(self, servo: Servo) -> ServoOp:
-        """What a frame sent now says for this servo; one that nothing waits for is told what it does already."""
-        if servo.waiting is not None:
-            return servo.waiting.op
-        return STOP if servo.angle_cdeg is None else ServoOp(Op.SET, servo.angle_cdeg)
 
     def stop(
         self, leg: Leg, cause: Cause, now_ns: int, reason: Reason, detail: str, *, deadline_ns: int | None = None
@@ -241,7 +244,7 @@ class Legs:
 
     def _empty_queue(self) -> list[Effect]:
         """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now."""
-        waiting = [servo for number in self._queue.legs for servo in self.legs[number].servos]
+        waiting = [servo for number in self._queue.legs for servo in self.by_number[number].servos]
         self._queue.legs.clear()
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before its turn to be started")
 

@@ -1,7 +1,8 @@
 """When a leg may send next, and what it will send then: pure, in nanoseconds of the monotonic clock.
 
-A leg has turns, one period apart. A command that finds its turn open goes out at once and takes the turn; one that comes
-sooner waits, and only the newest target of each servo is kept. Missed turns are skipped, never made up in a burst:
+A leg has turns, one period apart. A command that finds its turn open goes out at once and takes the turn; one that
+comes sooner waits, and only the newest target of each servo is kept. Missed turns are skipped, never made up in a
+burst:
 
 - late by less than a period (the publisher's jitter): the next turn stays on the grid, so that a stream at just the
   limit's rate does not fall behind by its own worst jitter;

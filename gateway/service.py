@@ -18,7 +18,7 @@ from gateway.inbox import Inbox
 from gateway.legs import Rules
 from gateway.outbox import ZenohOutbox
 from gateway.pacing import NS_PER_MS, NS_PER_S
-from gateway.protocol.frames import LEGS, stop_leg
+from gateway.protocol.frames import stop_leg
 from gateway.settings import Settings
 from gateway.spi import SpiDevice
 from gateway.spi.bus import Bus
@@ -27,6 +27,7 @@ from gateway.spi.simulator import SimulatedController
 from gateway.supervisor import Supervisor
 from gateway.zenoh_setup import open_session, service_config
 from schemas.keys import STATE
+from schemas.robot import LEGS
 
 END_S = 0.8
 """What the end may take: the contract's second, less what the process needs to go."""
@@ -93,7 +94,8 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
             reports.cancel()
         deadline = loop.time() + END_S
         conductor.shut_down()
-        await _finish_repeats(conductor, loop)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
         conductor.close()
         await _within(deadline - loop.time(), inbox.close, session.close)
     finally:
@@ -105,12 +107,6 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
     while settings.telemetry.state_hz:
         await asyncio.sleep(1 / settings.telemetry.state_hz)
         outbox.publish(STATE, conductor.state())
-
-
-async def _finish_repeats(conductor: Conductor, loop: asyncio.AbstractEventLoop) -> None:
-    deadline = loop.time() + REPEATS_S
-    while conductor.repeats_due and loop.time() < deadline:
-        await asyncio.sleep(0.001)
 
 
 async def _within(timeout_s: float, *closes: Callable[[], object]) -> None:

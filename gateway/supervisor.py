@@ -6,8 +6,8 @@ are carried out by the service in their order. If writing a frame fails, the ser
 The rules, by number of the contract's *Behaviour*:
 
  1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
- 2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is refused,
-    and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
+ 2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is
+    refused, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
  3. Starts and Sets wait for their leg's turn (`pacing`), newest target per servo. A Stop waits for nothing.
  4. A leg that runs, or waits to be started, and is named by no accepted command for the timeout, is stopped.
     Deadlines come before the event of the same step: a command that was late does not save its leg.
@@ -17,8 +17,8 @@ The rules, by number of the contract's *Behaviour*:
     The latch of an emergency stop stays through it.
  7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop.
 
-Within one instant (one `now_ns`), the order of what came by different channels is unknown. So a Stop wins over a Start or
-Set that came by another channel, and the emergency stop wins over a reset.
+Within one instant (one `now_ns`), the order of what came by different channels is unknown. So a Stop wins over a Start
+or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
 from typing import Final
@@ -40,7 +40,7 @@ from gateway.events import (
 )
 from gateway.legs import Legs, Rules
 from gateway.pacing import NS_PER_MS
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import Op, ServoOp
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
@@ -172,29 +172,28 @@ class Supervisor:
             return refused(Reason.BUS_FAULT, _BUS_FAULT)
         if self._latched_ns is not None:
             return refused(Reason.ESTOPPED, _ESTOPPED)
-        for servo_id, op in command.targets:
-            if op.op is Op.STOP:
-                continue
-            limits = self._rules.joint_limits_cdeg.get(servo_id)
-            if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
-                low, high = (limit / 100 for limit in limits)
-                detail = f"servo {servo_id} may go from {low:g} to {high:g} degrees; {op.angle_cdeg / 100:g} is outside"
-                return refused(Reason.JOINT_LIMIT, detail)
-        for servo_id, op in command.targets:
-            servo = self.legs.servos[servo_id]
-            if op.op is Op.STOP:
-                continue
-            if (
-                servo.stopped_at is not None
-                and servo.stopped_at[0] == now_ns
-                and servo.stopped_at[1] != command.channel
-            ):
-                # Which of the two is older is not known, and an older Start must not overtake a Stop.
-                return refused(
-                    Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({servo.stopped_at[1]})"
-                )
-            if op.op is Op.SET and not servo.will_run:
-                return refused(Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it")
+        moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        for check in (self._outside_limits, self._stopped):
+            for servo_id, op in moves:
+                refusal = check(servo_id, op, command.channel, now_ns)
+                if refusal is not None:
+                    return refused(*refusal)
+        return None
+
+    def _outside_limits(self, servo_id: int, op: ServoOp, _channel: str, _now_ns: int) -> tuple[Reason, str] | None:
+        limits = self._rules.joint_limits_cdeg.get(servo_id)
+        if limits is None or limits[0] <= op.angle_cdeg <= limits[1]:
+            return None
+        low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
+        return Reason.JOINT_LIMIT, f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
+
+    def _stopped(self, servo_id: int, op: ServoOp, channel: str, now_ns: int) -> tuple[Reason, str] | None:
+        servo = self.legs.servos[servo_id]
+        if servo.stopped_at is not None and servo.stopped_at[0] == now_ns and servo.stopped_at[1] != channel:
+            # Which of the two is older is not known, and an older Start must not overtake a Stop.
+            return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({servo.stopped_at[1]})"
+        if op.op is Op.SET and not servo.will_run:
+            return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:

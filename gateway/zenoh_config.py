@@ -39,7 +39,7 @@ def load_config(path: Path) -> zenoh.Config:
     try:
         config = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
-        raise ConfigError(f"{path}: {_one_line(error)}") from error
+        raise ConfigError(f"{path}: {one_line(error)}") from error
     for setting, file in _named_files(config, path.parent).items():
         _check(setting, file, path)
         config.insert_json5(setting, json.dumps(str(file)))
@@ -82,6 +82,6 @@ def _check(setting: str, file: Path, config: Path) -> None:
         )
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """Zenoh's reason without its source position."""
     return " ".join(str(error).split()).partition(" at /")[0]

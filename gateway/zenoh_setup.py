@@ -8,13 +8,14 @@ import zenoh
 
 from gateway.errors import ConfigError, ZenohError
 from gateway.settings import ZenohSettings
+from gateway.zenoh_config import load_client_config, load_config, one_line
 
 _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:
     """The service's configuration: its Zenoh file, and what the settings add to it. Raises ConfigError."""
-    config = from_file(settings.config) if settings.config else zenoh.Config()
+    config = load_config(Path(settings.config)) if settings.config else zenoh.Config()
     if get(config, "mode") is None:
         config.insert_json5("mode", '"peer"')
     listen_given = "listen" in settings.model_fields_set
@@ -31,8 +32,8 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
 
 
 def client_config(endpoint: str | None, config_file: Path | None = None) -> zenoh.Config:
-    """A client's configuration: the file (certificates), and the endpoint, which overrides the file's. Raises ConfigError."""
-    config = from_file(str(config_file)) if config_file is not None else zenoh.Config()
+    """A client's configuration: the file (certificates); `endpoint` overrides the file's. Raises ConfigError."""
+    config = load_client_config(config_file) if config_file is not None else zenoh.Config()
     config.insert_json5("mode", '"client"')
     if endpoint is not None:
         _insert(config, "connect/endpoints", [endpoint], "--connect")
@@ -44,16 +45,6 @@ def client_config(endpoint: str | None, config_file: Path | None = None) -> zeno
 
 _RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 """A client that lost the gateway was back after 0.35 s with this, after 1 to 2 s with Zenoh's own pauses."""
-
-
-def from_file(path: str) -> zenoh.Config:
-    """Read a Zenoh configuration file. Raises ConfigError."""
-    if not Path(path).is_file():
-        raise ConfigError(f"{path}: there is no such Zenoh configuration file")
-    try:
-        return zenoh.Config.from_file(path)
-    except zenoh.ZError as error:
-        raise ConfigError(f"{path}: {first_line(error)}") from error
 
 
 def get(config: zenoh.Config, key: str) -> Any:
@@ -71,11 +62,6 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     except zenoh.ZError as error:
         endpoints = get(config, "listen/endpoints") or get(config, "connect/endpoints")
         raise ZenohError(_why_not_opened(str(error), endpoints)) from error
-
-
-def first_line(error: Exception) -> str:
-    """Zenoh's errors carry source places behind their sentence; people need the sentence."""
-    return str(error).splitlines()[0].split(" at /")[0]
 
 
 def _why_not_opened(text: str, endpoints: object) -> str:
@@ -96,11 +82,11 @@ def _scouting_off(config: zenoh.Config) -> None:
 
 def _file_sets(path: str, section: str) -> bool:
     """Whether the file names endpoints itself; Zenoh's own defaults differ from the empty list."""
-    return bool(get(from_file(path), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))
+    return bool(get(load_config(Path(path)), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))
 
 
 def _insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
     try:
         config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
-        raise ConfigError(f"{setting}: {value} will not do: {first_line(error)}") from error
+        raise ConfigError(f"{setting}: {value} will not do: {one_line(error)}") from error

@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 MAX_PAYLOAD_BYTES: Final = 4096
-"""A LegsCommand with every optional field at full length needs some 1200 bytes; anything over this is refused unread."""
+"""A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is refused unread."""
 
 AngleDeg = Annotated[
     float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="degrees, to the nearest hundredth")

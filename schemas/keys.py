@@ -6,9 +6,7 @@ A fleet's prefix is Zenoh's own `namespace` setting; it never appears here.
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-LEGS: Final = range(1, 7)
-JOINTS: Final = range(1, 4)
-SERVO_IDS: Final = tuple(10 * leg + joint for leg in LEGS for joint in JOINTS)
+from schemas.robot import LEGS, SERVO_IDS
 
 ROOT: Final = "hexapod"
 ALL_COMMANDS: Final = f"{ROOT}/**/cmd"

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.protocol.frames import (
-    SERVO_IDS,
     STOP,
     Frame,
     FrameError,
@@ -25,6 +24,7 @@ from gateway.protocol.frames import (
     servo_ids_of,
     stop_leg,
 )
+from schemas.robot import SERVO_IDS
 
 VECTORS: dict[str, Any] = json.loads((Path(__file__).parent / "data" / "frames.json").read_text())
 LEGAL: list[dict[str, Any]] = VECTORS["legal"]

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.protocol.frames import SERVO_IDS, Frame, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
+from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.protocol.framing import Framing
 from gateway.spi.simulator import ServoState, SimulatedController, pulse_us
+from schemas.robot import SERVO_IDS
 from tests.test_frames import LEGAL, frames
 
 MS = 1_000_000  # ns

@@ -16,9 +16,8 @@ import enum
 from dataclasses import dataclass
 from typing import Final, Self
 
-LEGS: Final = range(1, 7)
-JOINTS: Final = range(1, 4)
-SERVO_IDS: Final[tuple[int, ...]] = tuple(10 * leg + joint for leg in LEGS for joint in JOINTS)
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+
 MAX_ANGLE_CDEG: Final = 180_00
 
 _SERVO_ID_SET: Final = frozenset(SERVO_IDS)

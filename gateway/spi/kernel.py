@@ -18,7 +18,8 @@ class KernelDevice:
             import spidev  # noqa: PLC0415  (a laptop has no spidev, and needs none)
         except ImportError as error:
             raise SpiError(
-                "the Python package spidev is missing; install hexapod-gateway[spi], or try --sim for a simulated controller"
+                "the Python package spidev is missing; install hexapod-gateway[spi], "
+                "or try --sim for a simulated controller"
             ) from error
         self._path = path
         self._spi = spidev.SpiDev()

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.errors import SpiError
-from gateway.protocol.frames import SERVO_IDS, Op
+from gateway.protocol.frames import Op
 from gateway.protocol.framing import Framing
+from schemas.robot import SERVO_IDS
 
 RECEIVE_TIMEOUT_NS: Final = 1_000_000_000  # HEXAPOD_RECEIVE_TIMEOUT, 1000 ms
 MAX_SPEED_DEG_S: Final = 60 / 0.17  # MG996R at 4.8 V without load: 0.17 s for 60°

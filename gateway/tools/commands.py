@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -10,14 +10,18 @@ from pathlib import Path
 from gateway import logs, service
 from gateway.client import DEFAULT_ENDPOINT, Client, leg_payload, servo_payload
 from gateway.errors import ConfigError
-from gateway.protocol.frames import FrameError, OneLeg, Op
+from gateway.protocol.frames import STOP, FrameError, OneLeg, OneServo, Op, stop_leg
 from gateway.protocol.frames import decode as decode_frame
 from gateway.settings import Settings
 from schemas import keys
+from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
+
+_FRAME_HEADERS = frozenset(frame.to_bytes()[:2] for frame in (stop_leg(1), OneServo(11, STOP)))
+"""FRAME LEN and FRAME TYPE of the two frames that there are."""
 
 Connection = Callable[[], AbstractContextManager[Client]]
 
@@ -40,19 +44,17 @@ def run(settings: Settings, *, simulated: bool) -> None:
 
     def ready() -> None:
         robot = "a simulated controller" if simulated else settings.spi.device
-        say(
-            f"hexapod-gateway is ready: {', '.join(settings.zenoh.listen) or settings.zenoh.config} → {robot} ({settings.spi.framing})"
-        )
-        connect = (
-            ""
-            if DEFAULT_ENDPOINT in settings.zenoh.listen
-            else f" --connect {settings.zenoh.listen[0]}"
-            if settings.zenoh.listen
-            else ""
-        )
-        say(f"Try, in a second terminal: {Path(sys.argv[0])} send leg 3 start 90 45 120 --hold 5{connect}")
+        where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
+        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
+        say(f"Try, in a second terminal: {sys.argv[0]} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}")
 
     service.run(settings, simulated=simulated, on_ready=ready)
+
+
+def _connect_option(settings: Settings) -> str:
+    """What a client on this machine must add to reach this service."""
+    listen = settings.zenoh.listen
+    return f" --connect {listen[0]}" if listen and DEFAULT_ENDPOINT not in listen else ""
 
 
 def stop_servos(settings: Settings) -> None:
@@ -70,13 +72,14 @@ def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float)
 
 def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
     """Send a leg's command; see `_send`."""
-    wanted = 0 if op == "stop" else len(keys.JOINTS)
+    wanted = 0 if op == "stop" else len(JOINTS)
     _check_op(op)
     if len(angles_deg) != wanted:
         raise ConfigError(
-            f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; for example: send leg {leg} start 90 45 120"
+            f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; "
+            f"for example: send leg {leg} start 90 45 120"
         )
-    return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), hold_s=hold_s)
+    return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
 
 
 def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
@@ -88,7 +91,7 @@ def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | N
         key = keys.servo_command(servo_id)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    return _send(connect, key, servo_payload(op, angle_deg), hold_s=hold_s)
+    return _send(connect, key, servo_payload(op, angle_deg), moves=op != "stop", hold_s=hold_s)
 
 
 def send_stop(connect: Connection) -> int:
@@ -97,11 +100,10 @@ def send_stop(connect: Connection) -> int:
         return _report(client.stop(), "all six legs are stopped")
 
 
-def _send(connect: Connection, key: str, payload: dict[str, object], *, hold_s: float) -> int:
+def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
     """Send an acknowledged command, repeat it for `hold_s`, and say what became of it. Returns the exit code."""
     with connect() as client:
         code = _report(client.ask(key, payload), "accepted")
-        moves = '"stop"' not in str(payload).replace("'", '"')
         end = time.monotonic() + hold_s
         while code == 0 and time.monotonic() < end:
             time.sleep(HOLD_PERIOD_S)
@@ -110,14 +112,11 @@ def _send(connect: Connection, key: str, payload: dict[str, object], *, hold_s: 
                 code = _report(ack, "")
         if code == 0 and moves:
             timeout_ms = client.state().watchdog.timeout_ms
-            if hold_s:
-                hint(
-                    f"Held for {hold_s:g} s; now nothing more is sent, and the watchdog stops it after {timeout_ms:g} ms."
-                )
-            else:
-                hint(
-                    f"The watchdog stops it after {timeout_ms:g} ms without a command; --hold S keeps it for S seconds."
-                )
+            hint(
+                f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout_ms:g} ms."
+                if hold_s
+                else f"The watchdog stops it {timeout_ms:g} ms after a command; --hold S repeats it for S seconds."
+            )
         return code
 
 
@@ -125,13 +124,11 @@ def estop(connect: Connection) -> int:
     """Engage the emergency stop."""
     with connect() as client:
         ack = client.estop()
-    if ack.stop_frames is not None and ack.stop_frames >= len(keys.LEGS):
+    if ack.stop_frames is not None and ack.stop_frames >= len(LEGS):
         say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
         hint("All commands are refused until `hexapod-gateway reset`.")
         return 0
-    say(
-        f"latched, but only {ack.stop_frames} of {len(keys.LEGS)} Stop frames could be written: switch the servos' power off"
-    )
+    say(f"latched, but only {ack.stop_frames} of {len(LEGS)} Stop frames were written: switch the servos' power off")
     return 1
 
 
@@ -149,20 +146,21 @@ def decode(hex_bytes: Sequence[str]) -> int:
     except ValueError as error:
         say(f"not hexadecimal: {error}")
         return 1
-    while data:
-        # A frame begins with its own length; the last one takes what is left, so that nothing goes unexplained.
-        length = (
-            data[0]
-            if 0 < data[0] < len(data) and data[0] in (6, 14) and data[1] in (1, 2) and len(data) - data[0] >= 6
-            else len(data)
-        )
-        frame, data = data[:length], data[length:]
+    for frame in _frames(data):
         try:
             say(_explain(frame))
         except FrameError as error:
             say(f"{frame.hex(' ')}: not legal: {error}")
             return 1
     return 0
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    """Cut legal frames off the front while there are any; what is left is one piece, to be explained as it is."""
+    while data[:2] in _FRAME_HEADERS and len(data) > data[0]:
+        yield data[: data[0]]
+        data = data[data[0] :]
+    yield data
 
 
 def _explain(data: bytes) -> str:

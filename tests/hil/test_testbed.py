@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests.child import Child
 from tests.hil.bed import DEVICE, PROGRAM, SYSTEM_PYTHON, Opened, Segment, Setting, SpiTestbed, Transfer
-from tests.hil.child import Child
 
 pytestmark = pytest.mark.hil
 
