@@ -39,7 +39,7 @@ def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Pat
 class Gateway(AbstractContextManager["Gateway"]):
     """A running gateway: on the simulated controller, or with `bed` on the emulated kernel device.
 
-    `settings` are its sections, `{"watchdog": {"timeout_ms": 100}}`; where `zenoh.listen` is not among them, a free port
+    `settings` are its sections, `{"watchdog": {"timeout_ms": 100}}`; without a `zenoh.listen` among them, a free port
     is taken. It is ready when the constructor returns.
     """
 
