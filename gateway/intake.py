@@ -1,14 +1,18 @@
 """From what Zenoh delivered to what somebody wants, or why not. Nothing else here knows the commands' JSON."""
 
 import json
+import math
+import re
 from dataclasses import dataclass
 from typing import Any, Final
 
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from gateway.protocol.frames import STOP, Op, ServoOp, centidegrees, servo_ids_of
 from schemas.command import (
     MAX_PAYLOAD_BYTES,
+    MAX_SENT_MS,
     SERVO_COMMAND,
     LegCommand,
     LegsCommand,
@@ -25,6 +29,7 @@ ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
 
 Targets = tuple[tuple[int, ServoOp], ...]
 _OPS: Final = {"start": Op.START, "set": Op.SET}
+_SERVO_OPS: Final = ("start", "set", "stop")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +39,11 @@ class Intent:
     targets: Targets = ()
     source: str | None = None
     sent_ms: float | None = None
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether nothing in it moves."""
+        return all(op.op is Op.STOP for _, op in self.targets)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +56,24 @@ class Rejection:
 
 def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
     """Read the payload that came on `key`. Any bytes will do: what is wrong is returned, never raised."""
+    if key.target is Target.ESTOP:
+        return Intent()  # whatever it is, somebody wants the robot to stop
     if len(payload) > MAX_PAYLOAD_BYTES:
         return too_large(len(payload))
     if encoding not in ENCODINGS:
         return Rejection(
-            Reason.BAD_ENCODING, f"the encoding is {encoding[:64]}; it must be application/json, or left out"
+            Reason.BAD_ENCODING, f"the encoding is {_name(encoding)}; it must be application/json, or left out"
         )
+    if payload.count(b":") > _MAX_COLONS:
+        return _too_many_fields(payload)
     try:
-        return _READERS[key.target](key.number, payload)
+        intent = _READERS[key.target](key.number, payload)
     except ValidationError as error:
         return _explain(error)
+    twice = _name_given_twice(payload)
+    if twice is not None:
+        return Rejection(Reason.INVALID, f"{_name(twice)} is given twice in one object; which one counts is not clear")
+    return intent
 
 
 def stop_all_of(key: CommandKey) -> Intent | Rejection:
@@ -105,16 +123,11 @@ def _read_reset(_: int, payload: bytes) -> Intent:
     return Intent()
 
 
-def _read_estop(_: int, _payload: bytes) -> Intent:
-    return Intent()
-
-
 _READERS: Final = {
     Target.SERVO: _read_servo,
     Target.LEG: _read_leg,
     Target.LEGS: _read_legs,
     Target.RESET: _read_reset,
-    Target.ESTOP: _read_estop,
 }
 
 
@@ -122,70 +135,121 @@ def _op(setpoint: Move | Stop) -> ServoOp:
     return ServoOp(_OPS[setpoint.op], centidegrees(setpoint.angle_deg)) if isinstance(setpoint, Move) else STOP
 
 
+_MAX_COLONS: Final = 3 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
+"""A LegsCommand with all its fields (legs, source, sent_ms; for a leg its number, servos and three times op and
+angle_deg), and a source that is nothing but colons.
+
+What has more is refused without a look at each field: pydantic notes every single one that is wrong, and a payload made
+of nothing else would hold the loop for 1.4 ms.
+"""
+
+
+def _too_many_fields(payload: bytes) -> Rejection:
+    try:
+        from_json(payload)
+    except ValueError as error:
+        return _malformed(str(error))
+    return Rejection(Reason.INVALID, "the payload has more fields than any command has")
+
+
+class _GivenTwiceError(Exception):
+    """Ends the reading of a payload, with the name that one of its objects has twice."""
+
+
+def _name_given_twice(payload: bytes) -> str | None:
+    """The first name that an object of this (valid) payload has twice; pydantic keeps the last and says nothing.
+
+    Two answers to one question are a mistake of the sender's, and a robot is no place to guess which one was meant.
+    """
+    if payload:
+        try:
+            json.loads(payload, object_pairs_hook=_refuse_doubles)
+        except _GivenTwiceError as error:
+            return str(error)
+    return None
+
+
+def _refuse_doubles(pairs: list[tuple[str, object]]) -> None:
+    seen = set()
+    for name, _ in pairs:
+        if name in seen:
+            raise _GivenTwiceError(name)
+        seen.add(name)
+
+
 # ---- refusals in words
 
 _MAX_ECHO: Final = 40
-"""Characters of the sender's own value that an answer repeats."""
+"""Characters of the sender's own value, or name, that an answer repeats."""
+_MAX_ECHO_BITS: Final = 128
+_PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
 
 def _explain(error: ValidationError) -> Rejection:
     faults = error.errors(include_url=False)
     first = faults[0]
     if first["type"] == "json_invalid":
-        return Rejection(Reason.MALFORMED, f"the payload is not JSON: {first['ctx']['error']}")
+        return _malformed(first["ctx"]["error"])
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return Rejection(Reason.INVALID, f"{_sentence(dict(first))}{more}")
 
 
+def _malformed(why: str) -> Rejection:
+    return Rejection(Reason.MALFORMED, f"the payload is not JSON: {why}")
+
+
 def _sentence(fault: dict[str, Any]) -> str:
-    """One sentence that names the field and what it must be."""
-    where = _path(fault["loc"])
-    value = _echo(fault["input"])
-    context = fault.get("ctx", {})
+    """One sentence that names the field and what it must be. Bounded: of what the sender wrote, it repeats little."""
+    loc = fault["loc"]
+    where = _path(loc)
+    field = loc[-1] if loc else None
     match fault["type"]:
         case "missing":
-            return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if where.endswith("]") else "")
+            return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if isinstance(field, int) else "")
         case "extra_forbidden":
-            return f"{where} is not known here" + ("; stop takes no angle" if where.endswith("angle_deg") else "")
-        case "less_than_equal" | "greater_than_equal":
-            limits = "between 0 and 180" if where.endswith("angle_deg") else "0 or more"
-            return f"{where} is {value}; it must be {limits}"
-        case "finite_number":
-            return f"{where} is {value}; it must be a finite number"
-        case "float_type":
-            return f"{where} is {value}; it must be a number"
-        case "string_type":
-            return f"{where} is {value}; it must be a string"
+            return f"{where} is not known here" + ("; stop takes no angle" if loc[-2:] == ("stop", "angle_deg") else "")
         case "string_too_short" | "string_too_long":
             return f"{where} must have 1 to 64 characters"
         case "union_tag_invalid":
-            return f'{_join(where, "op")} is {_echo(context["tag"])}; it must be "start", "set" or "stop"'
+            return f'{_join(where, "op")} is {_echo(fault["input"]["op"])}; it must be "start", "set" or "stop"'
         case "union_tag_not_found":
             return f'{_join(where, "op")} is missing; it must be "start", "set" or "stop"'
-        case "literal_error" if fault["loc"][-1] == "[key]":
-            return f'legs has {value}; it may have "1" to "6"'
-        case "too_long" if where.endswith("servos"):
-            return f"{where} has {context['actual_length']} entries; a leg has {len(JOINTS)} servos"
-        case "too_short" if where == "legs":
+        case "literal_error" if field == "[key]":
+            return f'legs has {_echo(fault["input"])}; it may have "1" to "6"'
+        case "too_long" if field == "servos":
+            return f"{where} has {fault['ctx']['actual_length']} entries; a leg has {len(JOINTS)} servos"
+        case "too_short" if loc == ("legs",):
             return "legs is empty; name at least one leg"
-        case "model_type" | "dict_type" | "model_attributes_type":
-            return f"{where or 'the payload'} is {value}; it must be an object"
-        case "tuple_type":
-            return f"{where} is {value}; it must be an array"
-        case _:
-            return f"{where or 'the payload'}: {fault['msg']}"
+        case kind:
+            must = _MUST.get(kind) or _RANGES.get(field) or "what the schema says"
+            return f"{where or 'the payload'} is {_echo(fault['input'])}; it must be {must}"
+
+
+_MUST: Final = {
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "string_type": "a string",
+    "tuple_type": "an array",
+    "model_type": "an object",
+    "dict_type": "an object",
+    "model_attributes_type": "an object",
+}
+_RANGES: Final[dict[object, str]] = {"angle_deg": "between 0 and 180", "sent_ms": f"between 0 and {MAX_SENT_MS}"}
 
 
 def _path(loc: tuple[int | str, ...]) -> str:
-    """`servos[2].angle_deg`: the place in the JSON; the names of union members, which pydantic adds, are left out."""
+    """`servos[2].angle_deg`: the place in the JSON, without the names of union members, which pydantic adds.
+
+    The last part is the field, whatever the sender calls it; all others are our own names.
+    """
     path = ""
     for index, part in enumerate(loc):
         if isinstance(part, int):
             path += f"[{part}]"
-        elif part == "[key]" or (part in ("start", "set", "stop") and (index == 0 or isinstance(loc[index - 1], int))):
+        elif index < len(loc) - 1 and part in _SERVO_OPS and (index == 0 or isinstance(loc[index - 1], int)):
             continue
         else:
-            path = _join(path, part)
+            path = _join(path, _name(part))
     return path
 
 
@@ -193,6 +257,15 @@ def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
+def _name(name: str) -> str:
+    """A name as it is where that is short and plain, else quoted."""
+    return name if _PLAIN_NAME.fullmatch(name) else _echo(name)
+
+
 def _echo(value: object) -> str:
-    text = json.dumps(value, default=str)
+    """The value as JSON in ASCII, on one line, and no more of it than helps."""
+    if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
+        # Thousands of digits take long to write out.
+        return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
+    text = json.dumps(value)
     return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

@@ -7,12 +7,21 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 MAX_PAYLOAD_BYTES: Final = 4096
 """A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is refused unread."""
 
+MAX_SENT_MS: Final = 2**53
+"""285 000 years; beyond it a double has no whole milliseconds. What is larger is a clock in other units."""
+
 AngleDeg = Annotated[
     float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="degrees, to the nearest hundredth")
 ]
 Source = Annotated[str, Field(min_length=1, max_length=64, description="who is commanding")]
 SentMs = Annotated[
-    float, Field(ge=0.0, allow_inf_nan=False, description="the publisher's own monotonic clock, in milliseconds")
+    float,
+    Field(
+        ge=0.0,
+        le=MAX_SENT_MS,
+        allow_inf_nan=False,
+        description="the publisher's own monotonic clock, in milliseconds",
+    ),
 ]
 
 

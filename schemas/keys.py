@@ -3,6 +3,7 @@
 A fleet's prefix is Zenoh's own `namespace` setting; it never appears here.
 """
 
+import json
 from enum import StrEnum
 from typing import Final, NamedTuple
 
@@ -69,10 +70,19 @@ def parse(key: str) -> CommandKey:
         return found
     match key.split("/"):
         case [_, "leg", number, "cmd"]:
-            raise ValueError(f"leg {number} does not exist; legs are 1 to 6")
+            raise ValueError(f"leg {_short(number)} does not exist; legs are 1 to 6")
         case [_, "servo", number, "cmd"]:
             raise ValueError(
-                f"servo {number} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+                f"servo {_short(number)} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
             )
         case _:
-            raise ValueError(f"{key} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")
+            raise ValueError(f"{_short(key)} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")
+
+
+_MAX_ECHO: Final = 60
+
+
+def _short(text: str) -> str:
+    """The sender's own text on one line, and not much of it."""
+    quoted = text if text.isprintable() else json.dumps(text)
+    return quoted if len(quoted) <= _MAX_ECHO else quoted[:_MAX_ECHO] + "…"
