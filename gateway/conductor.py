@@ -35,10 +35,12 @@ from gateway.protocol import VERSION
 from gateway.refusals import RefusalLimit
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
+from gateway.staleness import Staleness
 from gateway.supervisor import Supervisor
 from schemas import keys, telemetry
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.telemetry import Ack, Kind, Mode, Reason
+from schemas.robot import LEGS
+from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
 FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
@@ -71,8 +73,8 @@ class Conductor:
         simulated: bool,
     ) -> None:
         self._settings = settings
-        self._supervisor = supervisor
-        self._bus = bus
+        self.supervisor = supervisor
+        self.bus = bus
         self._loop = loop
         self._clock = clock
         self._simulated = simulated
@@ -80,6 +82,7 @@ class Conductor:
         self._orders: dict[int, _Order] = {}
         self._numbers = itertools.count(1)
         self._refusals = RefusalLimit()
+        self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer: asyncio.TimerHandle | None = None
         self._reopen_timer: asyncio.TimerHandle | None = None
         self._reopen_s = FIRST_REOPEN_S
@@ -95,8 +98,8 @@ class Conductor:
 
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
-        self._bus.open()
-        fault = self._carry_out(self._supervisor.step(BusOpened(), self._clock()))[1]
+        self.bus.open()
+        fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock()))[1]
         if fault is not None:
             raise fault
         self._arm()
@@ -110,7 +113,7 @@ class Conductor:
         """Refuse all commands from now on, and stop all six legs."""
         if self._reopen_timer is not None:
             self._reopen_timer.cancel()
-        if self._supervisor.mode is Mode.BUS_FAULT:
+        if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
         self._step(ShutDown(), self._clock())
         self._arm()
@@ -120,14 +123,14 @@ class Conductor:
         for timer in (self._timer, self._reopen_timer):
             if timer is not None:
                 timer.cancel()
-        self._bus.close()
+        self.bus.close()
 
     # ---- what happens
 
     def tick(self) -> None:
         """Take what came in and do what is due. One tick is one instant: everything in it has the same time."""
         now_ns = self._clock()
-        if self._supervisor.due_ns is not None and now_ns >= self._supervisor.due_ns:
+        if self.supervisor.due_ns is not None and now_ns >= self.supervisor.due_ns:
             self._step(TimePassed(), now_ns)
         for received in self.take():
             self._receive(received, now_ns)
@@ -146,6 +149,13 @@ class Conductor:
             self._refuse(received.expression, received.source, received.reply, intent.reason, intent.detail)
             return
         source = intent.source or received.source
+        held_up_ms = self._held_up_ms(intent, source, received.received_ns)
+        if held_up_ms is not None:
+            detail = (
+                f"the command was held up for {held_up_ms:.0f} ms; at most {self._settings.limits.max_age_ms:g} are"
+            )
+            self._refuse(received.key, source, received.reply, Reason.STALE, f"{detail} allowed")
+            return
         number = next(self._numbers)
         self._orders[number] = _Order(received.key, source, received.reply)
         if received.key == keys.RESET:
@@ -153,24 +163,33 @@ class Conductor:
         else:
             self._step(Command(number, received.channel, intent.targets), now_ns)
 
+    def _held_up_ms(self, intent: Intent, source: str | None, received_ns: int) -> float | None:
+        if self._staleness is None or intent.sent_ms is None:
+            return None
+        held_up_ms = self._staleness.held_up_ms(source, intent.sent_ms, received_ns)
+        # A Stop is taken however old it is: to stop once too often harms nobody.
+        return None if intent.only_stops else held_up_ms
+
     def _emergency_stop(self, received: Received, now_ns: int) -> None:
         # Nothing of the payload is looked at: whatever it is, somebody wants the robot to stop.
-        if self._supervisor.mode is Mode.BUS_FAULT:
+        if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
-        stop_frames = self._step(EmergencyStop(received.source, received.key), now_ns)
-        latency_us = (self._clock() - received.received_ns) / 1000
+        stop_frames = self._step(EmergencyStop(received.source, received.key), now_ns).count(Cause.ESTOP)
+        latency_ns = max(0, self._clock() - received.received_ns)
+        if stop_frames >= len(LEGS):
+            self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
-            self._reply(received.reply, Ack(accepted=True, stop_frames=stop_frames, latency_us=max(0.0, latency_us)))
+            self._reply(received.reply, Ack(accepted=True, stop_frames=stop_frames, latency_us=latency_ns / 1000))
 
-    def _step(self, event: Event, now_ns: int) -> int:
-        """Let the supervisor take an event and carry out what it says. Returns the number of frames written."""
-        written, fault = self._carry_out(self._supervisor.step(event, now_ns))
+    def _step(self, event: Event, now_ns: int) -> list[Cause]:
+        """Let the supervisor take an event and carry out what it says. Returns why each frame was written."""
+        written, fault = self._carry_out(self.supervisor.step(event, now_ns))
         if fault is not None:
             self._bus_failed(fault)
         self._tell_mode()
         return written
 
-    def _carry_out(self, effects: list[Effect]) -> tuple[int, SpiError | None]:
+    def _carry_out(self, effects: list[Effect]) -> tuple[list[Cause], SpiError | None]:
         """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
         fault: SpiError | None = None
         written: list[tuple[Transmit, int]] = []
@@ -180,12 +199,13 @@ class Conductor:
                     if fault is not None and not effect.frame.is_stop:
                         continue
                     try:
-                        self._bus.write(effect.frame)
+                        self.bus.write(effect.frame)
                     except SpiError as error:
                         fault = fault or error
                         continue
                     now_ns = self._clock()
                     written.append((effect, now_ns))
+                    self.metrics.frames[effect.cause] += 1
                     if effect.deadline_ns is not None:
                         self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
                 case Settled() if fault is not None:
@@ -199,14 +219,14 @@ class Conductor:
         if self._settings.telemetry.frames:
             for transmit, monotonic_ns in written:
                 self._tell_frame(transmit, monotonic_ns)
-        return len(written), fault
+        return [transmit.cause for transmit, _ in written], fault
 
     # ---- the bus
 
     def _bus_failed(self, fault: SpiError) -> None:
-        self._bus.close()
-        self._carry_out(self._supervisor.step(BusFailed(str(fault)), self._clock()))
-        if self._supervisor.mode is Mode.BUS_FAULT:
+        self.bus.close()
+        self._carry_out(self.supervisor.step(BusFailed(str(fault)), self._clock()))
+        if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_later()
 
     def _reopen_later(self) -> None:
@@ -217,13 +237,13 @@ class Conductor:
 
     def _reopen(self) -> None:
         try:
-            self._bus.open()
+            self.bus.open()
         except SpiError as error:
             logger.debug("the SPI device does not answer yet: %s", error)
             self._reopen_later()
             return
         self._step(BusOpened(), self._clock())
-        if self._supervisor.mode is not Mode.BUS_FAULT:
+        if self.supervisor.mode is not Mode.BUS_FAULT:
             self._reopen_s = FIRST_REOPEN_S
             if self._reopen_timer is not None:
                 self._reopen_timer.cancel()
@@ -233,9 +253,9 @@ class Conductor:
 
     def _arm(self) -> None:
         """Wake up when the supervisor wants to. An early timer is left alone: looking is cheaper than changing."""
-        due_ns = self._supervisor.due_ns
+        due_ns = self.supervisor.due_ns
         if due_ns is None:
-            if self._supervisor.mode is Mode.STOPPING:
+            if self.supervisor.mode is Mode.STOPPING:
                 self.done.set()
             return
         due_s = due_ns / 1e9
@@ -263,7 +283,7 @@ class Conductor:
         self._refuse(order.key, order.source, order.reply, reason, detail)
 
     def _refuse(self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str) -> None:
-        self.metrics.rejected += 1
+        self.metrics.rejected[reason] += 1
         if reply is not None:
             self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
         left_out = self._refusals.admit(source, self._clock())
@@ -286,7 +306,7 @@ class Conductor:
         self.outbox.publish(keys.FRAME, record)
 
     def _tell_mode(self) -> None:
-        mode = self._supervisor.mode
+        mode = self.supervisor.mode
         if mode is not self._told_mode:
             self._told_mode = mode
             logger.info("mode %s", mode, extra={"mode": mode})
@@ -295,9 +315,9 @@ class Conductor:
     def state(self) -> telemetry.GatewayState:
         """What the gateway knows now."""
         now_ns = self._clock()
-        legs = self._supervisor.legs
+        legs = self.supervisor.legs
         return telemetry.GatewayState(
-            mode=self._supervisor.mode,
+            mode=self.supervisor.mode,
             time=wall_clock(),
             uptime_s=(now_ns - self._started_ns) / 1e9,
             version=__version__,
@@ -320,17 +340,17 @@ class Conductor:
                 for leg in legs
             ),
             commands=telemetry.CommandCounts(
-                accepted=self.metrics.accepted, rejected=self.metrics.rejected, coalesced=self.metrics.coalesced
+                accepted=self.metrics.accepted, rejected=self.metrics.rejected.total(), coalesced=self.metrics.coalesced
             ),
             spi=telemetry.SpiReport(
                 device="simulated controller" if self._simulated else self._settings.spi.device,
                 framing=self._settings.spi.framing,
-                frames=self._bus.frames,
-                errors=self._bus.errors,
+                frames=self.bus.frames,
+                errors=self.bus.errors,
             ),
             watchdog=telemetry.WatchdogReport(
                 timeout_ms=self._settings.watchdog.timeout_ms,
-                expirations=self._supervisor.expirations,
+                expirations=self.supervisor.expirations,
                 stop_latency_us=self.metrics.watchdog_stops.report(),
             ),
         )

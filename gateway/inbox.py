@@ -159,6 +159,11 @@ class Inbox:
             self._look(0)
         self._rung.clear()
 
+    @property
+    def hears(self) -> bool:
+        """Whether all waiting threads live; without them no command, and no emergency stop, would be noticed."""
+        return all(waiter.thread.is_alive() for waiter in self._waiters)
+
     def close(self) -> None:
         """Undeclare everything, which ends the waiting threads, and join them. Blocks; not for the loop's thread."""
         for declared in self._declared:

@@ -1,14 +1,17 @@
-"""Counters and latencies of one service."""
+"""What the service counts and times. Plain numbers, written on the loop; `exposition` shows them to Prometheus."""
 
-from collections import deque
+from bisect import bisect_left
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from schemas.telemetry import StopLatency
+from schemas.telemetry import Cause, Reason, StopLatency
 
 KEPT: Final = 1000
-"""Latencies kept for the percentiles: the last thousand Stops."""
+"""Latencies kept for the percentiles: the last thousand."""
+BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000)
+"""Upper ends of the histogram's buckets: from one transfer (45 µs) to a robot that has noticed."""
 
 
 def percentile(ordered: Sequence[float], share: float) -> float:
@@ -18,15 +21,19 @@ def percentile(ordered: Sequence[float], share: float) -> float:
 
 @dataclass(slots=True)
 class Latency:
-    """Latencies in microseconds: the last ones for percentiles, the worst of all."""
+    """Latencies in microseconds: the last ones for percentiles, all of them as a histogram, and the worst."""
 
     recent_us: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    buckets: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_US) + 1))
+    sum_us: float = 0.0
     max_us: float | None = None
 
     def record(self, latency_ns: int) -> None:
         """Take one latency."""
         latency_us = latency_ns / 1000
         self.recent_us.append(latency_us)
+        self.buckets[bisect_left(BOUNDS_US, latency_us)] += 1
+        self.sum_us += latency_us
         self.max_us = latency_us if self.max_us is None else max(self.max_us, latency_us)
 
     def report(self) -> StopLatency:
@@ -39,9 +46,15 @@ class Latency:
 
 @dataclass(slots=True)
 class Metrics:
-    """What the service counts."""
+    """One service's counters and latencies."""
 
     accepted: int = 0
-    rejected: int = 0
     coalesced: int = 0
+    rejected: Counter[Reason] = field(default_factory=Counter)
+    frames: Counter[Cause] = field(default_factory=Counter)
     watchdog_stops: Latency = field(default_factory=Latency)
+    """Deadline → its Stop written."""
+    emergency_stops: Latency = field(default_factory=Latency)
+    """Request received → sixth Stop written; requests whose Stops could not be written are not in it."""
+    loop_lag: Latency = field(default_factory=Latency)
+    """How late the loop's timers run."""

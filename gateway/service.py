@@ -9,16 +9,19 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import zenoh
 
+from gateway import exposition
 from gateway.conductor import Conductor
-from gateway.errors import SpiError
+from gateway.errors import GatewayError, SpiError
 from gateway.inbox import Inbox
 from gateway.legs import Rules
+from gateway.notify import Manager
 from gateway.outbox import ZenohOutbox
 from gateway.pacing import NS_PER_MS, NS_PER_S
-from gateway.protocol.frames import stop_leg
+from gateway.protocol.frames import centidegrees, stop_leg
 from gateway.settings import Settings
 from gateway.spi import SpiDevice
 from gateway.spi.bus import Bus
@@ -34,6 +37,9 @@ END_S = 0.8
 REPEATS_S = 0.3
 """Of that, what the repeats of the last Stops may take."""
 
+BEAT_S = 0.1
+"""How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -45,6 +51,11 @@ def rules(settings: Settings) -> Rules:
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=round(NS_PER_S / settings.limits.leg_rate_hz),
+        start_pause_ns=round(settings.limits.start_stagger_ms * NS_PER_MS),
+        joint_limits_cdeg={
+            int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))
+            for servo, limits in settings.limits.servos.items()
+        },
     )
 
 
@@ -70,15 +81,16 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = l
 
 async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None]) -> None:
     loop = asyncio.get_running_loop()
-    ended = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, ended.set)
+    end = _End(loop)
+    manager = Manager()
     config = service_config(settings.zenoh)
     bus = make_bus(settings, device_opener(settings, simulated=simulated))
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings, Supervisor(rules(settings)), bus, outbox, loop, clock=time.monotonic_ns, simulated=simulated
     )
+    if settings.telemetry.metrics:
+        exposition.serve(settings.telemetry.metrics, conductor)
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
         conductor.start()
@@ -87,19 +99,76 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
         conductor.take = inbox.take
         conductor.announce_start()
+        manager.ready(f"takes commands on {', '.join(settings.zenoh.listen)}")
         on_ready()
-        async with asyncio.TaskGroup() as tasks:
-            reports = tasks.create_task(_report_state(settings, conductor, outbox))
-            await ended.wait()
-            reports.cancel()
+        tasks = [
+            asyncio.create_task(_report_state(settings, conductor, outbox)),
+            asyncio.create_task(_beat(manager, conductor, inbox, end)),
+        ]
+        for task in tasks:
+            task.add_done_callback(end.task_done)
+        await end.wait()
+        manager.stopping()
+        for task in tasks:
+            task.cancel()
         deadline = loop.time() + END_S
-        conductor.shut_down()
+        _stop_the_robot(conductor, bus)
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
         conductor.close()
-        await _within(deadline - loop.time(), inbox.close, session.close)
+        await _within(deadline - loop.time(), end.exit_code, inbox.close, session.close)
     finally:
         conductor.close()
+    if end.failure is not None:
+        raise GatewayError(end.failure)
+
+
+class _End:
+    """What ends the service: a signal, or a mistake of our own.
+
+    After an exception that nobody expected, nobody knows what state is left; so the robot is stopped and the service
+    ends, to be started afresh by its manager.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.failure: str | None = None
+        self._event = asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._event.set)
+        loop.set_exception_handler(self._failed)
+
+    async def wait(self) -> None:
+        await self._event.wait()
+
+    @property
+    def exit_code(self) -> int:
+        return 0 if self.failure is None else GatewayError.exit_code
+
+    def because(self, failure: str) -> None:
+        """End, and report `failure`."""
+        self.failure = self.failure or failure
+        self._event.set()
+
+    def task_done(self, task: "asyncio.Task[None]") -> None:
+        """A task of the service may be cancelled, but must not fail."""
+        if not task.cancelled() and task.exception() is not None:
+            self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
+
+    def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        logger.critical("%s; stopping the robot", context["message"], exc_info=error)
+        self.because(f"a mistake in the gateway ended it: {error or context['message']}")
+
+
+def _stop_the_robot(conductor: Conductor, bus: Bus) -> None:
+    try:
+        conductor.shut_down()
+    except Exception:
+        # Whatever went wrong there, six frames can still be written past it.
+        logger.exception("the orderly end failed")
+        for leg in LEGS:
+            with suppress(SpiError):
+                bus.write(stop_leg(leg))
 
 
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
@@ -109,7 +178,19 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
         outbox.publish(STATE, conductor.state())
 
 
-async def _within(timeout_s: float, *closes: Callable[[], object]) -> None:
+async def _beat(manager: Manager, conductor: Conductor, inbox: Inbox, end: _End) -> None:
+    """Measure how late the loop is, and tell the manager that it turns and hears."""
+    loop = asyncio.get_running_loop()
+    period_s = min(BEAT_S, manager.ping_period_s or BEAT_S)
+    while inbox.hears:
+        manager.alive()
+        due_s = loop.time() + period_s
+        await asyncio.sleep(period_s)
+        conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))
+    end.because("a thread that waits for commands has ended")
+
+
+async def _within(timeout_s: float, exit_code: int, *closes: Callable[[], object]) -> None:
     """Close in a thread that nobody has to wait for: a frozen peer can hold Zenoh's close for ten seconds.
 
     The servos are safe by then, so after `timeout_s` the process goes without it.
@@ -131,7 +212,7 @@ async def _within(timeout_s: float, *closes: Callable[[], object]) -> None:
         logger.warning("a peer does not let go of its connection; ending without waiting for it")
         logging.shutdown()
         # Zenoh's own threads are still inside close, and would keep the interpreter from ending.
-        os._exit(0)
+        os._exit(exit_code)
 
 
 def stop_servos(settings: Settings) -> None:

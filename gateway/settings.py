@@ -8,14 +8,15 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, EnvSettingsSource, SettingsConfigDict, SettingsError
 
 from gateway.errors import ConfigError
 from gateway.protocol.framing import Framing
+from schemas.robot import SERVO_IDS
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
 ENV_PREFIX: Final = "HEXAPOD_"
@@ -49,10 +50,37 @@ class SpiSettings(Section):
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 100.0
 
 
+AngleDeg = Annotated[float, Finite, Field(ge=0, le=180)]
+
+
+class ServoLimits(Section):
+    """How far one servo may go, in degrees, both ends included."""
+
+    min_deg: AngleDeg = 0.0
+    max_deg: AngleDeg = 180.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.min_deg > self.max_deg:
+            raise ValueError(f"min_deg is {self.min_deg:g} and max_deg {self.max_deg:g}; min_deg must not be larger")
+        return self
+
+
 class LimitSettings(Section):
-    """What a publisher can ask of a leg; the controller's PWM runs at 50 Hz, so more changes nothing."""
+    """What a publisher can ask of a leg; the controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
 
     leg_rate_hz: Annotated[float, Finite, Field(ge=1, le=1000)] = 50.0
+    max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 0.0
+    start_stagger_ms: Annotated[float, Finite, Field(ge=0, le=2000)] = 0.0
+    servos: dict[str, ServoLimits] = {}
+
+    @field_validator("servos")
+    @classmethod
+    def _servos_exist(cls, servos: dict[str, ServoLimits]) -> dict[str, ServoLimits]:
+        for servo in servos:
+            if servo not in map(str, SERVO_IDS):
+                raise ValueError(f"{servo} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
+        return servos
 
 
 class WatchdogSettings(Section):
@@ -69,6 +97,15 @@ class TelemetrySettings(Section):
 
     state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
     frames: bool = False
+    metrics: str = ""
+
+    @field_validator("metrics")
+    @classmethod
+    def _host_and_port(cls, value: str) -> str:
+        host, _, port = value.rpartition(":")
+        if value and not (host and port.isdecimal() and 0 < int(port) < 65536):
+            raise ValueError('write a host and a port, such as "127.0.0.1:9464", or "" for none')
+        return value
 
 
 class LogSettings(Section):
@@ -169,6 +206,8 @@ def _faults(values: dict[str, Any], *, strict: bool) -> list[str]:
 def _sentence(fault: ErrorDetails) -> str:
     if fault["type"] == "extra_forbidden":
         return "is no setting"
+    if fault["type"] == "value_error":  # a sentence of our own
+        return str(fault["ctx"]["error"])
     return f"{json.dumps(fault['input'], default=str)} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from gateway.errors import SpiError
+from gateway.metrics import Latency
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import Framing
 from gateway.spi import SpiDevice
@@ -32,6 +33,7 @@ class Bus:
         self._free_ns = 0
         self.frames = 0
         self.errors = 0
+        self.transfer_latency = Latency()
 
     def open(self) -> None:
         """Open the device anew and write the preamble, where the framing has one. Raises SpiError.
@@ -71,7 +73,10 @@ class Bus:
         wait_ns = self._free_ns - self._clock()
         if wait_ns > 0:
             self._pause(wait_ns / 1e9)
+        begun_ns = self._clock()
         try:
             self._device.transfer(data)
         finally:
-            self._free_ns = self._clock() + self._frame_gap_ns
+            ended_ns = self._clock()
+            self.transfer_latency.record(ended_ns - begun_ns)
+            self._free_ns = ended_ns + self._frame_gap_ns
