@@ -2,10 +2,11 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+WHEELS ?= dist/wheels
 # What the hardware tests need of Debian: an emulated kernel device, for the system's own Python.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux
 
-.PHONY: help run test check bench schemas format clean debian-packages
+.PHONY: help run test check bench schemas format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller (makes $(VENV))"
@@ -14,6 +15,8 @@ help:
 	@echo "make bench    the benchmark: this gateway beside the naive script"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
+	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
+	@echo "              (for a Pi, from another machine: make wheels FOR=aarch64 FOR_PYTHON=3.11)"
 
 run: $(VENV)/run
 	@$(BIN)/hexapod-gateway run --sim
@@ -36,6 +39,9 @@ schemas: $(VENV)/dev
 format: $(VENV)/dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+wheels: $(VENV)/bin/python
+	@deploy/wheels.sh $(abspath $(BIN)/python) $(WHEELS) $(FOR) $(FOR_PYTHON)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,342 @@
+#!/usr/bin/env bash
+# Installs the gateway as a service on the robot's computer (Raspberry Pi OS, or any Debian with systemd).
+#
+#   sudo deploy/install.sh                 from this folder's repository, dependencies from the network
+#   sudo deploy/install.sh --wheels DIR    without a network, from a folder that `make wheels` filled
+#   sudo deploy/install.sh --certs DIR     besides, bring the gateway's certificates (`hexapod-gateway certs init`)
+#   sudo deploy/install.sh --uninstall     stops the service and removes all but the configuration
+#        deploy/install.sh --dry-run …     says what it would do, in the same lines, and does nothing
+#   sudo PYTHON=/usr/bin/python3.12 deploy/install.sh …
+#
+# Run it as often as you like: it changes what differs, never a configuration, and restarts the service only if
+# something that it runs has changed.
+set -euo pipefail
+umask 022
+
+NAME=hexapod-gateway
+OPT=/opt/$NAME
+ETC=/etc/$NAME
+UNIT=/etc/systemd/system/$NAME.service
+RULES=/etc/udev/rules.d/60-$NAME.rules
+COMMAND=/usr/local/bin/$NAME
+CERTIFICATES="gateway.json5 gateway.pem gateway.key ca.pem"
+HERE=$(dirname "$(readlink -f "$0")")
+ROOT=$(dirname "$HERE")
+
+say() { printf '%s\n' "$*"; }
+fail() {
+	printf 'install.sh: %s\n' "$*" >&2
+	said=yes
+	exit 1
+}
+# Do it, unless this is a dry run.
+run() { [ "$dry" = yes ] || "$@"; }
+
+usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
+
+dry=no uninstall=no wheels='' certs=''
+while [ $# -gt 0 ]; do
+	case $1 in
+	--dry-run) dry=yes ;;
+	--uninstall) uninstall=yes ;;
+	--wheels | --certs)
+		[ $# -ge 2 ] || fail "$1 needs a folder"
+		[ -d "$2" ] || fail "$1: $2 is no folder"
+		if [ "$1" = --wheels ]; then wheels=$(readlink -f "$2"); else certs=$(readlink -f "$2"); fi
+		shift
+		;;
+	-h | --help)
+		usage
+		exit 0
+		;;
+	*) fail "$1 is no option; --help names them" ;;
+	esac
+	shift
+done
+
+# ---- what must be so before anything is changed
+
+check_machine() {
+	[ "$dry" = yes ] || [ "$(id -u)" = 0 ] || fail "needs root: sudo $0"
+	[ -d /run/systemd/system ] || fail "this machine does not run systemd; see $HERE/systemd/ for what the unit does"
+}
+
+check_python() {
+	python=${PYTHON:-/usr/bin/python3}
+	version=$("$python" -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])' 2>/dev/null) ||
+		fail "$python is no Python; apt-get install python3, or name one: PYTHON=/usr/bin/python3.11"
+	"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+		fail "$python is $version, and the gateway needs 3.11; name a newer one: PYTHON=/usr/bin/python3.11"
+	"$python" -c 'import ensurepip, venv' 2>/dev/null ||
+		fail "$python has no venv module; apt-get install python3-venv"
+	case $("$python" -c 'import os, sys; print(os.path.realpath(sys.executable))') in
+	/root/* | /home/* | /tmp/*)
+		fail "$python lies in a folder that the service may not read; name the system's: PYTHON=/usr/bin/python3"
+		;;
+	esac
+}
+
+check_sources() {
+	if [ -n "$wheels" ]; then
+		compgen -G "$wheels/hexapod_gateway-*.whl" >/dev/null ||
+			fail "$wheels has no hexapod_gateway-*.whl; fill it with: make wheels WHEELS=$wheels"
+	else
+		[ -f "$ROOT/pyproject.toml" ] || fail "$ROOT is not the repository; name a folder: --wheels DIR"
+	fi
+	local file
+	for file in ${certs:+$CERTIFICATES}; do
+		[ -f "$certs/$file" ] || fail "$certs has no $file; make one with: $NAME certs init --dir $certs --host …"
+	done
+}
+
+# ---- the parts
+
+# A file of ours: brought where it differs, in the mode and group given. `changed` says that there was something to do.
+put() {
+	local from=$1 to=$2 mode=$3 group=${4:-root}
+	cmp -s "$from" "$to" && return
+	say "write $to"
+	run install -D -m "$mode" -o root -g "$group" "$from" "$to"
+	changed=yes
+}
+
+# A Python of its own in a folder named after what is in it, so that it is complete before anything refers to it.
+build_venv() {
+	local inputs
+	if [ -n "$wheels" ]; then
+		inputs=$(cd "$wheels" && sha256sum -- *)
+	else
+		inputs=$(cd "$ROOT" && find pyproject.toml gateway schemas -name __pycache__ -prune -o -type f -print0 |
+			sort -z | xargs -0 sha256sum)
+	fi
+	venv=$OPT/venv-$(printf '%s\n%s\n' "$python $version" "$inputs" | sha256sum | cut -c1-12)
+	if [ -e "$venv/complete" ]; then
+		say "keep $venv: the same Python, the same gateway"
+		return
+	fi
+	say "make $venv with $python ($version)"
+	say "install $NAME into it from ${wheels:-$ROOT and the network}"
+	[ "$dry" = no ] || return 0
+	unfinished=$venv
+	rm -rf "$venv"
+	mkdir -p "$OPT"
+	"$python" -m venv "$venv" || fail "$venv could not be made (above is why); nothing else was changed"
+	if [ -n "$wheels" ]; then
+		# --isolated: no pip configuration of this machine, which may name an index.
+		"$venv/bin/pip" --isolated install --quiet --disable-pip-version-check --no-cache-dir --no-index \
+			--find-links "$wheels" "$NAME[spi]"
+	else
+		# From a copy: a build as root would leave files in the repository.
+		sources=$(mktemp -d)
+		cp -r "$ROOT/pyproject.toml" "$ROOT/README.md" "$ROOT/LICENSE" "$ROOT/gateway" "$ROOT/schemas" "$sources"
+		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "$sources[spi]"
+	fi || fail "pip could not install $NAME (above is why); nothing else was changed"
+	"$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev' ||
+		fail "what was installed does not run (above is why); nothing else was changed"
+	touch "$venv/complete"
+	unfinished=''
+}
+
+clean_up() {
+	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is mended" >&2
+	[ -z "$sources" ] || rm -rf "$sources"
+	if [ -n "$unfinished" ]; then
+		rm -rf "$unfinished"
+		rmdir "$OPT" 2>/dev/null || true # only if it is empty
+	fi
+}
+
+make_user() {
+	if ! getent group spi >/dev/null; then
+		say "make the group spi"
+		run groupadd --system spi
+	fi
+	if ! getent passwd $NAME >/dev/null; then
+		say "make the user $NAME, in the group spi"
+		getent group $NAME >/dev/null || run groupadd --system $NAME
+		run useradd --system --gid $NAME --groups spi --no-create-home --home-dir /nonexistent \
+			--shell /usr/sbin/nologin --comment "Hexapod gateway" $NAME
+	fi
+}
+
+write_configuration() {
+	local file
+	if [ -d $ETC ]; then
+		# Also what somebody copied there by hand: a certificate's key comes as 0600.
+		if ! getent group $NAME >/dev/null ||
+			[ -n "$(find $ETC \( ! -user root -o ! -group $NAME -o -perm /027 -o ! -perm -040 \) -print -quit)" ]; then
+			say "let $NAME read all of $ETC, and nobody else (root:$NAME)"
+			run chown -R root:$NAME $ETC
+			run chmod -R u=rwX,g=rX,o= $ETC
+		fi
+	else
+		say "make $ETC, for root and $NAME only"
+		run install -d -m 0750 -o root -g $NAME $ETC
+	fi
+	if [ -e $ETC/gateway.toml ]; then
+		say "keep $ETC/gateway.toml, your configuration"
+	else
+		put "$HERE/gateway.toml" $ETC/gateway.toml 0640 $NAME
+	fi
+	[ -n "$certs" ] || return 0
+	run install -d -m 0750 -o root -g $NAME $ETC/zenoh
+	for file in $CERTIFICATES; do
+		if [ "$file" = gateway.json5 ] && [ -e $ETC/zenoh/$file ]; then
+			say "keep $ETC/zenoh/$file, your configuration"
+		else
+			put "$certs/$file" $ETC/zenoh/"$file" 0640 $NAME
+		fi
+	done
+	grep -q '^config *= *"/etc/hexapod-gateway/zenoh/gateway.json5"' $ETC/gateway.toml 2>/dev/null ||
+		hint="To use the certificates, in $ETC/gateway.toml under [zenoh]: config = \"$ETC/zenoh/gateway.json5\""
+}
+
+allow_spi() {
+	changed=no
+	put "$HERE/udev/60-$NAME.rules" $RULES 0644
+	if [ $changed = yes ] && command -v udevadm >/dev/null; then
+		run udevadm control --reload || true # no udev runs in a container
+		run udevadm trigger --subsystem-match=spidev || true
+	fi
+	local config=''
+	for file in /boot/firmware/config.txt /boot/config.txt; do
+		if [ -f $file ]; then
+			config=$file
+			break
+		fi
+	done
+	if [ -z "$config" ]; then
+		say "no config.txt here, so this is no Raspberry Pi: switch SPI on as this board wants it"
+	elif ! spi_is_on <"$config"; then
+		switch_spi_on <"$config" | spi_is_on ||
+			fail "SPI is off in $config in a way that a person should look at: it needs dtparam=spi=on"
+		say "switch SPI on in $config (dtparam=spi=on)"
+		reboot=yes
+		[ "$dry" = no ] || return 0
+		# The boot partition knows no owners and no half-written files: a copy beside it, and then the name.
+		switch_spi_on <"$config" >"$config.new"
+		sync "$config.new"
+		mv "$config.new" "$config"
+	fi
+}
+
+# Whether a config.txt on stdin switches SPI on for every Pi: what stands under a filter such as [cm4] does not count.
+spi_is_on() {
+	awk '{ sub(/\r$/, ""); sub(/^[ \t]+/, "") }
+		/^\[/ { filtered = $0 !~ /^\[all\]/ }
+		!filtered && /^dtparam=/ {
+			n = split(substr($0, 9), parameters, ",")
+			for (i = 1; i <= n; i++) {
+				if (parameters[i] ~ /^spi(=on|=1|=true|=yes)?[ \t]*$/) on = 1
+				else if (parameters[i] ~ /^spi=/) on = 0
+			}
+		}
+		END { exit !on }'
+}
+
+# A config.txt from stdin to stdout: its own dtparam=spi line switched on, or else one as the first line, where no
+# filter and no overlay can claim it.
+switch_spi_on() {
+	awk '{ lines[NR] = $0 }
+		/^[ \t]*\[/ { filtered = $0 !~ /\[all\]/ }
+		!filtered && /^[ \t]*#?[ \t]*dtparam=spi(=on|=off)?[ \t\r]*$/ { lines[NR] = "dtparam=spi=on"; found = 1 }
+		END {
+			if (!found) print "dtparam=spi=on"
+			for (i = 1; i <= NR; i++) print lines[i]
+		}'
+}
+
+start_service() {
+	changed=no
+	put "$HERE/systemd/$NAME.service" $UNIT 0644
+	if [ "$(readlink -f $OPT/venv)" != "$venv" ]; then
+		say "let $OPT/venv be $venv"
+		run ln -sfn "$venv" $OPT/venv.new
+		run mv -T $OPT/venv.new $OPT/venv
+		changed=yes
+	fi
+	if [ ! -e $COMMAND ]; then
+		say "let $COMMAND be $OPT/venv/bin/$NAME"
+		run ln -sfn $OPT/venv/bin/$NAME $COMMAND
+	fi
+	run systemctl daemon-reload
+	if ! systemctl is-enabled --quiet $NAME 2>/dev/null; then
+		say "enable the service: it starts with the machine"
+		run systemctl enable --quiet $NAME
+	fi
+	if systemctl is-active --quiet $NAME; then
+		if [ "$changed$configured" != nono ]; then
+			say "restart the service: all legs stop"
+			run systemctl restart $NAME || fail "installed, but it does not start: journalctl -u $NAME says why"
+		fi
+	elif [ "$reboot" = yes ]; then
+		say "not started: reboot, SPI comes with it, and so does the service"
+	elif compgen -G '/dev/spidev*' >/dev/null; then
+		say "start the service"
+		run systemctl start $NAME || fail "installed, but it does not start: journalctl -u $NAME says why"
+	else
+		say "not started: there is no /dev/spidev* here; once there is: systemctl start $NAME"
+	fi
+	local old
+	for old in "$OPT"/venv-*; do
+		[ "$old" != "$venv" ] && [ -d "$old" ] || continue
+		say "remove $old, which nothing uses any more"
+		run rm -rf "$old"
+	done
+}
+
+# ---- install, uninstall
+
+install_all() {
+	check_python
+	check_sources
+	build_venv
+	make_user
+	changed=no
+	write_configuration
+	configured=$changed
+	allow_spi
+	start_service
+	[ -z "$hint" ] || say "$hint"
+}
+
+uninstall_all() {
+	if [ -e $UNIT ]; then
+		say "stop and disable the service: all legs stop"
+		run systemctl disable --quiet --now $NAME
+		! systemctl is-failed --quiet $NAME || say "its last end was a failure: see that no servo holds (journalctl -u $NAME)"
+		say "remove $UNIT"
+		run rm $UNIT
+		run systemctl daemon-reload
+		run systemctl reset-failed $NAME 2>/dev/null || true
+	fi
+	if [ -e $RULES ]; then
+		say "remove $RULES"
+		run rm $RULES
+	fi
+	if [ "$(readlink $COMMAND)" = $OPT/venv/bin/$NAME ]; then
+		say "remove $COMMAND"
+		run rm $COMMAND
+	fi
+	if [ -e $OPT ]; then
+		say "remove $OPT"
+		run rm -rf $OPT
+	fi
+	if [ -d $ETC ]; then
+		# The next user made may get this one's number, and shall not get the keys with it.
+		say "keep $ETC, your configuration, for root only"
+		run chown -R root:root $ETC
+		run chmod -R go= $ETC
+	fi
+	if getent passwd $NAME >/dev/null; then
+		say "remove the user $NAME"
+		run userdel $NAME
+	fi
+	if [ "$dry" = no ] && getent group $NAME >/dev/null; then groupdel $NAME; fi # some userdel leave it
+	say "SPI and the group spi stay as they are"
+}
+
+changed=no configured=no reboot=no hint='' unfinished='' sources='' said=no
+trap clean_up EXIT
+check_machine
+if [ $uninstall = yes ]; then uninstall_all; else install_all; fi
