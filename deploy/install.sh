@@ -338,5 +338,6 @@ uninstall_all() {
 
 changed=no configured=no reboot=no hint='' unfinished='' sources='' said=no
 trap clean_up EXIT
+cd / # the folder it was called from may be gone, or be one that a new user may not enter
 check_machine
 if [ $uninstall = yes ]; then uninstall_all; else install_all; fi

@@ -1,0 +1,144 @@
+"""A real systemd in a box (see `systemd-box`), which commands are sent into from a test outside.
+
+    with Box(folder) as box:
+        box.run("systemctl", "start", "hexapod-gateway")
+        box.run("journalctl", "-u", "hexapod-gateway").stdout
+
+`box.shared` is a folder that both sides see; inside, it is `/box-out`.
+"""
+
+import os
+import select
+import shutil
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from tests.child import Child
+
+PROGRAM = Path(__file__).with_name("systemd-box")
+SHARED_INSIDE = Path("/box-out")
+BOOT_S = 30.0  # it takes about one
+LIFE_S = 300  # after which a forgotten box ends by itself
+PATH_INSIDE = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+
+# Says that the system is up, then holds the box open until the other end of the second pipe is closed.
+SCRIPT = """#!/bin/bash
+echo up >/box-out/up
+read -r _ </box-out/end
+exit 0
+"""
+
+
+def lacks() -> str:
+    """What this machine lacks for a box, in one line; empty when nothing."""
+    if os.geteuid() != 0:
+        return "a systemd in a box needs root"
+    missing = [tool for tool in ("unshare", "nsenter", "systemctl", "ip") if shutil.which(tool) is None]
+    if missing:
+        return f"a systemd in a box needs {', '.join(missing)}"
+    if not Path("/lib/systemd/systemd").exists():
+        return "a systemd in a box needs Debian's systemd"
+    probe = ["unshare", "--fork", "--pid", "--mount", "--uts", "--ipc", "--net", "--cgroup", "mount", "-t", "cgroup2"]
+    namespaces = subprocess.run([*probe, "none", "/mnt"], capture_output=True, text=True, check=False)
+    return f"a systemd in a box needs namespaces: {namespaces.stderr.strip()}" if namespaces.returncode else ""
+
+
+class Box:
+    """A booted box; its end is the end of everything in it."""
+
+    def __init__(self, folder: Path) -> None:
+        """Boot it. `folder` gets the script and the shared folder."""
+        self.shared = folder / "shared"
+        self.shared.mkdir()
+        self.shared.chmod(0o755)  # pytest's folders are for their owner only, and services have users of their own
+        script = folder / "script"
+        script.write_text(SCRIPT)
+        for name in ("up", "end"):
+            os.mkfifo(self.shared / name)
+        up = os.open(self.shared / "up", os.O_RDONLY | os.O_NONBLOCK)
+        self._system = Child([str(PROGRAM), str(script), str(LIFE_S)], {**os.environ, "BOX_OUT": str(self.shared)})
+        try:
+            if not select.select([up], [], [], BOOT_S)[0]:
+                raise TimeoutError(f"the box did not boot within {BOOT_S} s: {self._system}")
+        except TimeoutError:
+            self._system.close()
+            raise
+        finally:
+            os.close(up)
+        self._end = os.open(self.shared / "end", os.O_WRONLY)
+        self._pid = (self.shared / ".pid").read_text().strip()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Shut the system down."""
+        os.close(self._end)
+        try:
+            self._system.wait(20)
+        finally:
+            self._system.close()
+
+    def command(self, *command: str) -> list[str]:
+        """The command line that runs `command` inside, from outside."""
+        return ["nsenter", f"--target={self._pid}", "--all", "--root", "--wd", *command]
+
+    def run(
+        self, *command: str, env: Mapping[str, str] | None = None, check: bool = True, timeout_s: float = 30
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command inside, as root, and wait for its end; `check`: it must succeed."""
+        done = subprocess.run(
+            self.command(*command),
+            env={"PATH": PATH_INSIDE, "HOME": "/root", "LANG": "C.UTF-8", **(env or {})},
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+        assert not check or done.returncode == 0, f"{' '.join(command)}: {done.returncode}\n{done.stdout}{done.stderr}"
+        return done
+
+    def write(self, path: str, text: str) -> None:
+        """Write a file inside."""
+        subprocess.run(
+            self.command("/bin/sh", "-c", 'mkdir -p "$(dirname "$1")" && cat >"$1"', "sh", path),
+            input=text,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+
+    def read(self, path: str) -> str:
+        """A file's text."""
+        return self.run("cat", path).stdout
+
+    def exists(self, path: str) -> bool:
+        return self.run("test", "-e", path, check=False).returncode == 0
+
+
+class Unit:
+    """A service inside."""
+
+    def __init__(self, box: Box, name: str) -> None:
+        self.box = box
+        self.name = name
+
+    def systemctl(self, verb: str, *options: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        return self.box.run("systemctl", verb, *options, self.name, check=check)
+
+    def properties(self, *names: str) -> Sequence[str]:
+        """These of its properties, as `systemctl show` gives them."""
+        shown = self.systemctl("show", *(f"--property={name}" for name in names)).stdout
+        values = dict(line.split("=", 1) for line in shown.splitlines())
+        return [values[name] for name in names]
+
+    def property(self, name: str) -> str:
+        return self.properties(name)[0]

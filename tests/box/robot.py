@@ -1,0 +1,117 @@
+"""A robot's computer in a box: the gateway installed, its service under systemd, every byte on SPI seen by the test."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import pytest
+
+from gateway.protocol.frames import stop_leg
+from schemas.robot import LEGS
+from tests.box.box import SHARED_INSIDE, Box, Unit
+from tests.child import Child
+from tests.hil.bed import SpiTestbed
+
+REPOSITORY = Path(__file__).parents[2]
+NAME = "hexapod-gateway"
+INSTALLER = f"{REPOSITORY}/deploy/install.sh"  # the box sees the repository where it is
+CONFIGURATION = f"/etc/{NAME}/gateway.toml"
+DROP_IN = f"/run/systemd/system/{NAME}.service.d"
+STOPS = {stop_leg(leg).to_bytes() for leg in LEGS}
+
+
+def share(box: Box, folder: Path) -> str:
+    """Copy a folder to where the box sees it; its path inside."""
+    shutil.copytree(folder, box.shared / folder.name, dirs_exist_ok=True)
+    return str(SHARED_INSIDE / folder.name)
+
+
+class Robot:
+    """An installed gateway whose SPI device is emulated outside the box, so that it outlives every process inside."""
+
+    def __init__(self, box: Box, wheels: Path) -> None:
+        self.box = box
+        self.unit = Unit(box, f"{NAME}.service")
+        box.run(INSTALLER, "--wheels", share(box, wheels), timeout_s=120)
+        self._configuration = box.read(CONFIGURATION)
+        folder = box.shared / "bed"
+        folder.mkdir()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("TMPDIR", str(folder))  # where the emulation puts its node and its socket
+            self.bed = SpiTestbed()
+        self.allow_device()
+        environment = self.bed.environment
+        root = SHARED_INSIDE / Path(environment["UMOCKDEV_DIR"]).relative_to(box.shared)
+        self.drop_in(
+            "emulated",
+            f"Environment=LD_PRELOAD={environment['LD_PRELOAD']} UMOCKDEV_DIR={root}\nReadWritePaths={root}",
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.bed.close()
+
+    def allow_device(self) -> None:
+        """Give the node to the group spi, as udev would."""
+        self.box.run("chgrp", "-R", "spi", "/box-out/bed")
+        self.box.run("chmod", "-R", "g+rwX", "/box-out/bed")
+
+    def drop_in(self, name: str, text: str) -> None:
+        """Add these lines to the unit's [Service]."""
+        self.box.write(f"{DROP_IN}/{name}.conf", f"[Service]\n{text}\n")
+        self.box.run("systemctl", "daemon-reload")
+
+    def configure(self, text: str) -> None:
+        """Write the service's configuration."""
+        self.box.write(CONFIGURATION, text)
+
+    def reset(self) -> None:
+        """The service stopped, with its own configuration and no drop-in but the emulated device's."""
+        self.bed.heal()
+        self.bed.release()
+        self.unit.systemctl("stop", check=False)
+        self.unit.systemctl("reset-failed", check=False)
+        self.configure(self._configuration)
+        self.box.run("find", DROP_IN, "-type", "f", "!", "-name", "emulated.conf", "-delete")
+        self.box.run("systemctl", "daemon-reload")
+
+    def gateway(self, *arguments: str, check: bool = True) -> str:
+        """Run a command of the installed gateway inside; what it printed on either stream."""
+        done = self.box.run(NAME, *arguments, check=check)
+        return done.stdout + done.stderr
+
+    def cursor(self) -> str:
+        """Where the journal ends now."""
+        return self.box.run("journalctl", "--show-cursor", "--lines=0").stdout.partition("-- cursor: ")[2].strip()
+
+    def journal_since(self, cursor: str) -> str:
+        """What the service, and systemd of it, has said since then."""
+        self.box.run("journalctl", "--sync")
+        return self.box.run("journalctl", *self._journal_options(cursor)).stdout
+
+    @contextmanager
+    def journal(self) -> Iterator[Child]:
+        """The service's journal from now on, as a child whose lines can be waited for."""
+        options = self._journal_options(self.cursor())
+        journal = Child(self.box.command("journalctl", "--follow", *options), {"PATH": "/usr/bin", "LANG": "C.UTF-8"})
+        try:
+            yield journal
+        finally:
+            journal.close()
+
+    def _journal_options(self, cursor: str) -> tuple[str, ...]:
+        return f"--after-cursor={cursor}", "--no-pager", "--output=cat", f"--unit={self.unit.name}"
+
+    def wait_for_stops(self, since: int, timeout_s: float = 10) -> int:
+        """Wait until each of the six legs got a Stop at transfer `since` or later; the number of transfers so far."""
+        transfers = self.bed.wait_for(
+            lambda seen: STOPS <= {transfer.data for transfer in seen[since:] if transfer.delivered}, timeout_s
+        )
+        return len(transfers)
