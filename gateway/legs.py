@@ -5,7 +5,7 @@ for their leg's turn, what one frame says for three servos, which Stops are stil
 thereby done.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from gateway.events import Command, Effect, Refused, Settled, Transmit
@@ -37,7 +37,9 @@ class Servo:
     waiting: Waiting | None = None
     repeats_left: int = 0
     repeat_ns: int = 0
-    stopped_at: tuple[int, str] | None = None
+    stopped_ns: int | None = None
+    stopped_by: frozenset[str] = frozenset()
+    """All who stopped it at `stopped_ns`: the channels of commands, or the gateway's own causes."""
 
     @property
     def running(self) -> bool:
@@ -47,6 +49,16 @@ class Servo:
     def will_run(self) -> bool:
         """Whether a `set` has something to set: the servo runs, or waits to be started."""
         return self.running or (self.waiting is not None and self.waiting.op.op is Op.START)
+
+    def note_stop(self, by: str, now_ns: int) -> None:
+        """Remember who stopped it now."""
+        earlier = self.stopped_by if self.stopped_ns == now_ns else frozenset[str]()
+        self.stopped_by = earlier | {by}
+        self.stopped_ns = now_ns
+
+    def stopped_by_another(self, channel: str, now_ns: int) -> bool:
+        """Whether somebody else than `channel` stopped it in this very instant."""
+        return self.stopped_ns == now_ns and not self.stopped_by <= {channel}
 
 
 @dataclass(slots=True)
@@ -62,6 +74,11 @@ class Leg:
     @property
     def waits(self) -> bool:
         return any(servo.waiting for servo in self.servos)
+
+    @property
+    def waits_to_start(self) -> bool:
+        """Whether its next frame would energise a servo."""
+        return any(servo.will_run and not servo.running for servo in self.servos)
 
     @property
     def watched(self) -> bool:
@@ -97,6 +114,13 @@ def _whole_leg(leg: Leg) -> OneLeg:
         for servo in leg.servos
     )
     return OneLeg(leg.number, (first, second, third))
+
+
+def _stops(leg: Leg, servos: list[Servo], cause: Cause) -> list[Effect]:
+    """Stops for these servos of a leg, in one frame where they are all of it."""
+    if len(servos) == len(leg.servos):
+        return [Transmit(stop_leg(leg.number), cause)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause) for servo in servos]
 
 
 def _servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
@@ -155,28 +179,27 @@ class Legs:
             by_leg.setdefault(leg_of(servo_id), []).append((self.servos[servo_id], op))
         self._orders[command.order] = _Order(len(command.targets))
         effects: list[Effect] = []
+        moves: list[tuple[Leg, list[tuple[Servo, ServoOp]]]] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
             leg.heard_ns = now_ns
             if all(op.op is Op.STOP for _, op in targets):
-                effects += self._stop_on_command(leg, targets, command, now_ns)
+                effects += self._stop_on_command(leg, [servo for servo, _ in targets], command, now_ns)
             else:
-                effects += self._move(leg, targets, command, now_ns)
+                moves.append((leg, targets))
+        for leg, targets in moves:  # after all Stops: a Stop ends what waits to be energised, but not what came with it
+            effects += self._move(leg, targets, command, now_ns)
         return effects
 
-    def _stop_on_command(
-        self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int
-    ) -> list[Effect]:
-        """A command that only stops: its frame goes out now, whatever waits."""
-        servos = [servo for servo, _ in targets]
-        whole = len(servos) == len(leg.servos)
-        frame = stop_leg(leg.number) if whole else OneServo(servos[0].servo_id, STOP)
-        effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
+    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
+        """A command that only stops: its frames go out now, whatever waits."""
+        effects = _stops(leg, servos, Cause.COMMAND)
         for servo in servos:
             effects += self._replace(servo, None)
-            self._stopped(servo, now_ns, command.channel)
+            servo.note_stop(command.channel, now_ns)
+            self._stopped(servo, now_ns)
             effects += self._target_done(command.order)
-        leg.expired = leg.expired and not whole
+        leg.expired = leg.expired and len(servos) < len(leg.servos)
         return effects + self._empty_queue()
 
     def _move(self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int) -> list[Effect]:
@@ -187,37 +210,40 @@ class Legs:
             newest = merged(servo.waiting.op if servo.waiting else None, op)
             effects += self._replace(servo, Waiting(newest, command.order))
             if op.op is Op.STOP:
-                servo.stopped_at = (now_ns, command.channel)
+                servo.note_stop(command.channel, now_ns)
         effects += self._send(leg, now_ns, something_waited=something_waited)
         for servo, _ in targets:
             # The leg's turn has not come. Its moves wait; its Stops do not.
             if servo.waiting is not None and servo.waiting.op.op is Op.STOP:
                 servo.waiting = None
-                if servo.running:
+                # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
+                if servo.running or not servo.repeats_left:
                     effects.append(Transmit(OneServo(servo.servo_id, STOP), Cause.COMMAND))
-                    self._stopped(servo, now_ns, command.channel)
+                    self._stopped(servo, now_ns)
                 effects += self._target_done(command.order)
         return effects
 
     def _send(self, leg: Leg, now_ns: int, *, something_waited: bool) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
         waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
-        if not waiting or not leg.turn.is_open(now_ns, something_waits=something_waited):
-            return []
-        energises = any(servo.will_run and not servo.running for servo, _ in waiting)
-        if energises and not self._queue.admits(leg.number, now_ns):
-            return []
+        energises = leg.waits_to_start
         if energises:
-            self._queue.started(leg.number, now_ns)
+            self._queue.join(leg.number)
         else:
             self._queue.leave(leg.number)
+        if not waiting or not leg.turn.is_open(now_ns, something_waits=something_waited):
+            return []
+        if energises:
+            if not self._queue.admits(leg.number, now_ns):
+                return []
+            self._queue.started(leg.number, now_ns)
         leg.turn.take(now_ns)
         frame = OneServo(waiting[0][0].servo_id, waiting[0][1].op) if len(waiting) == 1 else _whole_leg(leg)
         effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
         for servo, target in waiting:
             servo.waiting = None
             if target.op.op is Op.STOP:
-                self._stopped(servo, now_ns, servo.stopped_at[1] if servo.stopped_at else "")
+                self._stopped(servo, now_ns)
             else:
                 servo.angle_cdeg = target.op.angle_cdeg
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
@@ -226,26 +252,29 @@ class Legs:
         return effects
 
     def stop(
-        self, leg: Leg, cause: Cause, now_ns: int, reason: Reason, detail: str, *, deadline_ns: int | None = None
+        self, deadlines_ns: Mapping[int, int | None], cause: Cause, now_ns: int, reason: Reason, detail: str
     ) -> list[Effect]:
-        """Stop a leg for the gateway's own reasons; what waited for it is refused with `reason`."""
-        transmit = Transmit(stop_leg(leg.number), cause, deadline_ns)
-        dropped = self.drop(leg.servos, reason, detail)
-        for servo in leg.servos:
-            self._stopped(servo, now_ns, str(cause))
-        leg.expired = False
-        return [transmit, *dropped, *self._empty_queue()]
+        """Stop legs for the gateway's own reasons; `deadlines_ns` names them, and since when a Stop was due.
 
-    def _stopped(self, servo: Servo, now_ns: int, channel: str) -> None:
+        What waited for them is refused with `reason`.
+        """
+        transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
+        servos = [servo for number in deadlines_ns for servo in self.by_number[number].servos]
+        for servo in servos:
+            servo.note_stop(cause, now_ns)
+            self._stopped(servo, now_ns)
+        for number in deadlines_ns:
+            self.by_number[number].expired = False
+        return [*transmits, *self.drop(servos, reason, detail), *self._empty_queue()]
+
+    def _stopped(self, servo: Servo, now_ns: int) -> None:
         servo.angle_cdeg = None
-        servo.stopped_at = (now_ns, channel)
         servo.repeats_left = self._rules.repeats
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
     def _empty_queue(self) -> list[Effect]:
         """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now."""
         waiting = [servo for number in self._queue.legs for servo in self.by_number[number].servos]
-        self._queue.legs.clear()
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before its turn to be started")
 
     # ---- commands under way
@@ -253,15 +282,13 @@ class Legs:
     def _replace(self, servo: Servo, newer: Waiting | None) -> list[Effect]:
         """A newer target for a servo: the command whose target waited until now will not see it sent."""
         older, servo.waiting = servo.waiting, newer
-        if older is None or older.order not in self._orders:
+        if older is None:
             return []
         self._orders[older.order].coalesced = True
         return self._target_done(older.order)
 
     def _target_done(self, number: int) -> list[Effect]:
-        order = self._orders.get(number)
-        if order is None:
-            return []  # it was refused meanwhile
+        order = self._orders[number]
         order.targets -= 1
         if order.targets:
             return []
@@ -269,14 +296,16 @@ class Legs:
         return [Settled(number, order.coalesced)]
 
     def drop(self, servos: Iterable[Servo], reason: Reason, detail: str) -> list[Effect]:
-        """Forget what waits for these servos, and refuse the commands that it came from."""
-        refused: dict[int, None] = {}
-        for servo in servos:
-            if servo.waiting is not None:
-                if self._orders.pop(servo.waiting.order, None) is not None:
-                    refused[servo.waiting.order] = None
+        """Forget what waits for these servos, and refuse the commands that it came from, as a whole."""
+        refused = dict.fromkeys(servo.waiting.order for servo in servos if servo.waiting is not None)
+        for servo in self.servos.values():  # what is refused here must not take effect on another leg
+            if servo.waiting is not None and servo.waiting.order in refused:
                 servo.waiting = None
-            self._queue.leave(leg_of(servo.servo_id))
+        for number in refused:
+            del self._orders[number]
+        for leg in self:
+            if not leg.waits_to_start:
+                self._queue.leave(leg.number)
         return [Refused(number, reason, detail) for number in refused]
 
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
@@ -284,6 +313,4 @@ class Legs:
         for servo in due:
             servo.repeats_left -= 1
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
-        if len(due) == len(leg.servos):
-            return [Transmit(stop_leg(leg.number), Cause.REPEAT)]
-        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT) for servo in due]
+        return _stops(leg, due, Cause.REPEAT)

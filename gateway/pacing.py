@@ -5,7 +5,7 @@ comes sooner waits, and only the newest target of each servo is kept. Missed tur
 burst:
 
 - late by less than a period (the publisher's jitter): the next turn stays on the grid, so that a stream at just the
-  limit's rate does not fall behind by its own worst jitter;
+  limit's rate does not fall behind by its own worst jitter, but it is never less than half a period after this frame;
 - late by more: the grid starts again at this frame.
 
 Stop frames know no turns and never pass through here.
@@ -55,7 +55,8 @@ class Turn:
     def take(self, now_ns: int) -> None:
         """A frame goes out now: skip what was missed and set the next turn."""
         on_grid = now_ns - self.next_ns < self.period_ns
-        self.next_ns = (self.next_ns if on_grid else now_ns) + self.period_ns
+        turn_ns = self.next_ns if on_grid else now_ns
+        self.next_ns = max(turn_ns + self.period_ns, now_ns + self.period_ns // 2)
 
 
 @dataclass(slots=True)
@@ -69,22 +70,22 @@ class StartQueue:
     next_ns: int = 0
     legs: list[int] = field(default_factory=list)
 
-    def admits(self, leg: int, now_ns: int) -> bool:
-        """Whether `leg` may be energised now; if not, it takes its place in the queue."""
-        if self.pause_ns == 0:
-            return True
-        if leg not in self.legs:
+    def join(self, leg: int) -> None:
+        """`leg` wants to be energised; a leg that waits already keeps its place."""
+        if self.pause_ns and leg not in self.legs:
             self.legs.append(leg)
-        return self.legs[0] == leg and now_ns >= self.next_ns
+
+    def admits(self, leg: int, now_ns: int) -> bool:
+        """Whether `leg`, which has joined, may be energised now."""
+        return self.pause_ns == 0 or (self.legs[0] == leg and now_ns >= self.next_ns)
 
     def started(self, leg: int, now_ns: int) -> None:
         """`leg` is being energised now."""
-        if self.pause_ns:
-            self.legs.remove(leg)
-            self.next_ns = now_ns + self.pause_ns
+        self.leave(leg)
+        self.next_ns = now_ns + self.pause_ns
 
     def leave(self, leg: int) -> None:
-        """`leg` waits no more."""
+        """`leg` waits no more to be energised."""
         if leg in self.legs:
             self.legs.remove(leg)
 

@@ -8,14 +8,16 @@ The rules, by number of the contract's *Behaviour*:
  1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
  2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is
     refused, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
- 3. Starts and Sets wait for their leg's turn (`pacing`), newest target per servo. A Stop waits for nothing.
+ 3. Starts and Sets wait for their leg's turn (`pacing`), newest target per servo. A Stop waits for nothing, and in what
+    one step wants sent, all Stops come first.
  4. A leg that runs, or waits to be started, and is named by no accepted command for the timeout, is stopped.
-    Deadlines come before the event of the same step: a command that was late does not save its leg.
+    Deadlines come before a command of the same step: a command that was late does not save its leg.
     Every Stop is repeated, until its servo is started again.
  5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else.
  6. After `BusFailed` nothing is sent and everything is refused until `BusOpened`; what waited is dropped.
     The latch of an emergency stop stays through it.
- 7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop.
+ 7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop. A bus that answers again
+    only then gets its Stops too.
 
 Within one instant (one `now_ns`), the order of what came by different channels is unknown. So a Stop wins over a Start
 or Set that came by another channel, and the emergency stop wins over a reset.
@@ -47,7 +49,8 @@ _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
 
 TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.STARTING: {
-        BusOpened: frozenset({Mode.IDLE}),
+        EmergencyStop: frozenset({Mode.STARTING}),
+        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
         TimePassed: frozenset({Mode.STARTING}),
         ShutDown: frozenset({Mode.STOPPING}),
@@ -86,7 +89,8 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         ShutDown: frozenset({Mode.STOPPING}),
     },
     Mode.STOPPING: {
-        event: frozenset({Mode.STOPPING}) for event in (Command, Reset, EmergencyStop, BusFailed, TimePassed, ShutDown)
+        event: frozenset({Mode.STOPPING})
+        for event in (Command, Reset, EmergencyStop, BusOpened, BusFailed, TimePassed, ShutDown)
     },
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
@@ -130,26 +134,33 @@ class Supervisor:
         mode = self.mode
         if type(event) not in TRANSITIONS[mode]:
             raise IllegalEvent(f"{type(event).__name__} while {mode}")
-        effects: list[Effect] = []
-        # A deadline that has passed comes first: a command that was late must not save its leg.
-        if self.due_ns is not None and now_ns >= self.due_ns:
-            effects += self._advance(now_ns)
+        match event:
+            case Command() | Reset() | TimePassed():
+                effects = self._in_time(event, now_ns)
+            # All else stops everything, or finds a bus that sends nothing: what was due has no meaning any more.
+            case EmergencyStop():
+                effects = self._emergency_stop(event, now_ns)
+            case BusOpened():
+                effects = self._bus_opened(now_ns)
+            case BusFailed():
+                effects = self._bus_failed(event)
+            case ShutDown():
+                effects = self._shut_down(now_ns)
+        self.due_ns = self.legs.due_ns() if self._bus_ok else None
+        return sorted(effects, key=_after_stops)
+
+    def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
+        """Take an event between the deadlines that it is too late for and the turns that it may still change."""
+        due = self.due_ns is not None and now_ns >= self.due_ns
+        effects = self._expire(now_ns) if due else []
         match event:
             case Command():
                 effects += self._command(event, now_ns)
-            case TimePassed():
-                pass
-            case EmergencyStop():
-                effects += self._emergency_stop(event, now_ns)
             case Reset():
                 effects += self._reset(event, now_ns)
-            case BusOpened():
-                effects += self._bus_opened(now_ns)
-            case BusFailed():
-                effects += self._bus_failed(event)
-            case ShutDown():
-                effects += self._shut_down(now_ns)
-        self.due_ns = self.legs.due_ns() if self._bus_ok else None
+        if due:
+            effects += self.legs.repeat_stops(now_ns)
+            effects += self.legs.take_turns(now_ns)
         return effects
 
     # ---- events
@@ -189,9 +200,10 @@ class Supervisor:
 
     def _stopped(self, servo_id: int, op: ServoOp, channel: str, now_ns: int) -> tuple[Reason, str] | None:
         servo = self.legs.servos[servo_id]
-        if servo.stopped_at is not None and servo.stopped_at[0] == now_ns and servo.stopped_at[1] != channel:
+        if servo.stopped_by_another(channel, now_ns):
             # Which of the two is older is not known, and an older Start must not overtake a Stop.
-            return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({servo.stopped_at[1]})"
+            by = ", ".join(sorted(servo.stopped_by))
+            return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
         if op.op is Op.SET and not servo.will_run:
             return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
@@ -203,7 +215,7 @@ class Supervisor:
         if first:
             detail = "emergency stop; all commands are refused until a reset"
             if not self._bus_ok:
-                detail += "; the SPI bus is at fault, and the Stop frames follow as soon as it answers"
+                detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
             effects.append(Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key))
         return effects
 
@@ -237,18 +249,11 @@ class Supervisor:
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
         self._ended = True
-        announcement = Announce(Kind.STOPPING, "the gateway ends; all servos are stopped")
+        stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
+        announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
         return [*self._stop_all(Cause.SHUTDOWN, now_ns, Reason.STOPPING, _STOPPING), announcement]
 
-    # ---- time
-
-    def _advance(self, now_ns: int) -> list[Effect]:
-        """What the clock asks for: Stops first, so that nothing can delay them, then the legs whose turn has come."""
-        if not self._bus_ok:
-            return []
-        effects = self._expire(now_ns)
-        effects += self.legs.repeat_stops(now_ns)
-        return effects + self.legs.take_turns(now_ns)
+    # ---- Stops for the gateway's own reasons
 
     def _expire(self, now_ns: int) -> list[Effect]:
         deadlines = {
@@ -261,28 +266,24 @@ class Supervisor:
             return []
         self.expirations += len(silent)
         timeout_ms = self._rules.timeout_ns / NS_PER_MS
-        effects: list[Effect] = []
-        for leg in self.legs if self._rules.whole_robot else [self.legs.by_number[number] for number in silent]:
-            expired = leg.number in silent or leg.watched
-            effects += self.legs.stop(
-                leg,
-                Cause.WATCHDOG,
-                now_ns,
-                Reason.STALE,
-                "the command waited for its turn longer than the watchdog allows",
-                deadline_ns=silent.get(leg.number, min(silent.values())),
-            )
-            leg.expired = expired
+        first = min(silent.values())
+        due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
+        expired = [leg for leg in self.legs if leg.number in due and leg.watched]
+        detail = "the command waited for its turn longer than the watchdog allows"
+        effects = self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
+        for leg in expired:
+            leg.expired = True
         whole = "; all six legs are stopped" if self._rules.whole_robot else "; it is stopped"
         for number in silent:
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, f"leg {number} was not heard for {timeout_ms:g} ms{whole}"))
         return effects
 
-    # ---- Stops for the gateway's own reasons
-
     def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
         if not self._bus_ok:
             return self.legs.drop(self.legs.servos.values(), reason, detail)
-        # All six frames before any answer: nothing stands between one Stop and the next.
-        effects = [effect for leg in self.legs for effect in self.legs.stop(leg, cause, now_ns, reason, detail)]
-        return sorted(effects, key=lambda effect: not isinstance(effect, Transmit))
+        return self.legs.stop({leg.number: None for leg in self.legs}, cause, now_ns, reason, detail)
+
+
+def _after_stops(effect: Effect) -> bool:
+    """Sorts Stops to the front: no frame that moves, and no answer to anyone, stands before one."""
+    return not (isinstance(effect, Transmit) and effect.frame.is_stop)
