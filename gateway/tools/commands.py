@@ -1,5 +1,6 @@
 """What the commands of the command line do, besides `run`'s service itself."""
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,9 @@ HOLD_PERIOD_S = 0.05
 
 _FRAME_HEADERS = frozenset(frame.to_bytes()[:2] for frame in (stop_leg(1), OneServo(11, STOP)))
 """FRAME LEN and FRAME TYPE of the two frames that there are."""
+
+_MAX_ECHO = 40
+"""Characters of what was typed that are repeated."""
 
 Connection = Callable[[], AbstractContextManager[Client]]
 
@@ -140,19 +144,35 @@ def reset(connect: Connection) -> int:
 
 def decode(hex_bytes: Sequence[str]) -> int:
     """Explain frames, one line each."""
-    text = "".join(hex_bytes).replace(" ", "").replace(",", "").replace("0x", "")
     try:
-        data = bytes.fromhex(text)
+        data = b"".join(map(_bytes, " ".join(hex_bytes).replace(",", " ").split()))
     except ValueError as error:
-        say(f"not hexadecimal: {error}")
+        say(str(error))
         return 1
     for frame in _frames(data):
         try:
             say(_explain(frame))
         except FrameError as error:
-            say(f"{frame.hex(' ')}: not legal: {error}")
+            say(f"{frame.hex(' ') or 'nothing'}: not legal: {error}")
             return 1
     return 0
+
+
+def _bytes(word: str) -> bytes:
+    """The bytes of `06`, `0x06`, `0x6` or `060220020000`. Raises ValueError, also for half a byte."""
+    if re.fullmatch(r"0x[0-9a-fA-F]", word):
+        word = f"0{word[2:]}"
+    digits = word.removeprefix("0x")
+    if not re.fullmatch(r"[0-9a-fA-F]+", digits):
+        raise ValueError(f"{_short(word)} is not hexadecimal")
+    if len(digits) % 2:
+        raise ValueError(f"{_short(word)} ends with half a byte; a byte has two digits, such as 06")
+    return bytes.fromhex(digits)
+
+
+def _short(word: str) -> str:
+    shown = ascii(word)
+    return shown if len(shown) <= _MAX_ECHO else shown[:_MAX_ECHO] + "…"
 
 
 def _frames(data: bytes) -> Iterator[bytes]:

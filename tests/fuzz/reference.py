@@ -1,0 +1,53 @@
+"""The published firmware's receiver once more, written another way: byte for byte, with all that was heard kept.
+
+`SimulatedController` is compared with it. The two share only the pulse widths, which have vectors of their own.
+"""
+
+from gateway.spi.simulator import pulse_us
+from schemas.robot import SERVO_IDS
+
+SECOND_NS = 1_000_000_000
+
+
+class ReferenceController:
+    """Which servos are energised, and at which pulse, after these transfers."""
+
+    def __init__(self, *, announced: bool) -> None:
+        self.announced = announced
+        self.energised: set[int] = set()
+        self.pulses: dict[int, int] = {}
+        self.executed = 0
+        self._heard: list[int] | None = None  # None: waiting for a length
+        self._wanted = 0
+        self._since_ns = 0
+
+    def transfer(self, data: bytes, now_ns: int) -> None:
+        if self._heard is not None and now_ns - self._since_ns >= SECOND_NS:
+            if self.announced:
+                self._execute(self._heard + [0] * (self._wanted - len(self._heard)))
+            self._heard = None
+        for byte in data:
+            if self._heard is not None:
+                self._heard.append(byte)
+            elif byte:
+                self._heard = [] if self.announced else [byte]
+                self._wanted, self._since_ns = byte, now_ns
+            if self._heard is not None and len(self._heard) == self._wanted:
+                self._execute(self._heard)
+                self._heard = None
+
+    def _execute(self, body: list[int]) -> None:
+        if (len(body), body[1:2]) not in ((6, [2]), (14, [1])):
+            return
+        self.executed += 1
+        for servo_id, op, whole, hundredths in (body[start : start + 4] for start in range(2, len(body), 4)):
+            index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) % 256
+            if index >= len(SERVO_IDS):
+                continue
+            driven = SERVO_IDS[index]
+            if op == 2:
+                self.energised.discard(driven)
+            if op == 1:
+                self.energised.add(driven)
+            if op in (1, 3):
+                self.pulses[driven] = pulse_us(whole, hundredths)

@@ -1,0 +1,84 @@
+"""One fuzzing run in a process of its own, and what came of it."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.fuzz.seeds import MAX_LEN, dictionary, seeds
+
+MAX_GROWTH_MB = 24.0
+"""Between a tenth of the runs and the end. libFuzzer keeps its corpus in memory: that of 4 million runs is some MB."""
+_DONE = re.compile(r"^#(?P<inputs>\d+)\s+DONE\s+cov: (?P<edges>\d+) ft: (?P<features>\d+) corp: (?P<corpus>\d+)", re.M)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a run came to. `finding` is the end of what the fuzzer said where something was found, else empty."""
+
+    target: str
+    inputs: int
+    seconds: float
+    edges: int
+    corpus: int
+    rss_mb: tuple[float, ...]
+    came_of: Mapping[str, int]
+    finding: str
+
+    @property
+    def growth_mb(self) -> float:
+        """Memory at the end, less that after a tenth of the runs."""
+        return self.rss_mb[-1] - self.rss_mb[0] if self.rss_mb else 0.0
+
+    def __str__(self) -> str:
+        if self.finding:
+            return f"{self.target}: FOUND after {self.seconds:.0f} s:\n{self.finding}"
+        return (
+            f"{self.target}: {self.inputs} inputs in {self.seconds:.0f} s, {self.edges} edges, {self.corpus} kept; "
+            f"memory {self.rss_mb[0]:.1f} MB after a tenth, {self.rss_mb[-1]:.1f} MB at the end; nothing found ("
+            + ", ".join(f"{what}: {count}" for what, count in sorted(self.came_of.items()))
+            + ")"
+        )
+
+
+def fuzz(target: str, runs: int, folder: Path, *, seed: int = 1) -> Report:
+    """Run `target` on `runs` inputs. `folder` takes the corpus (kept for the next run), and what is found."""
+    corpus = folder / f"corpus-{target}"
+    corpus.mkdir(parents=True, exist_ok=True)
+    for number, data in enumerate(seeds(target)):
+        (corpus / f"seed-{number:03}").write_bytes(data)
+    words = folder / "words.dict"
+    words.write_text(dictionary())
+    notes = folder / f"notes-{target}"
+    options = (
+        str(corpus),
+        f"-dict={words}",
+        f"-seed={seed}",
+        f"-max_len={MAX_LEN[target]}",
+        f"-artifact_prefix={folder / target}-",
+        "-rss_limit_mb=512",
+        "-timeout=5",  # seconds for one input, which takes microseconds
+    )
+    command = [sys.executable, "-m", "tests.fuzz.worker", target, str(runs), str(notes), *options]
+    begun_s = time.monotonic()
+    ran = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
+    )
+    seconds = time.monotonic() - begun_s
+    done = _DONE.search(ran.stdout)
+    numbers = {name: int(number) for name, number in done.groupdict().items()} if done else {}
+    noted = [json.loads(line) for line in notes.read_text().splitlines()] if notes.exists() else []
+    return Report(
+        target=target,
+        inputs=numbers.get("inputs", 0),
+        seconds=seconds,
+        edges=numbers.get("edges", 0),
+        corpus=numbers.get("corpus", 0),
+        rss_mb=tuple(note["rss_mb"] for note in noted),
+        came_of=noted[-1]["came_of"] if noted else {},
+        finding="" if ran.returncode == 0 and done else ran.stdout[-4000:],
+    )

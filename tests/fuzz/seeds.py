@@ -1,0 +1,59 @@
+"""What the fuzzer starts from: good and nearly good inputs, and the words that it may use."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from schemas import keys
+from schemas.command import MAX_PAYLOAD_BYTES
+from tests.fuzz.targets import KEYS, PAUSES_NS
+
+VECTORS: dict[str, list[dict[str, Any]]] = json.loads((Path(__file__).parents[1] / "data" / "frames.json").read_text())
+
+MOVE = {"op": "start", "angle_deg": 90.25}
+STOP = {"op": "stop"}
+LEG = {"servos": [MOVE, STOP, {"op": "set", "angle_deg": 180}]}
+SENDER = {"source": "fuzz", "sent_ms": 1234.5}
+PAYLOADS: tuple[tuple[str, object], ...] = (
+    (keys.servo_command(32), MOVE),
+    (keys.servo_command(11), STOP | SENDER),
+    (keys.leg_command(1), LEG | SENDER),
+    (keys.leg_command(6), {"servos": [MOVE] * 4}),
+    (keys.LEGS_COMMAND, {"legs": {str(leg): LEG for leg in range(1, 7)}} | SENDER),
+    (keys.LEGS_COMMAND, {"legs": {"7": LEG}}),
+    (keys.RESET, {}),
+    (keys.ESTOP, {"any": ["thing"]}),
+)
+WORDS = (
+    *('"op"', '"start"', '"set"', '"stop"', '"angle_deg"', '"servos"', '"legs"', '"source"', '"sent_ms"', '"1"', '"6"'),
+    *("{", "}", "[", "]", ":", ",", "null", "true", "NaN", "-Infinity", "1e999", "-0.0", "180", "180.01", "1e-400"),
+    *('"\\ud800"', '"\\u0000"', "\ufeff", '{"op":"stop"}', '{"op":"set","angle_deg":1}', "0x", "06 02", "0e01"),
+)
+MAX_LEN = {"intake": 2 + MAX_PAYLOAD_BYTES + 16, "decode": 96, "simulator": 600}
+"""Bytes of one input: past the largest payload; past any frame, in hexadecimal; some forty frames and pauses."""
+
+
+def seeds(target: str) -> list[bytes]:
+    """The inputs that the fuzzer of `target` starts from."""
+    if target == "intake":
+        index_of = {known: KEYS.index(parsed) for known, parsed in keys.COMMAND_KEYS.items()}
+        good = [bytes((index_of[key], 0)) + json.dumps(payload).encode() for key, payload in PAYLOADS]
+        return [*good, bytes((0, 0)) + b" " * MAX_PAYLOAD_BYTES, bytes((0, 3)), bytes((index_of[keys.RESET], 1))]
+    frames = [bytes.fromhex(vector["bytes"]) for vector in VECTORS["legal"] + VECTORS["illegal"]]
+    if target == "decode":
+        return [b"\0" + frame for frame in frames] + [b"\1" + frame.hex(" ").encode() for frame in frames]
+    apart = PAUSES_NS.index(1_000_000)
+    plain = [bytes((apart, len(frame))) + frame for frame in frames if frame]
+    announced = [bytes((apart, 1, len(frame), apart, len(frame))) + frame for frame in frames if frame]
+    return [
+        *(b"\0" + frame for frame in plain),
+        *(b"\1" + frame for frame in announced),
+        *(b"\0" + plain[0][:5] + bytes((pause, 0)) + plain[1] for pause in range(len(PAUSES_NS))),
+        b"\0" + b"".join(plain[:5]),
+        b"\1" + b"".join(announced[:5]),
+    ]
+
+
+def dictionary() -> str:
+    """The words, as libFuzzer reads them."""
+    return "".join('"' + "".join(f"\\x{byte:02x}" for byte in word.encode()) + '"\n' for word in WORDS)
