@@ -86,6 +86,7 @@ class Conductor:
         self._timer: asyncio.TimerHandle | None = None
         self._reopen_timer: asyncio.TimerHandle | None = None
         self._reopen_s = FIRST_REOPEN_S
+        self._in_fault = False
         self._told_mode = Mode.STARTING
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
@@ -214,6 +215,8 @@ class Conductor:
                     self._accept(effect)
                 case Refused():
                     self._refuse_order(effect.order, effect.reason, effect.detail)
+                case Announce(kind=Kind.BUS_RECOVERED) if fault is not None:
+                    pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
                     self._tell(effect.kind, effect.detail, effect.source, effect.key, None)
         if self._settings.telemetry.frames:
@@ -225,7 +228,11 @@ class Conductor:
 
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.close()
-        self._carry_out(self.supervisor.step(BusFailed(str(fault)), self._clock()))
+        effects = self.supervisor.step(BusFailed(str(fault)), self._clock())
+        if self._in_fault:
+            effects = [effect for effect in effects if not isinstance(effect, Announce)]
+        self._in_fault = True
+        self._carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_later()
 
@@ -244,6 +251,7 @@ class Conductor:
             return
         self._step(BusOpened(), self._clock())
         if self.supervisor.mode is not Mode.BUS_FAULT:
+            self._in_fault = False
             self._reopen_s = FIRST_REOPEN_S
             if self._reopen_timer is not None:
                 self._reopen_timer.cancel()

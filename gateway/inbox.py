@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import Any, Final
 
 import zenoh
@@ -72,14 +73,21 @@ class Received:
 
 
 class Waiter:
-    """A thread that waits for a ring's next item, hands it to the loop, and waits until the loop has dealt with it."""
+    """A thread that waits for a ring's next item, notes it, and waits until the loop has dealt with it.
+
+    `note` runs on the thread and says what is to be done on the loop.
+    """
 
     def __init__(
-        self, name: str, ring: Handler[Any], loop: asyncio.AbstractEventLoop, handle: Callable[[Any, int], None]
+        self,
+        name: str,
+        ring: Handler[Any],
+        loop: asyncio.AbstractEventLoop,
+        note: Callable[[Any, int], Callable[[], None]],
     ):
         self._ring = ring
         self._loop = loop
-        self._handle = handle
+        self._note = note
         self._done = threading.Event()
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
@@ -88,15 +96,16 @@ class Waiter:
         # The ring closes with the session, and the loop may close before it: both end the thread.
         with suppress(zenoh.ZError, RuntimeError):
             while True:
-                item = self._ring.recv()
+                # Nothing of the item is kept here: a query that is still referenced keeps its asker waiting.
+                deal = self._note(self._ring.recv(), time.monotonic_ns())
                 self._done.clear()
-                self._loop.call_soon_threadsafe(self._on_loop, item, time.monotonic_ns())
-                del item  # a query that is still referenced keeps its asker waiting
+                self._loop.call_soon_threadsafe(self._on_loop, deal)
+                del deal
                 self._done.wait()
 
-    def _on_loop(self, item: Any, received_ns: int) -> None:
+    def _on_loop(self, deal: Callable[[], None]) -> None:
         try:
-            self._handle(item, received_ns)
+            deal()
         finally:
             self._done.set()
 
@@ -129,26 +138,28 @@ class Inbox:
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
         )
-        waits: list[tuple[str, Handler[Any], Callable[[Any, int], None]]] = [
+        waits: list[tuple[str, Handler[Any], Callable[[Any, int], Callable[[], None]]]] = [
             ("estop-put", self._subscriber(session, ESTOP, 1), self._estop),
             ("estop-get", self._queryable(session, ESTOP, RING_DEPTH), self._estop),
-            ("doorbell-put", self._bells[0], self._bell),
-            ("doorbell-get", self._bells[1], self._bell),
+            ("doorbell-put", self._bells[0], lambda item, now_ns: partial(self._bell, item, now_ns)),
+            ("doorbell-get", self._bells[1], lambda item, now_ns: partial(self._bell, item, now_ns)),
             (
                 "state-get",
                 self._queryable(session, STATE, RING_DEPTH),
-                lambda query, _: on_state_query(_replier(query, STATE)),
+                lambda query, _: partial(on_state_query, _replier(query, STATE)),
             ),
         ]
-        self._waiters = [Waiter(name, ring, loop, handle) for name, ring, handle in waits]
+        self._waiters = [Waiter(name, ring, loop, note) for name, ring, note in waits]
 
     def take(self) -> Iterator[Received]:
         """What the rings hold, at most a ring's depth per key: `legs`, then `leg`, then `servo`, then resets.
 
-        The emergency stop is asked for before every message, so that nothing that waits comes before it.
+        The rings are read before the first message is dealt with: what is sent in answer to one of these messages is
+        newer than all of them, and belongs to a later instant. Only the emergency stop is asked for before every
+        message (its thread notes it by itself), so that nothing that waits comes before it.
         """
         taken: set[str] = set()
-        for received in self._take_commands():
+        for received in list(self._take_commands()):
             while self._estops:
                 yield self._estops.popleft()
             taken.add(received.key)
@@ -182,11 +193,13 @@ class Inbox:
         self._declared.append(queryable)
         return queryable.handler
 
-    # ---- on the loop
+    # ---- on the waiting threads
 
-    def _estop(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
+    def _estop(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> Callable[[], None]:
         self._estops.append(_received(item, ESTOP, received_ns))
-        self._on_ring()
+        return self._on_ring
+
+    # ---- on the loop
 
     def _bell(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
         # Empty the bells before the rings are read: a message that comes in between then rings again.

@@ -1,0 +1,65 @@
+"""What a client hears from a gateway: kept in order, and waited for."""
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel
+
+from gateway.client import Client
+from schemas import keys
+from schemas.telemetry import Event, FrameRecord, GatewayState
+
+R = TypeVar("R", bound=BaseModel)
+
+
+class Heard(Generic[R]):
+    """All reports of one kind since it was made."""
+
+    def __init__(self, client: Client, key: str, report: type[R]) -> None:
+        self._changed = threading.Condition()
+        self._reports: list[R] = []
+        self._subscriber: Any = client.session.declare_subscriber(
+            key, lambda sample: self._take(report.model_validate_json(sample.payload.to_bytes()))
+        )
+        client.state()  # the gateway has answered, so it knows of the subscription, which was declared before
+
+    def _take(self, report: R) -> None:
+        with self._changed:
+            self._reports.append(report)
+            self._changed.notify_all()
+
+    @property
+    def all(self) -> list[R]:
+        with self._changed:
+            return list(self._reports)
+
+    def each(self, *, timeout_s: float = 10) -> Iterator[R]:
+        """One report after the other as they come. Raises TimeoutError when none comes for `timeout_s`."""
+        for count in itertools.count(1):
+            yield self.wait(lambda _: True, count=count, timeout_s=timeout_s)
+
+    def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 10) -> R:
+        """Wait until `condition` holds for `count` reports; the last of these."""
+        deadline = time.monotonic() + timeout_s
+        with self._changed:
+            while True:
+                found = [report for report in self._reports if condition(report)]
+                if len(found) >= count:
+                    return found[count - 1]
+                if not self._changed.wait(deadline - time.monotonic()):
+                    raise TimeoutError(f"heard only {self._reports[-20:]}")
+
+
+def events(client: Client) -> Heard[Event]:
+    return Heard(client, keys.EVENT, Event)
+
+
+def frames(client: Client) -> Heard[FrameRecord]:
+    return Heard(client, keys.FRAME, FrameRecord)
+
+
+def states(client: Client) -> Heard[GatewayState]:
+    return Heard(client, keys.STATE, GatewayState)
