@@ -84,5 +84,5 @@ _MAX_ECHO: Final = 60
 
 def _short(text: str) -> str:
     """The sender's own text on one line, and not much of it."""
-    quoted = text if text.isprintable() else json.dumps(text)
+    quoted = text if text and text.isprintable() else json.dumps(text)
     return quoted if len(quoted) <= _MAX_ECHO else quoted[:_MAX_ECHO] + "…"

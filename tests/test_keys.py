@@ -1,0 +1,99 @@
+"""The keys are the contract's, and what is none of them is answered in one short line."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas import keys
+from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, parse, servo_command
+from schemas.robot import LEGS, SERVO_IDS
+
+CONTRACT = {
+    "hexapod/legs/cmd": (Target.LEGS, 0),
+    **{f"hexapod/leg/{leg}/cmd": (Target.LEG, leg) for leg in (1, 2, 3, 4, 5, 6)},
+    **{
+        f"hexapod/servo/{servo_id}/cmd": (Target.SERVO, servo_id)
+        for servo_id in (11, 12, 13, 21, 22, 23, 31, 32, 33, 41, 42, 43, 51, 52, 53, 61, 62, 63)
+    },
+    "hexapod/estop/cmd": (Target.ESTOP, 0),
+    "hexapod/reset/cmd": (Target.RESET, 0),
+}
+
+
+def test_the_command_keys() -> None:
+    assert {key: tuple(parsed) for key, parsed in COMMAND_KEYS.items()} == CONTRACT
+
+
+def test_commands_of_one_instant_apply_in_this_order() -> None:
+    targets = [parsed.target for parsed in COMMAND_KEYS.values()]
+    assert targets == [Target.LEGS, *[Target.LEG] * 6, *[Target.SERVO] * 18, Target.ESTOP, Target.RESET]
+
+
+def test_the_keys_that_go_out() -> None:
+    assert (keys.STATE, keys.EVENT, keys.FRAME, keys.ALIVE) == (
+        "hexapod/state", "hexapod/event", "hexapod/frame", "hexapod/alive"
+    )  # fmt: skip
+    assert keys.ALL_COMMANDS == "hexapod/**/cmd"
+
+
+def test_what_is_built_is_parsed() -> None:
+    for leg in LEGS:
+        assert parse(leg_command(leg)) == CommandKey(Target.LEG, leg)
+    for servo_id in SERVO_IDS:
+        assert parse(servo_command(servo_id)) == CommandKey(Target.SERVO, servo_id)
+
+
+@pytest.mark.parametrize("leg", [-1, 0, 7, 11])
+def test_no_key_for_a_leg_that_is_none(leg: int) -> None:
+    with pytest.raises(ValueError, match=f"^leg {leg} does not exist; legs are 1 to 6$"):
+        leg_command(leg)
+
+
+@pytest.mark.parametrize("servo_id", [-11, 0, 1, 10, 14, 20, 64, 71, 111])
+def test_no_key_for_a_servo_that_is_none(servo_id: int) -> None:
+    with pytest.raises(ValueError, match=f"^servo {servo_id} does not exist; an id is the leg"):
+        servo_command(servo_id)
+
+
+NO_LEG = "does not exist; legs are 1 to 6"
+NO_SERVO = "does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+NO_KEY = "is no command key; they are leg/1..6, servo/11..63, legs, estop and reset"
+
+
+@pytest.mark.parametrize(
+    ("key", "sentence"),
+    [
+        ("hexapod/leg/0/cmd", f"leg 0 {NO_LEG}"),
+        ("hexapod/leg/7/cmd", f"leg 7 {NO_LEG}"),
+        ("hexapod/leg/01/cmd", f"leg 01 {NO_LEG}"),
+        ("hexapod/leg/one/cmd", f"leg one {NO_LEG}"),
+        ("hexapod/servo/14/cmd", f"servo 14 {NO_SERVO}"),
+        ("hexapod/servo/3/cmd", f"servo 3 {NO_SERVO}"),
+        ("hexapod/legs", f"hexapod/legs {NO_KEY}"),
+        ("hexapod/leg/cmd", f"hexapod/leg/cmd {NO_KEY}"),
+        ("hexapod/leg/1/2/cmd", f"hexapod/leg/1/2/cmd {NO_KEY}"),
+        ("hexapod/state", f"hexapod/state {NO_KEY}"),
+        ("", f'"" {NO_KEY}'),
+        ("hexapod/leg/a\nb/cmd", rf'leg "a\nb" {NO_LEG}'),
+        (f"hexapod/servo/{'9' * 999}/cmd", f"servo {'9' * 60}… {NO_SERVO}"),
+        ("hexapod/\x1b[2J/cmd", rf'"hexapod/\u001b[2J/cmd" {NO_KEY}'),
+    ],
+)
+def test_what_is_no_command_key(key: str, sentence: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
+        parse(key)
+
+
+@given(st.one_of(st.text(), st.text().map(lambda text: f"hexapod/leg/{text}/cmd"), st.text(min_size=500)))
+def test_any_text_is_a_key_or_answered_in_one_short_line(text: str) -> None:
+    try:
+        parsed = parse(text)
+    except ValueError as error:
+        sentence = str(error)
+    else:
+        assert COMMAND_KEYS[text] == parsed
+        return
+    assert sentence.isprintable()
+    assert len(sentence) < 160

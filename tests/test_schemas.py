@@ -1,0 +1,292 @@
+"""The JSON Schemas say what the models say, the files are what the models make, and a laptop needs only pydantic."""
+
+import json
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+import schemas
+from schemas import telemetry
+from schemas.__main__ import documents
+from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.keys import CommandKey, Target
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
+from tests.bad_commands import FAULTS
+from tests.commands import as_json, leg_commands, legs_commands, servo_commands
+
+SCHEMAS = {name.removesuffix(".json"): json.loads(text) for name, text in documents().items()}
+VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
+COMMANDS: dict[str, TypeAdapter[Any]] = {
+    "ServoCommand": SERVO_COMMAND,
+    "LegCommand": TypeAdapter(LegCommand),
+    "LegsCommand": TypeAdapter(LegsCommand),
+    "ResetCommand": TypeAdapter(ResetCommand),
+}
+NAMES = {
+    Target.SERVO: "ServoCommand",
+    Target.LEG: "LegCommand",
+    Target.LEGS: "LegsCommand",
+    Target.RESET: "ResetCommand",
+}
+NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+json_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(-300, 300), st.floats(allow_nan=False, allow_infinity=False),
+              st.sampled_from(["start", "set", "stop", "", "x" * 65])),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.sampled_from(["op", "angle_deg", "servos", "legs", "1", "7", "source", "sent_ms"]), inner),
+    ),
+    max_leaves=8,
+)  # fmt: skip
+examples = st.one_of(servo_commands, leg_commands, legs_commands, json_values)
+
+
+def model_takes(name: str, payload: bytes) -> bool:
+    try:
+        COMMANDS[name].validate_json(payload)
+    except ValidationError:
+        return False
+    return True
+
+
+# ---- commands
+
+
+@given(examples, st.sampled_from(sorted(COMMANDS)))
+def test_schema_and_model_accept_the_same(value: object, name: str) -> None:
+    assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value))
+
+
+@given(st.data(), st.sampled_from([("ServoCommand", servo_commands), ("LegCommand", leg_commands),
+                                   ("LegsCommand", legs_commands)]))  # fmt: skip
+def test_schema_and_model_accept_the_same_where_one_value_is_replaced(
+    data: st.DataObject, named: tuple[str, st.SearchStrategy[dict[str, Any]]]
+) -> None:
+    name, legal = named
+    value = json.loads(json.dumps(data.draw(legal)))
+    assert VALIDATORS[name].is_valid(value)
+    inner: Any = value
+    while isinstance(inner, dict | list) and inner:
+        place: Any = data.draw(st.sampled_from(sorted(inner) if isinstance(inner, dict) else range(len(inner))))
+        if not isinstance(inner[place], dict | list) or data.draw(st.booleans()):
+            inner[place] = data.draw(json_values)
+            break
+        inner = inner[place]
+    assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value))
+
+
+def as_any_reader_sees_it(payload: object) -> object:
+    """A fault's payload as parsed JSON; None where only the text is at fault, which no schema can see."""
+    text = payload if isinstance(payload, str) else json.dumps(payload)
+    if any(word in text for word in ("NaN", "Infinity")):
+        return None
+    return json.loads(text)
+
+
+@pytest.mark.parametrize(("key", "payload", "detail"), FAULTS, ids=lambda value: repr(value)[:50])
+def test_what_the_intake_refuses_no_schema_accepts(key: CommandKey, payload: object, detail: str) -> None:
+    if "given twice" in detail:
+        return  # parsed, one of the two is left
+    value = as_any_reader_sees_it(payload)
+    if value is not None:
+        assert not VALIDATORS[NAMES[key.target]].is_valid(value)
+
+
+def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
+    """In the widest way that is usual: indented, and every character of the source an escape."""
+    leg = {"servos": [{"op": "start", "angle_deg": 179.99}] * 3}
+    full = {"legs": {str(number): leg for number in LEGS}, "source": "😀" * 64, "sent_ms": 2.0**53}
+    text = json.dumps(full, indent=2)
+    assert model_takes("LegsCommand", text.encode())
+    assert len(text) < MAX_PAYLOAD_BYTES
+
+
+# ---- what goes out
+
+
+def state() -> GatewayState:
+    return GatewayState(
+        mode=Mode.ACTIVE,
+        time=NOW,
+        uptime_s=1.5,
+        version="1",
+        protocol="1.0.0",
+        simulated=True,
+        legs=tuple(
+            telemetry.LegReport(
+                leg=leg,
+                watchdog=telemetry.WatchdogState.IDLE,
+                age_ms=None,
+                servos=tuple(  # type: ignore[arg-type]
+                    telemetry.ServoReport(id=servo_id, running=False, angle_deg=None)
+                    for servo_id in SERVO_IDS
+                    if servo_id // 10 == leg
+                ),
+            )
+            for leg in LEGS
+        ),
+        commands=telemetry.CommandCounts(accepted=1, rejected=2, coalesced=0),
+        spi=telemetry.SpiReport(device="x", framing="plain", frames=7, errors=0),
+        watchdog=telemetry.WatchdogReport(
+            timeout_ms=250, expirations=0, stop_latency_us=telemetry.StopLatency(p50=None, p99=1.5, max=2)
+        ),
+    )
+
+
+reasons = st.sampled_from(Reason)
+texts = st.text(st.characters(exclude_categories=["Cs"]))
+floats = st.floats(0, 1e9)
+reports: st.SearchStrategy[BaseModel] = st.one_of(
+    st.builds(Ack, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
+              coalesced=st.none() | st.just(True), stop_frames=st.none() | st.integers(0),
+              latency_us=st.none() | floats),
+    st.builds(Event, time=st.just(NOW), kind=st.sampled_from(Kind), source=st.none() | texts, key=st.none() | texts,
+              reason=st.none() | reasons, detail=texts),
+    st.builds(FrameRecord, time=st.just(NOW), monotonic_ns=st.integers(0), bytes=st.binary().map(bytes.hex),
+              cause=st.sampled_from(Cause)),
+    st.just(state()),
+)  # fmt: skip
+
+
+@given(reports)
+def test_every_report_fits_its_schema_and_comes_back_the_same(report: BaseModel) -> None:
+    text = report.model_dump_json()
+    VALIDATORS[type(report).__name__].validate(json.loads(text))
+    assert type(report).model_validate_json(text) == report
+
+
+def test_an_ack_leaves_out_what_it_does_not_say() -> None:
+    assert json.loads(Ack(accepted=True).model_dump_json()) == {"accepted": True}
+    refused = Ack(accepted=False, reason=Reason.STALE, detail="late")
+    assert json.loads(refused.model_dump_json()) == {"accepted": False, "reason": "stale", "detail": "late"}
+    stopped = Ack(accepted=True, stop_frames=6, latency_us=0.0)
+    assert json.loads(stopped.model_dump_json()) == {"accepted": True, "stop_frames": 6, "latency_us": 0.0}
+
+
+def test_an_event_has_all_its_fields_and_an_rfc_3339_time() -> None:
+    event = Event(time=NOW, kind=Kind.STARTED, source=None, key=None, reason=None, detail="here")
+    assert json.loads(event.model_dump_json()) == {
+        "time": "2026-01-02T03:04:05Z", "kind": "started", "source": None, "key": None, "reason": None, "detail": "here"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "fields"), [
+    ("GatewayState", "mode time uptime_s version protocol simulated legs commands spi watchdog"),
+    ("Event", "time kind source key reason detail"),
+    ("FrameRecord", "time monotonic_ns bytes cause"),
+])  # fmt: skip
+def test_every_field_of_a_report_is_required_and_no_other_allowed(name: str, fields: str) -> None:
+    assert sorted(SCHEMAS[name]["required"]) == sorted(fields.split())
+    assert sorted(SCHEMAS[name]["properties"]) == sorted(fields.split())
+
+
+@pytest.mark.parametrize(("enumeration", "words"), [
+    (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping"),
+    (Mode, "starting idle active estopped bus_fault stopping"),
+    (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping"),
+    (Cause, "command watchdog estop startup shutdown repeat"),
+])  # fmt: skip
+def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:
+    assert [str(word) for word in enumeration] == words.split()
+
+
+def every_object(schema: object) -> list[dict[str, Any]]:
+    if isinstance(schema, list):
+        return [found for inner in schema for found in every_object(inner)]
+    if not isinstance(schema, dict):
+        return []
+    here = [schema] if schema.get("type") == "object" else []
+    return here + [found for inner in schema.values() for found in every_object(inner)]
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_object_is_closed(name: str) -> None:
+    Draft202012Validator.check_schema(SCHEMAS[name])
+    found = every_object(SCHEMAS[name])
+    assert found
+    for schema in found:
+        assert schema.get("additionalProperties") is False or "propertyNames" in schema
+
+
+# ---- the files, and what it takes to use them
+
+
+def test_the_files_are_what_the_models_make() -> None:
+    ran = subprocess.run([sys.executable, "-m", "schemas", "--check"], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """The package, where it may be changed."""
+    shutil.copytree(Path(schemas.__file__).parent, tmp_path / "schemas")
+    return tmp_path
+
+
+def check(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    # `-m` finds what stands in the working directory before what is installed.
+    command = [sys.executable, "-m", "schemas", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_check_notices_a_changed_model_and_writing_mends_it(copied: Path) -> None:
+    command = copied / "schemas" / "command.py"
+    command.write_text(command.read_text().replace("le=180.0", "le=181.0"))
+    ran = check(copied, "--check")
+    assert ran.returncode == 1
+    assert ran.stderr.splitlines() == [
+        f"schemas/json/{name}.json is out of date; run `python -m schemas`"
+        for name in ("LegCommand", "LegsCommand", "ServoCommand")
+    ]
+    assert check(copied).returncode == 0
+    assert check(copied, "--check").returncode == 0
+    assert (
+        json.loads((copied / "schemas/json/LegCommand.json").read_text())["$defs"]["Move"]["properties"]["angle_deg"][
+            "maximum"
+        ]
+        == 181
+    )
+
+
+def test_check_notices_a_changed_a_missing_and_a_foreign_file(copied: Path) -> None:
+    folder = copied / "schemas" / "json"
+    (folder / "Ack.json").unlink()
+    (folder / "Other.json").write_text("{}")
+    (folder / "Event.json").write_text((folder / "Event.json").read_text() + "\n")
+    ran = check(copied, "--check")
+    assert ran.returncode == 1
+    assert [line.split()[0] for line in ran.stderr.splitlines()] == [
+        "schemas/json/Ack.json", "schemas/json/Event.json", "schemas/json/Other.json"
+    ]  # fmt: skip
+    check(copied)
+    assert {path.name for path in folder.iterdir()} == documents().keys()
+    assert check(copied, "--check").returncode == 0
+
+
+def test_schemas_import_nothing_but_pydantic_and_the_standard_library() -> None:
+    """A laptop that only publishes needs no SPI package and no compiler, and not Zenoh either to make a payload."""
+    code = (
+        "import sys, importlib, pkgutil\n"
+        "import pydantic\n"
+        "before = set(sys.modules)\n"
+        "import schemas\n"
+        "for module in pkgutil.iter_modules(schemas.__path__, 'schemas.'):\n"
+        "    importlib.import_module(module.name)\n"
+        "roots = {name.partition('.')[0] for name in set(sys.modules) - before}\n"
+        "print(*sorted(roots - sys.stdlib_module_names))\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    # The standard library's own configuration is named after the machine. The last four are parts of pydantic.
+    imported = {name for name in ran.stdout.split() if not name.startswith("_sysconfigdata_")}
+    assert imported <= {"schemas", "pydantic", "pydantic_core", "annotated_types", "typing_inspection"}
