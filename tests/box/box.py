@@ -88,8 +88,9 @@ class Box:
             self._system.close()
 
     def command(self, *command: str) -> list[str]:
-        """The command line that runs `command` inside, from outside."""
-        return ["nsenter", f"--target={self._pid}", "--all", "--root", "--wd", *command]
+        """The command line that runs `command` inside, from outside; killed, it takes `command` with it."""
+        enter = ["nsenter", f"--target={self._pid}", "--all", "--root", "--wd", "--"]
+        return [*enter, "setpriv", "--pdeathsig=KILL", "--", *command]
 
     def run(
         self, *command: str, env: Mapping[str, str] | None = None, check: bool = True, timeout_s: float = 30

@@ -112,6 +112,6 @@ class Robot:
     def wait_for_stops(self, since: int, timeout_s: float = 10) -> int:
         """Wait until each of the six legs got a Stop at transfer `since` or later; the number of transfers so far."""
         transfers = self.bed.wait_for(
-            lambda seen: STOPS <= {transfer.data for transfer in seen[since:] if transfer.delivered}, timeout_s
+            lambda seen: {transfer.data for transfer in seen[since:] if transfer.delivered} >= STOPS, timeout_s
         )
         return len(transfers)

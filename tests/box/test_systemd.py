@@ -1,13 +1,15 @@
 """The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
 import subprocess
-from pathlib import Path
+import sys
+import time
 
 import pytest
 
-from gateway.protocol.frames import Op, OneLeg, decode
-from tests.box.robot import DROP_IN, NAME, REPOSITORY, STOPS, Robot
+from gateway.protocol.frames import Op, decode
+from tests.box.robot import NAME, REPOSITORY, STOPS, Robot
 from tests.child import Child
+from tests.hil.bed import Transfer
 
 pytestmark = pytest.mark.systemd
 
@@ -15,14 +17,26 @@ UNIT = REPOSITORY / "deploy/systemd/hexapod-gateway.service"
 MOVE_LEG_3 = ("send", "leg", "3", "start", "90", "45", "120")
 
 
-def has_started(data: bytes) -> bool:
+def has_started(transfer: Transfer) -> bool:
     """Whether the frame energises a servo."""
-    return any(command.op is Op.START for _, command in decode(data).servos)
+    return any(command.op is Op.START for _, command in decode(transfer.data).servos)
 
 
-def wait_for_start(robot: Robot, since: int) -> None:
-    """Wait for a frame that energises a servo."""
-    robot.bed.wait_for(lambda seen: any(has_started(transfer.data) for transfer in seen[since:]))
+def start_moving(robot: Robot) -> tuple[Child, int]:
+    """Hold leg 3 in motion; the client that does, and the number of the service's opening of the device."""
+    before = len(robot.bed.transfers)
+    client = Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "60"), {"PATH": "/usr/local/bin:/usr/bin"})
+    moving = robot.bed.wait_for(lambda seen: any(has_started(transfer) for transfer in seen[before:]))
+    return client, moving[-1].opening
+
+
+def stopped_by(robot: Robot, opening: int, timeout_s: float = 10) -> list[Transfer]:
+    """Wait until each leg got its Stop in that opening of the device; what was written in it."""
+
+    def written(seen: list[Transfer]) -> list[Transfer]:
+        return [transfer for transfer in seen if transfer.opening == opening]
+
+    return written(robot.bed.wait_for(lambda seen: {t.data for t in written(seen) if t.delivered} >= STOPS, timeout_s))
 
 
 def test_exposure() -> None:
@@ -33,18 +47,137 @@ def test_exposure() -> None:
 
 
 def test_start_command_stop(robot: Robot) -> None:
-    """`systemctl start` returns once commands are taken; a command moves; `systemctl stop` ends in Stops, twice over."""
+    """`systemctl start` returns once commands are taken; a command moves; `systemctl stop` ends in Stops, two times."""
     before = len(robot.bed.transfers)
     robot.unit.systemctl("start")
     assert {transfer.data for transfer in robot.bed.transfers[before:]} == STOPS
     assert robot.unit.properties("ActiveState", "SubState", "NRestarts") == ["active", "running", "0"]
 
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
-    moved = len(robot.bed.transfers)
+    moved = robot.bed.transfers
+    assert any(has_started(transfer) for transfer in moved[before:])
     robot.unit.systemctl("stop")
-    openings = [transfer.opening for transfer in robot.bed.transfers[moved:]]
-    after = [transfer for transfer in robot.bed.transfers[moved:] if transfer.opening == max(openings)]
-    assert {transfer.data for transfer in after} == STOPS, "stop-servos ran, with an opening of its own"
-    own = {transfer.data for transfer in robot.bed.transfers[moved:] if transfer.opening != max(openings)}
-    assert own == STOPS, "the service itself stopped all legs first"
+    end = robot.bed.transfers[len(moved) :]
+    opening = moved[-1].opening
+    assert {transfer.data for transfer in end if transfer.opening == opening} == STOPS, "the service's own"
+    assert {transfer.data for transfer in end if transfer.opening == opening + 1} == STOPS, "stop-servos'"
     assert robot.unit.properties("ActiveState", "Result", "ExecMainStatus") == ["inactive", "success", "0"]
+
+
+def test_sandbox(robot: Robot) -> None:
+    """The running service: a user of its own, no privileges, a read-only system, no device but SPI."""
+    cursor = robot.cursor()
+    open_kmsg = ("/bin/sh", "-c", ": </dev/kmsg")
+    robot.box.run(*open_kmsg)  # root may; root in the service's cgroup may not
+    robot.drop_in("look", "ExecStartPre=+/bin/sh -c '/bin/sh -c \": </dev/kmsg\" 2>/run/kmsg; true'")
+    robot.unit.systemctl("start")
+    assert "Operation not permitted" in robot.box.read("/run/kmsg")
+
+    pid = robot.unit.property("MainPID")
+    status = dict(line.split(":\t", 1) for line in robot.box.read(f"/proc/{pid}/status").splitlines() if ":\t" in line)
+    user = robot.box.run("id", "--user", NAME).stdout.strip()
+    assert status["Uid"].split() == [user] * 4
+    assert (status["NoNewPrivs"], status["CapBnd"], status["Seccomp"]) == ("1", "0" * 16, "2")
+    assert str(512 * 2**20) in robot.box.run("grep", "Max data size", f"/proc/{pid}/limits").stdout
+
+    inside = ("nsenter", f"--target={pid}", "--mount", "--")
+    assert "Read-only file system" in robot.box.run(*inside, "touch", "/opt/x", check=False).stderr
+    assert robot.box.run(*inside, "ls", "/root").stdout == ""
+
+    policy = robot.box.run("chrt", "--pid", pid).stdout
+    assert ("SCHED_FIFO" in policy) != ("no real-time priority" in robot.journal_since(cursor)), policy
+
+
+def test_real_time_priority() -> None:
+    """The unit's own line, as root outside the box: where this kernel grants it, for the main thread and no other."""
+    line = next(line for line in UNIT.read_text().splitlines() if line.startswith("ExecStart="))
+    script = line.partition("'")[2].partition("exec ")[0].replace("$$", "$")
+    program = (
+        "import os, threading\n"
+        "print(os.sched_getscheduler(0) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, flush=True)\n"
+        "threading.Thread(target=lambda: print(os.sched_getscheduler(0) == os.SCHED_OTHER)).start()\n"
+    )
+    command = ["/bin/sh", "-c", f'{script} exec "$0" -c "$1"', sys.executable, program]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    granted = subprocess.run(["chrt", "--fifo", "20", "true"], capture_output=True, check=False).returncode == 0
+    refusal = ["no real-time priority on this kernel; going on without", "False"]
+    assert said == [*(["True"] if granted else refusal), "True"]
+
+
+def test_killed(robot: Robot) -> None:
+    """SIGKILL with a leg in motion: Stops from outside, then a new start, which moves nothing."""
+    robot.unit.systemctl("start")
+    client, opening = start_moving(robot)
+    with robot.journal() as journal:
+        killed_ns = time.monotonic_ns()
+        robot.unit.systemctl("kill", "--signal=SIGKILL")
+        client.close()
+        stops = stopped_by(robot, opening + 1)
+        print(f"first Stop {(stops[0].monotonic_ns - killed_ns) / 1e6:.0f} ms after SIGKILL")
+        journal.wait_for_output("status=9/KILL")
+        journal.wait_for_output("Stop written to all six legs, 4 times each")
+        journal.wait_for_output("Started ")
+    assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
+    restarted = [transfer for transfer in robot.bed.transfers if transfer.opening > opening]
+    assert {transfer.opening for transfer in restarted} == {opening + 1, opening + 2}
+    assert {transfer.data for transfer in restarted} == STOPS
+
+
+def test_hanging(robot: Robot) -> None:
+    """A transfer that never returns: killed by the watchdog with its stack in the journal, Stops, and a new start."""
+    robot.unit.systemctl("start")
+    opening = robot.bed.transfers[-1].opening
+    with robot.journal() as journal:
+        robot.bed.block()
+        hung_ns = time.monotonic_ns()
+        assert "accepted" not in robot.gateway(*MOVE_LEG_3, "--timeout", "0.1", check=False)
+        journal.wait_for_output("Watchdog timeout")
+        robot.bed.release()
+        stops = stopped_by(robot, opening + 1)
+        print(f"first Stop {(stops[0].monotonic_ns - hung_ns) / 1e6:.0f} ms after the hang")
+        journal.wait_for_output("Fatal Python error: Aborted")
+        journal.wait_for_output("in transfer")  # where it hung
+        journal.wait_for_output("status=6/ABRT")
+        journal.wait_for_output("Started ")
+    assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
+    assert {transfer.data for transfer in robot.bed.transfers if transfer.opening > opening} == STOPS
+
+
+def test_broken_configuration(robot: Robot) -> None:
+    """Broken while the service runs: its end is still cleaned up with what it ran with; exit code 2, no second try."""
+    robot.configure("[watchdog]\nrepeats = 1\n")
+    robot.unit.systemctl("start")
+    opening = robot.bed.transfers[-1].opening
+    with robot.journal() as journal:
+        robot.configure("[watchdog]\nrepeat = 1\n")
+        robot.unit.systemctl("kill", "--signal=SIGKILL")
+        stopped_by(robot, opening + 1)
+        journal.wait_for_output("Stop written to all six legs, 2 times each")
+        journal.wait_for_output("watchdog.repeat: is no setting")
+        journal.wait_for_output("Failed to start")
+        restarts = journal.stdout.count("Scheduled restart job")
+    assert restarts == 1, "the one after SIGKILL"
+    assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "2"]
+
+
+def test_no_device(robot: Robot) -> None:
+    """Exit code 3: tried again within the limits, then given up."""
+    robot.drop_in("sooner", "RestartSec=20ms")
+    robot.configure('[spi]\ndevice = "/dev/spidev9.9"\n')
+    with robot.journal() as journal:
+        robot.unit.systemctl("start", check=False)
+        journal.wait_for_output("Start request repeated too quickly", timeout_s=60)
+        assert journal.stdout.count("Main process exited, code=exited, status=3") == 10
+    assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "3"]
+
+
+def test_device_that_comes_late(robot: Robot) -> None:
+    """Not there at the first start, there at a later one."""
+    robot.bed.remove_node()
+    with robot.journal() as journal:
+        robot.unit.systemctl("start", check=False)
+        journal.wait_for_output("status=3")
+        robot.bed.restore_node()
+        robot.allow_device()
+        journal.wait_for_output("Started ")
+    assert "accepted" in robot.gateway(*MOVE_LEG_3)
