@@ -37,6 +37,12 @@ class Manager:
         """The service ends."""
         self._tell("STOPPING=1")
 
+    def close(self) -> None:
+        """Nothing more is told."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
     def _tell(self, text: str) -> None:
         if self._socket is None:
             return

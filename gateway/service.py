@@ -119,6 +119,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         await _within(deadline - loop.time(), end.exit_code, inbox.close, session.close)
     finally:
         conductor.close()
+        manager.close()
     if end.failure is not None:
         raise GatewayError(end.failure)
 

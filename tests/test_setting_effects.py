@@ -32,7 +32,7 @@ SHOWN_ELSEWHERE = {
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
     "telemetry.state_hz": "test_service.py",
-    "telemetry.metrics": "test_exposition.py",
+    "telemetry.metrics": "test_metrics.py",
     "log.level": "test_service.py",
     "log.format": "test_logs.py",
 }

@@ -50,9 +50,14 @@ def run(settings: Settings, *, simulated: bool) -> None:
         robot = "a simulated controller" if simulated else settings.spi.device
         where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
-        say(f"Try, in a second terminal: {sys.argv[0]} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}")
+        say(f"Try, in a second terminal: {_this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}")
 
     service.run(settings, simulated=simulated, on_ready=ready)
+
+
+def _this_command() -> str:
+    """How this program was called, so that a line can be copied."""
+    return "hexapod-gateway" if sys.argv[0].endswith("__main__.py") else sys.argv[0]
 
 
 def _connect_option(settings: Settings) -> str:
