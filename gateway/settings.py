@@ -5,14 +5,15 @@ A TOML file gives them, environment variables override it (`HEXAPOD_SPI__DEVICE`
 
 import json
 import os
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
-from pydantic_settings import BaseSettings, EnvSettingsSource, SettingsConfigDict, SettingsError
 
 from gateway.errors import ConfigError
 from gateway.protocol.framing import Framing
@@ -20,6 +21,7 @@ from schemas.robot import SERVO_IDS
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
 ENV_PREFIX: Final = "HEXAPOD_"
+_SERVOS: Final = frozenset(map(str, SERVO_IDS))
 
 
 class Section(BaseModel):
@@ -78,8 +80,10 @@ class LimitSettings(Section):
     @classmethod
     def _servos_exist(cls, servos: dict[str, ServoLimits]) -> dict[str, ServoLimits]:
         for servo in servos:
-            if servo not in map(str, SERVO_IDS):
-                raise ValueError(f"{servo} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
+            if servo not in _SERVOS:
+                raise ValueError(
+                    f"{_name(servo)} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+                )
         return servos
 
 
@@ -103,7 +107,7 @@ class TelemetrySettings(Section):
     @classmethod
     def _host_and_port(cls, value: str) -> str:
         host, _, port = value.rpartition(":")
-        if value and not (host and port.isdecimal() and 0 < int(port) < 65536):
+        if value and not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
             raise ValueError('write a host and a port, such as "127.0.0.1:9464", or "" for none')
         return value
 
@@ -126,12 +130,18 @@ class Settings(Section):
     log: LogSettings = LogSettings()
 
 
-class _FromEnvironment(Settings, BaseSettings):
-    """The same settings, as pydantic-settings looks for them in the environment."""
+Place = tuple[int | str, ...]
+"""Where a value stands: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
+Fault = tuple[Place, str]
 
-    model_config = SettingsConfigDict(
-        env_prefix=ENV_PREFIX, env_nested_delimiter="__", nested_model_default_partial_update=True
-    )
+
+@dataclass(slots=True)
+class _Environment:
+    """What the environment sets: the values as in a file, the variable that set each, and what is wrong with others."""
+
+    values: dict[str, Any]
+    variables: dict[Place, str]
+    faults: list[str]
 
 
 def load(path: Path | None = None) -> Settings:
@@ -139,67 +149,123 @@ def load(path: Path | None = None) -> Settings:
 
     Raises ConfigError with one line per fault; each names the file's entry or the environment variable.
     """
-    if path is None:
-        path = DEFAULT_PATH if DEFAULT_PATH.exists() else None
-    from_file = _read(path) if path is not None else {}
-    faults = [f"{path}: {line}" for line in _faults(from_file, strict=True)]
-    from_environment = _environment()
-    merged = _overlay(from_file, from_environment)
-    faults += _unknown_sections()
-    faults += [
-        f"{_variable(place)}: {text}" for place, text in _located_faults(merged) if _has(from_environment, place)
+    from_file: dict[str, Any] = {}
+    lines: list[str] = []
+    try:
+        from_file = _read(path)
+    except ConfigError as error:
+        lines.append(str(error))
+    in_file = _faults_of_file(from_file)
+    environment = _environment()
+    merged = _overlay(from_file, environment.values)
+    lines += [f"{path or DEFAULT_PATH}: {_dotted(place)}: {sentence}" for place, sentence in in_file]
+    lines += environment.faults
+    lines += [
+        f"{' and '.join(variables)}: {sentence}"
+        for place, sentence in _faults(merged)
+        if (variables := _variables_at(place, environment)) and (place, sentence) not in in_file
     ]
-    if faults:
-        raise ConfigError("\n".join(faults))
+    if lines:
+        raise ConfigError("\n".join(lines))
     return Settings.model_validate(merged)
 
 
-def _read(path: Path) -> dict[str, Any]:
+# ---- the file
+
+
+def _read(path: Path | None) -> dict[str, Any]:
+    found = path or DEFAULT_PATH
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(found.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        if path is None:
+            return {}
+        raise ConfigError(f"{found}: there is no such file; name another with --config") from None
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); name another file with --config") from error
-    except ValueError as error:  # TOML's own errors, and bytes that are no UTF-8
-        raise ConfigError(f"{path}: is not TOML: {error}") from error
+        raise ConfigError(f"{found}: cannot be read ({error.strerror}); name another file with --config") from error
+    except (ValueError, RecursionError) as error:  # TOML's own errors, bytes that are no UTF-8, a thousand brackets
+        raise ConfigError(f"{found}: is not TOML: {error}") from error
 
 
-def _environment() -> dict[str, Any]:
-    try:
-        return EnvSettingsSource(_FromEnvironment)()
-    except SettingsError as error:
-        raise ConfigError(
-            f"{ENV_PREFIX}…: {error}; a list is written as JSON, such as '[\"tcp/127.0.0.1:7447\"]'"
-        ) from error
+def _faults_of_file(values: dict[str, Any]) -> list[Fault]:
+    """A file says what type a value has, so nothing is converted: "50" is no number there."""
+    # As JSON, since TOML has arrays and strings where the settings have tuples and enumerations; and once more as it
+    # is, for JSON in its turn has strings where TOML has dates.
+    faults = _faults_in(lambda: Settings.model_validate_json(json.dumps(values, default=str), strict=True))
+    places = {place for place, _ in faults}
+    return faults + [(place, sentence) for place, sentence in _faults(values) if place not in places]
 
 
-def _unknown_sections() -> list[str]:
-    """Variables with our prefix that pydantic-settings passes over, because they name no section."""
-    sections = Settings.model_fields.keys()
+# ---- the environment
+
+
+def _environment() -> _Environment:
+    """Variables whose name begins as ours do. One that sets nothing is a fault: it was meant to set something."""
+    found = _Environment({}, {}, [])
+    for variable, text in sorted(os.environ.items()):
+        if not variable.upper().startswith(ENV_PREFIX):
+            continue
+        place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
+        if variable != variable.upper() or not _is_setting(place):
+            found.faults.append(f"{_name(variable)}: is no setting; {_NAMES}")
+            continue
+        value: Any = text
+        if place in _LISTS:
+            try:
+                value = json.loads(text)
+            except (ValueError, RecursionError):
+                found.faults.append(
+                    f"{variable}: {_echo(text)} will not do: write the list as JSON, such as "
+                    + """'["tcp/127.0.0.1:7447"]'"""
+                )
+                continue
+        found.variables[place] = variable
+        table = found.values
+        for name in place[:-1]:
+            table = table.setdefault(name, {})
+        table[place[-1]] = value
+    return found
+
+
+_LISTS: Final = (("zenoh", "listen"), ("zenoh", "connect"))
+_NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
+
+
+def _is_setting(place: tuple[str, ...]) -> bool:
+    match place:
+        case ("limits", "servos", servo, name):
+            return servo in _SERVOS and name in ServoLimits.model_fields
+        case (section, name) if section in Settings.model_fields:
+            return place != ("limits", "servos") and name in getattr(_DEFAULTS, section).__class__.model_fields
+        case _:
+            return False
+
+
+_DEFAULTS: Final = Settings()
+
+
+def _variables_at(place: Place, environment: _Environment) -> list[str]:
+    """The variables that set what stands at `place`, or a part of it, or what it is a part of."""
     return [
-        f"{name}: is no setting; the sections are {', '.join(sections)}"
-        for name in sorted(os.environ)
-        if name.startswith(ENV_PREFIX) and name.removeprefix(ENV_PREFIX).split("__")[0].lower() not in sections
+        variable
+        for set_place, variable in environment.variables.items()
+        if place[: len(set_place)] == set_place or set_place[: len(place)] == place
     ]
 
 
-Place = tuple[int | str, ...]
+# ---- both
 
 
-def _located_faults(values: dict[str, Any]) -> list[tuple[Place, str]]:
+def _faults(values: dict[str, Any]) -> list[Fault]:
+    """Faults where text is converted: all that the environment has is text."""
+    return _faults_in(lambda: Settings.model_validate(values))
+
+
+def _faults_in(validate: Callable[[], Settings]) -> list[Fault]:
     try:
-        Settings.model_validate(values)
+        validate()
     except ValidationError as error:
         return [(fault["loc"], _sentence(fault)) for fault in error.errors(include_url=False)]
-    return []
-
-
-def _faults(values: dict[str, Any], *, strict: bool) -> list[str]:
-    """A file says what type a value has, so nothing is converted: "50" is no number there."""
-    try:
-        # As JSON, since TOML has arrays and strings where the settings have tuples and enumerations.
-        Settings.model_validate_json(json.dumps(values, default=str), strict=strict)
-    except ValidationError as error:
-        return [f"{'.'.join(map(str, f['loc']))}: {_sentence(f)}" for f in error.errors(include_url=False)]
     return []
 
 
@@ -208,22 +274,27 @@ def _sentence(fault: ErrorDetails) -> str:
         return "is no setting"
     if fault["type"] == "value_error":  # a sentence of our own
         return str(fault["ctx"]["error"])
-    return f"{json.dumps(fault['input'], default=str)} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+    return f"{_echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
-def _variable(place: Place) -> str:
-    """The environment variable that set the value at `place` (list elements have none of their own)."""
-    return ENV_PREFIX + "__".join(part.upper() for part in place if isinstance(part, str))
+def _dotted(place: Place) -> str:
+    """`spi.speed_hz`, `zenoh.listen[0]`, and names that are no bare keys in quotes, as TOML has them."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in place)
+    return text.removeprefix(".")
 
 
-def _has(values: Any, place: Place) -> bool:
-    for part in place:
-        if not isinstance(values, Mapping):
-            return True
-        if part not in values:
-            return False
-        values = values[part]
-    return True
+def _name(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]{1,80}", name, re.ASCII) else _echo(name)
+
+
+def _echo(value: object) -> str:
+    """The value on one line, and not more of it than helps."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    text = text if text.isprintable() else json.dumps(value, default=str)
+    return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"
+
+
+_MAX_ECHO: Final = 80
 
 
 def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
