@@ -169,7 +169,7 @@ def send_stop(
 def main() -> None:
     """The console script."""
     try:
-        app()
+        app(prog_name="hexapod-gateway")  # also as `python -m gateway`
     except GatewayError as error:
         for line in str(error).splitlines():
             sys.stderr.write(f"hexapod-gateway: {line}\n")

@@ -61,7 +61,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         endpoints = get(config, "listen/endpoints") or get(config, "connect/endpoints")
-        raise ZenohError(_why_not_opened(str(error), endpoints)) from error
+        raise ZenohError(_why_not_opened(one_line(error), endpoints)) from error
 
 
 def _why_not_opened(text: str, endpoints: object) -> str:
@@ -70,7 +70,9 @@ def _why_not_opened(text: str, endpoints: object) -> str:
         return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"
     if "Cannot assign requested address" in text:
         return f"{where} is no address of this machine; set another zenoh.listen"
-    return f"Zenoh cannot be opened on {where}: {text.splitlines()[0]}"
+    if "Unable to connect" in text:
+        return f"no gateway answers on {where}; is it running, and does it know your certificate?"
+    return f"Zenoh cannot be opened on {where}: {text}"
 
 
 def _scouting_off(config: zenoh.Config) -> None:

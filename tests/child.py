@@ -57,7 +57,7 @@ class Child:
         with self._heard:
             return "".join(self._stderr)
 
-    def wait(self, timeout_s: float = 10.0) -> int:
+    def wait(self, timeout_s: float = 30.0) -> int:
         """Wait for its end and for all it printed; the exit status. Raises TimeoutError."""
         try:
             status = self._popen.wait(timeout_s)

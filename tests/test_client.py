@@ -1,0 +1,75 @@
+"""The client that laptops use: its example runs as it stands, and its errors are sentences."""
+
+import doctest
+import threading
+from pathlib import Path
+
+import pytest
+
+from gateway import client as client_module
+from gateway.client import Client, leg_payload
+from gateway.errors import ZenohError
+from schemas import keys
+from schemas.telemetry import Event, GatewayState, Mode
+from tests.gateway_process import Gateway, free_port
+
+
+def test_the_example_runs(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway:
+        failed, tried = doctest.testmod(client_module, extraglobs={"endpoint": gateway.endpoint})
+    assert (failed, tried) == (0, 2)
+
+
+def test_states_and_events_are_called_back(tmp_path: Path) -> None:
+    states: list[GatewayState] = []
+    events: list[Event] = []
+    active, refused = threading.Event(), threading.Event()
+
+    def on_state(state: GatewayState) -> None:
+        states.append(state)
+        if state.mode is Mode.ACTIVE:
+            active.set()
+
+    def on_event(event: Event) -> None:
+        events.append(event)
+        refused.set()
+
+    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, source="a gait") as client:
+        watched = (client.on_state(on_state), client.on_event(on_event))
+        client.state()
+        client.publish(keys.leg_command(4), leg_payload("set", (1, 2, 3)))
+        assert refused.wait(10)
+        assert (events[0].source, events[0].reason) == ("a gait", "servo_stopped")
+        client.start_leg(4, 1, 2, 3)
+        assert active.wait(10)
+        assert len(watched) == 2
+
+
+def test_it_stops_one_leg_or_all(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        for leg in (1, 2, 3):
+            client.start_leg(leg, 1, 2, 3)
+        assert client.servo(41, "start", 5).accepted
+        client.stop(2)
+        assert [report.leg for report in client.state().legs if report.servos[0].running] == [1, 3, 4]
+        client.stop()
+        assert client.state().mode == Mode.IDLE
+
+
+def test_nobody_there_is_one_sentence() -> None:
+    with pytest.raises(ZenohError) as error:
+        Client(f"tcp/127.0.0.1:{free_port()}", timeout_s=0.5)
+    assert "\n" not in str(error.value)
+    assert "orchestrator.rs" not in str(error.value)
+
+
+def test_an_answer_that_does_not_come_is_one_sentence(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        gateway.child.kill()
+        with pytest.raises(ZenohError, match="no gateway answered within 5 s"):
+            client.start_leg(3, 1, 2, 3)
+
+
+def test_a_leg_has_three_angles() -> None:
+    with pytest.raises(ValueError, match="2 angles; a leg has three joints"):
+        leg_payload("start", (1, 2))
