@@ -277,11 +277,20 @@ start_service() {
 	else
 		say "not started: there is no /dev/spidev* here; once there is: systemctl start $NAME"
 	fi
+	keep_drop_ins
 	local old
 	for old in "$OPT"/venv-*; do
 		[ "$old" != "$venv" ] && [ -d "$old" ] || continue
 		say "remove $old, which nothing uses any more"
 		run rm -rf "$old"
+	done
+}
+
+# What `systemctl edit` and simulated.conf make: it changes what the service does, so it is named each time.
+keep_drop_ins() {
+	local file
+	for file in $UNIT.d/*.conf; do
+		[ ! -e "$file" ] || say "keep $file, your change to the service"
 	done
 }
 
@@ -328,6 +337,7 @@ uninstall_all() {
 		run chown -R root:root $ETC
 		run chmod -R go= $ETC
 	fi
+	keep_drop_ins
 	if getent passwd $NAME >/dev/null; then
 		say "remove the user $NAME"
 		run userdel $NAME

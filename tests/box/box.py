@@ -12,6 +12,7 @@ import select
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -32,6 +33,7 @@ exit 0
 """
 
 
+@cache
 def lacks() -> str:
     """What this machine lacks for a box, in one line; empty when nothing."""
     if os.geteuid() != 0:

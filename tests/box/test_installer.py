@@ -1,0 +1,222 @@
+"""The installer, from end to end on a bare system in a box: what it refuses, what it writes, what it leaves alone."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway import certs, settings
+from gateway.settings import LimitSettings, ServoLimits, Settings
+from tests.box.box import Box, Unit
+from tests.box.robot import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
+
+pytestmark = pytest.mark.systemd
+
+CONFIG_TXT = "/boot/firmware/config.txt"
+STOCK = "#dtparam=i2c_arm=on\n#dtparam=spi=on\n\ndtoverlay=vc4-kms-v3d\n[cm4]\notg_mode=1\n"
+DROP_IN = f"/etc/systemd/system/{NAME}.service.d/simulated.conf"
+
+
+class Machine:
+    """A Raspberry Pi to be, as the installer finds it."""
+
+    def __init__(self, box: Box, wheels: Path) -> None:
+        self.box = box
+        self.unit = Unit(box, f"{NAME}.service")
+        self.wheels = share(box, wheels)
+        box.write(CONFIG_TXT, STOCK)
+
+    def install(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
+        """Run the installer from the wheels; the lines that it printed."""
+        return self.run("--wheels", self.wheels, *options, check=check, python=python)
+
+    def run(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
+        """Run the installer; the lines that it printed."""
+        env = {"PYTHON": python} if python else {}
+        done = self.box.run(INSTALLER, *options, check=check, env=env, timeout_s=120)
+        assert check or done.returncode != 0, done.stdout
+        return (done.stdout + done.stderr).splitlines()
+
+    def simulate(self) -> None:
+        """The simulated controller in place of SPI, as deploy/systemd/simulated.conf says."""
+        self.box.run("install", "-Dm644", f"{REPOSITORY}/deploy/systemd/simulated.conf", DROP_IN)
+        self.box.run("systemctl", "daemon-reload")
+
+    def traces(self) -> list[str]:
+        """What of an installation is there."""
+        paths = [f"/opt/{NAME}", f"/etc/{NAME}", f"/etc/systemd/system/{NAME}.service", f"/usr/local/bin/{NAME}"]
+        paths.append(f"/etc/udev/rules.d/60-{NAME}.rules")
+        found = [path for path in paths if self.box.exists(path)]
+        users = [kind for kind in ("passwd", "group") if self.box.run("getent", kind, NAME, check=False).stdout]
+        return found + users
+
+
+@pytest.fixture(scope="module")
+def machine(box: Box, wheels: Path) -> Machine:
+    """The one machine of this file's tests."""
+    return Machine(box, wheels)
+
+
+@pytest.fixture
+def bare(machine: Machine) -> Iterator[Machine]:
+    """It, with nothing installed before and after."""
+    clear(machine)
+    yield machine
+    print(machine.box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
+    clear(machine)
+
+
+@pytest.fixture(scope="module")
+def installed_machine(machine: Machine) -> Iterator[Machine]:
+    """It, with the gateway installed once for several tests."""
+    machine.install()
+    yield machine
+    clear(machine)
+
+
+def clear(machine: Machine) -> None:
+    machine.run("--uninstall")
+    machine.box.run("rm", "-rf", f"/etc/{NAME}", str(Path(DROP_IN).parent))
+    machine.box.run("systemctl", "daemon-reload")
+    machine.box.write(CONFIG_TXT, STOCK)
+
+
+def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
+    """The configuration that is installed changes nothing; each default in it is the true one, and none is left out."""
+    installed = REPOSITORY / "deploy/gateway.toml"
+    assert settings.load(installed) == Settings()
+    lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another
+    uncommented = tmp_path / "gateway.toml"
+    uncommented.write_text("\n".join(re.sub(r"^# (\w+ = |\[)", r"\1", line) for line in lines))
+    servo = ServoLimits(min_deg=20, max_deg=160)  # and the one example that is no default
+    limits = LimitSettings(servos={"11": servo})
+    assert settings.load(uncommented) == Settings(limits=limits)
+    shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
+    sections = [*(getattr(Settings(), name) for name in Settings.model_fields), servo]
+    assert shown == {name for section in sections for name in type(section).model_fields} - {"servos"}
+
+
+def test_refusals(bare: Machine) -> None:
+    """One sentence each, and nothing half made."""
+    box = bare.box
+    assert bare.install(check=False, python="/nonexistent")[0].startswith("install.sh: /nonexistent is no Python")
+    box.write("/usr/local/bin/python-old", "#!/bin/sh\ncase $2 in *version_info?:*) echo 3.9.2;; *) exit 1;; esac\n")
+    box.write("/usr/local/bin/python-bare", '#!/bin/sh\ncase $2 in *venv*) exit 1;; esac\nexec /usr/bin/python3 "$@"\n')
+    box.run("chmod", "+x", "/usr/local/bin/python-old", "/usr/local/bin/python-bare")
+    said = bare.install(check=False, python="/usr/local/bin/python-old")
+    assert said == [
+        "install.sh: /usr/local/bin/python-old is 3.9.2, and the gateway needs 3.11; "
+        "name a newer one: PYTHON=/usr/bin/python3.11"
+    ]
+    said = bare.install(check=False, python="/usr/local/bin/python-bare")
+    assert said == ["install.sh: /usr/local/bin/python-bare has no venv module; apt-get install python3-venv"]
+    nobody = box.run("setpriv", "--reuid=65534", "--clear-groups", INSTALLER, check=False)
+    assert (nobody.returncode, nobody.stderr) == (1, f"install.sh: needs root: sudo {INSTALLER}\n")
+    assert "has no hexapod_gateway-*.whl" in bare.run("--wheels", "/opt", check=False)[0]
+    assert "is no option" in bare.run("--frce", check=False)[0]
+    assert "has no gateway.json5" in bare.install("--certs", "/opt", check=False)[0]
+
+    box.run("cp", "-r", bare.wheels, "/opt/incomplete")
+    box.run("sh", "-c", "rm /opt/incomplete/structlog-*")
+    assert (
+        "pip could not install hexapod-gateway (above is why); nothing else was changed"
+        in (bare.run("--wheels", "/opt/incomplete", check=False)[-1])
+    )
+    assert bare.traces() == []
+    assert box.read(CONFIG_TXT) == STOCK
+
+
+def test_life(bare: Machine) -> None:
+    """Dry run, install, service up, command accepted, install again, uninstall, install again, all in one life."""
+    box = bare.box
+    promised = bare.install("--dry-run")
+    assert bare.traces() == []
+    assert box.read(CONFIG_TXT) == STOCK
+
+    assert bare.install() == promised
+    assert box.read(CONFIG_TXT) == STOCK.replace("#dtparam=spi", "dtparam=spi")
+    assert promised[-1] == "not started: reboot, SPI comes with it, and so does the service"
+    assert bare.unit.systemctl("is-enabled").stdout == "enabled\n"
+    modes = box.run("stat", "--format=%A %U:%G", f"/etc/{NAME}", CONFIGURATION).stdout.splitlines()
+    assert modes == [f"drwxr-x--- root:{NAME}", f"-rw-r----- root:{NAME}"]
+    assert set(box.run("id", "--groups", "--name", NAME).stdout.split()) == {NAME, "spi"}
+    assert box.run("find", f"/opt/{NAME}", "!", "-user", "root").stdout == ""
+
+    bare.simulate()
+    box.run("sh", "-c", f"echo '# mine' >>{CONFIGURATION}")
+    bare.unit.systemctl("start")
+    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
+
+    running = bare.unit.property("MainPID")
+    again = bare.install()
+    assert all(line.startswith("keep ") for line in again), again
+    assert f"keep {CONFIGURATION}, your configuration" in again
+    assert bare.unit.property("MainPID") == running, "nothing changed, so nothing was restarted"
+
+    box.write(f"/etc/systemd/system/{NAME}.service", "# an older version's\n[Service]\nExecStart=/bin/false\n")
+    assert "restart the service: all legs stop" in bare.install()
+    assert bare.unit.property("ActiveState") == "active"
+    assert bare.unit.property("MainPID") != running
+
+    promised = bare.run("--dry-run", "--uninstall")
+    assert bare.run("--uninstall") == promised
+    assert bare.traces() == [f"/etc/{NAME}"]
+    assert bare.unit.property("ActiveState") == "inactive"
+    assert box.read(CONFIGURATION).endswith("# mine\n")
+    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == "-rw------- root:root\n"
+    assert bare.run("--uninstall") == [
+        f"keep /etc/{NAME}, your configuration, for root only",
+        f"keep {DROP_IN}, your change to the service",
+        "SPI and the group spi stay as they are",
+    ]
+
+
+def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
+    """Brought with --certs or by hand, the service's user can read them, and the service takes only certificates."""
+    machine, box = installed_machine, installed_machine.box
+    certs.init(tmp_path / "certs", ["127.0.0.1"])
+    certs.issue(tmp_path / "certs", "alice", "operator")
+    folder = share(box, tmp_path / "certs")
+    said = machine.install("--certs", folder)
+    assert said[-1].startswith(f"To use the certificates, in {CONFIGURATION} under [zenoh]: config = ")
+    files = box.run("ls", "-l", f"/etc/{NAME}/zenoh").stdout
+    assert "ca.key" not in files
+    assert re.search(rf"^-rw-r----- 1 root {NAME} .* gateway.key$", files, re.MULTILINE), files
+
+    assert 'config = ""' in box.read(CONFIGURATION)
+    box.write(CONFIGURATION, f"[zenoh]\n{said[-1].partition('[zenoh]: ')[2]}\n")
+    box.run("install", "-m", "0600", f"{folder}/gateway.key", f"/etc/{NAME}/zenoh/gateway.key")  # as by hand
+    said = machine.install("--certs", folder)
+    assert f"let {NAME} read all of /etc/{NAME}, and nobody else (root:{NAME})" in said
+    assert f"keep /etc/{NAME}/zenoh/gateway.json5, your configuration" in said
+    machine.simulate()
+    machine.unit.systemctl("start")
+    command = (NAME, "send", "leg", "3", "stop")
+    alice = box.run(*command, "--zenoh-config", f"{folder}/alice.json5")
+    assert "accepted" in alice.stdout
+    assert box.run(*command, "--timeout", "0.5", check=False).returncode == 4
+    print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
+    machine.unit.systemctl("stop")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("dtparam=spi=on\n", None),
+        ("dtparam=i2c_arm=on,spi=on\n", None),
+        ("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", None),
+        ("dtparam=spi=off\n", "dtparam=spi=on\n"),
+        ("dtparam=spi\n", None),
+        ("", "dtparam=spi=on\n"),
+        ("dtoverlay=vc4-kms-v3d\n", "dtparam=spi=on\ndtoverlay=vc4-kms-v3d\n"),
+        ("[cm4]\ndtparam=spi=on\n", "dtparam=spi=on\n[cm4]\ndtparam=spi=on\n"),
+        ("[cm4]\n#dtparam=spi=on\n", "dtparam=spi=on\n[cm4]\n#dtparam=spi=on\n"),
+    ],
+)
+def test_config_txt(installed_machine: Machine, before: str, after: str | None) -> None:
+    """SPI is switched on where it is not, for every Pi, outside any filter and before any overlay."""
+    installed_machine.box.write(CONFIG_TXT, before)
+    said = installed_machine.install()
+    assert (f"switch SPI on in {CONFIG_TXT} (dtparam=spi=on)" in said) == (after is not None)
+    assert installed_machine.box.read(CONFIG_TXT) == (before if after is None else after)
