@@ -1,4 +1,7 @@
-"""The command line: arguments in, one function call each, and errors as one line with their exit code."""
+"""The command line: arguments in, one function call each, and errors as one line with their exit code.
+
+Each command loads only what it needs, when it runs: an emergency stop must not wait for what only the service uses.
+"""
 
 import sys
 from pathlib import Path
@@ -6,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from gateway import __version__, settings
+from gateway import __version__
 from gateway.errors import GatewayError
-from gateway.tools import certs, commands
+from gateway.tools import certs
 
 app = typer.Typer(
     name="hexapod-gateway",
@@ -67,9 +70,12 @@ def run(
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
-    Stops all six legs, then takes commands. Exit codes: 0 stopped on request, 2 configuration, 3 SPI device, 4 Zenoh.
+    Stops all six legs, then takes send. Exit codes: 0 stopped on request, 2 configuration, 3 SPI device, 4 Zenoh.
     """
-    commands.run(settings.load(config), simulated=sim)
+    from gateway import settings
+    from gateway.tools import serve
+
+    serve.run(settings.load(config), simulated=sim)
 
 
 @app.command("stop-servos")
@@ -78,7 +84,10 @@ def stop_servos(config: ConfigOption = None) -> None:
 
     For when the service has died, or nobody knows; the service unit runs it after every end. Exit codes: 0, 2, 3.
     """
-    commands.stop_servos(settings.load(config))
+    from gateway import settings
+    from gateway.tools import stop
+
+    stop.stop_servos(settings.load(config))
 
 
 @app.command()
@@ -87,7 +96,9 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
     Exit codes: 0 all six Stops are written, 1 not all of them, 4 no gateway answers.
     """
-    sys.exit(commands.estop(commands.connection(connect, zenoh_config, timeout)))
+    from gateway.tools import send
+
+    sys.exit(send.estop(send.connection(connect, zenoh_config, timeout)))
 
 
 @app.command()
@@ -96,7 +107,9 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
     Exit codes: 0 accepted, 1 refused, 4 no gateway answers.
     """
-    sys.exit(commands.reset(commands.connection(connect, zenoh_config, timeout)))
+    from gateway.tools import send
+
+    sys.exit(send.reset(send.connection(connect, zenoh_config, timeout)))
 
 
 @app.command()
@@ -107,18 +120,20 @@ def decode(
 
     Several frames may stand in one argument list; each begins with its length. Exit codes: 0 legal, 1 not.
     """
-    sys.exit(commands.decode(hex_bytes))
+    from gateway.tools import decode
+
+    sys.exit(decode.decode(hex_bytes))
 
 
 app.add_typer(certs.app, name="certs")
 
-send = typer.Typer(
+send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "A leg that is started once is stopped again by the watchdog (after 250 ms, by default); --hold repeats the "
     "command every 50 ms. Exit codes: 0 accepted, 1 refused (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,
 )
-app.add_typer(send, name="send")
+app.add_typer(send_app, name="send")
 
 HoldOption = Annotated[
     float, typer.Option("--hold", metavar="S", min=0, help="Repeat every 50 ms for so many seconds.")
@@ -126,7 +141,7 @@ HoldOption = Annotated[
 OpArgument = Annotated[str, typer.Argument(metavar="OP", help="start, set or stop")]
 
 
-@send.command("leg")
+@send_app.command("leg")
 def send_leg(
     leg: Annotated[int, typer.Argument(metavar="N", min=1, max=6, help="1 to 6")],
     op: OpArgument,
@@ -139,11 +154,13 @@ def send_leg(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Start, set or stop a leg: `send leg 3 start 90 45 120 --hold 5`."""
-    connection = commands.connection(connect, zenoh_config, timeout)
-    sys.exit(commands.send_leg(connection, leg, op, angles or [], hold_s=hold))
+    from gateway.tools import send
+
+    connection = send.connection(connect, zenoh_config, timeout)
+    sys.exit(send.send_leg(connection, leg, op, angles or [], hold_s=hold))
 
 
-@send.command("servo")
+@send_app.command("servo")
 def send_servo(
     servo_id: Annotated[int, typer.Argument(metavar="ID", help="The leg and the joint: 11 to 63")],
     op: OpArgument,
@@ -154,16 +171,20 @@ def send_servo(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Start, set or stop one servo: `send servo 32 start 90`."""
-    connection = commands.connection(connect, zenoh_config, timeout)
-    sys.exit(commands.send_servo(connection, servo_id, op, angle, hold_s=hold))
+    from gateway.tools import send
+
+    connection = send.connection(connect, zenoh_config, timeout)
+    sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))
 
 
-@send.command("stop")
+@send_app.command("stop")
 def send_stop(
     connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
 ) -> None:
     """Stop all six legs. They can be started again at once; `estop` also forbids that."""
-    sys.exit(commands.send_stop(commands.connection(connect, zenoh_config, timeout)))
+    from gateway.tools import send
+
+    sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
 
 
 def main() -> None:

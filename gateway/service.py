@@ -24,7 +24,7 @@ from gateway.pacing import NS_PER_MS, NS_PER_S
 from gateway.protocol.frames import centidegrees, stop_leg
 from gateway.settings import Settings
 from gateway.spi import SpiDevice
-from gateway.spi.bus import Bus
+from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
 from gateway.spi.simulator import SimulatedController
 from gateway.supervisor import Supervisor
@@ -67,11 +67,6 @@ def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDev
     return lambda: controller
 
 
-def make_bus(settings: Settings, open_device: Callable[[], SpiDevice]) -> Bus:
-    """A bus with the framing and the pauses of the settings."""
-    return Bus(open_device, settings.spi.framing, frame_gap_ns=round(settings.spi.frame_gap_us * 1000))
-
-
 def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = lambda: None) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
@@ -84,7 +79,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
     end = _End(loop)
     manager = Manager()
     config = service_config(settings.zenoh)
-    bus = make_bus(settings, device_opener(settings, simulated=simulated))
+    bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings, Supervisor(rules(settings)), bus, outbox, loop, clock=time.monotonic_ns, simulated=simulated
@@ -214,24 +209,3 @@ async def _within(timeout_s: float, exit_code: int, *closes: Callable[[], object
         logging.shutdown()
         # Zenoh's own threads are still inside close, and would keep the interpreter from ending.
         os._exit(exit_code)
-
-
-def stop_servos(settings: Settings) -> None:
-    """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
-
-    Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm.
-    """
-    bus = make_bus(settings, lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False))
-    bus.open()
-    fault: SpiError | None = None
-    for repeat in range(1 + settings.watchdog.repeats):
-        if repeat:
-            time.sleep(settings.watchdog.repeat_interval_ms / 1000)
-        for leg in LEGS:
-            try:
-                bus.write(stop_leg(leg))
-            except SpiError as error:  # the next leg's Stop may still get through
-                fault = error
-    bus.close()
-    if fault is not None:
-        raise fault

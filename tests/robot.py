@@ -14,8 +14,9 @@ from pydantic import BaseModel
 from gateway.conductor import Conductor
 from gateway.inbox import Received, Verb
 from gateway.protocol.frames import Frame, decode
-from gateway.service import make_bus, rules
+from gateway.service import rules
 from gateway.settings import Settings
+from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
 from gateway.supervisor import Supervisor
 from schemas import keys
@@ -41,7 +42,7 @@ class Robot:
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),
-            make_bus(self.settings, self._open),
+            bus_for(self.settings.spi, self._open),
             self,
             self.loop,
             clock=self.now_ns,

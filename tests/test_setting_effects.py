@@ -14,8 +14,8 @@ import pytest
 from pydantic import BaseModel
 
 from gateway.protocol.frames import stop_leg
-from gateway.service import make_bus
 from gateway.settings import Settings
+from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.robot import LEGS
@@ -132,7 +132,7 @@ async def test_frames(frames: bool) -> None:
 def test_framing(framing: str, transfers: int) -> None:
     settings = Settings.model_validate({"spi": {"framing": framing}})
     controller = SimulatedController(settings.spi.framing)
-    bus = make_bus(settings, lambda: controller)
+    bus = bus_for(settings.spi, lambda: controller)
     bus.open()
     bus.write(stop_leg(1))
     assert len(controller.transfers) == transfers
@@ -143,7 +143,7 @@ def test_framing(framing: str, transfers: int) -> None:
 def test_frame_gap_us(frame_gap_us: float) -> None:
     settings = Settings.model_validate({"spi": {"frame_gap_us": frame_gap_us}})
     controller = SimulatedController(settings.spi.framing)
-    bus = make_bus(settings, lambda: controller)
+    bus = bus_for(settings.spi, lambda: controller)
     bus.open()
     for number in LEGS:
         bus.write(stop_leg(number))

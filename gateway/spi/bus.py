@@ -8,6 +8,7 @@ from gateway.errors import SpiError
 from gateway.metrics import Latency
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import Framing
+from gateway.settings import SpiSettings
 from gateway.spi import SpiDevice
 from gateway.spi.guard import GuardedDevice
 
@@ -80,3 +81,8 @@ class Bus:
             ended_ns = self._clock()
             self.transfer_latency.record(ended_ns - begun_ns)
             self._free_ns = ended_ns + self._frame_gap_ns
+
+
+def bus_for(settings: SpiSettings, open_device: Callable[[], SpiDevice]) -> Bus:
+    """A bus with the framing and the pauses of the settings."""
+    return Bus(open_device, settings.framing, frame_gap_ns=round(settings.frame_gap_us * 1000))

@@ -15,7 +15,7 @@ from gateway.protocol import frames
 from gateway.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.protocol.framing import Framing
 from gateway.spi.simulator import SimulatedController
-from gateway.tools import commands
+from gateway.tools import decode as decode_command
 from schemas.command import MAX_SENT_MS
 from schemas.keys import COMMAND_KEYS, CommandKey, Target
 from schemas.robot import SERVO_IDS
@@ -130,7 +130,7 @@ def frame_or_why_not(data: bytes) -> Frame | str:
 def check_command(typed: list[str]) -> str:
     """`decode` prints lines that any terminal takes, and its exit code is 0 or 1; 0 only if each line is a frame."""
     with contextlib.redirect_stdout(io.StringIO()) as printed:
-        code = commands.decode(typed)
+        code = decode_command.decode(typed)
     lines = printed.getvalue().splitlines()
     assert lines
     assert all(line.isprintable() for line in lines), lines

@@ -1,19 +1,14 @@
-"""What the commands of the command line do, besides `run`'s service itself."""
+"""`send`, `estop` and `reset`: one acknowledged command each, through a running gateway."""
 
-import re
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 
-from gateway import logs, service
 from gateway.client import DEFAULT_ENDPOINT, Client, leg_payload, servo_payload
 from gateway.errors import ConfigError
-from gateway.protocol.frames import STOP, FrameError, OneLeg, OneServo, Op, stop_leg
-from gateway.protocol.frames import decode as decode_frame
-from gateway.settings import Settings
+from gateway.tools.terminal import hint, say
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack
@@ -21,55 +16,7 @@ from schemas.telemetry import Ack
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
 
-_FRAME_HEADERS = frozenset(frame.to_bytes()[:2] for frame in (stop_leg(1), OneServo(11, STOP)))
-"""FRAME LEN and FRAME TYPE of the two frames that there are."""
-
-_MAX_ECHO = 40
-"""Characters of what was typed that are repeated."""
-
 Connection = Callable[[], AbstractContextManager[Client]]
-
-
-def say(text: str) -> None:
-    """A line of result, on stdout."""
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
-
-
-def hint(text: str) -> None:
-    """A line for the person, on stderr, out of the way of pipes."""
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
-
-
-def run(settings: Settings, *, simulated: bool) -> None:
-    """Run the service and, once it is ready, say where it is and what to try next."""
-    logs.set_up(settings.log)
-
-    def ready() -> None:
-        robot = "a simulated controller" if simulated else settings.spi.device
-        where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
-        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
-        say(f"Try, in a second terminal: {_this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}")
-
-    service.run(settings, simulated=simulated, on_ready=ready)
-
-
-def _this_command() -> str:
-    """How this program was called, so that a line can be copied."""
-    return "hexapod-gateway" if sys.argv[0].endswith("__main__.py") else sys.argv[0]
-
-
-def _connect_option(settings: Settings) -> str:
-    """What a client on this machine must add to reach this service."""
-    listen = settings.zenoh.listen
-    return f" --connect {listen[0]}" if listen and DEFAULT_ENDPOINT not in listen else ""
-
-
-def stop_servos(settings: Settings) -> None:
-    """Stop all six legs over SPI."""
-    service.stop_servos(settings)
-    say(f"Stop written to all six legs, {1 + settings.watchdog.repeats} times each, on {settings.spi.device}")
 
 
 def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Connection:
@@ -145,58 +92,6 @@ def reset(connect: Connection) -> int:
     """Leave the emergency stop."""
     with connect() as client:
         return _report(client.reset(), "reset; nothing moves until it is started again")
-
-
-def decode(hex_bytes: Sequence[str]) -> int:
-    """Explain frames, one line each."""
-    try:
-        data = b"".join(map(_bytes, " ".join(hex_bytes).replace(",", " ").split()))
-    except ValueError as error:
-        say(str(error))
-        return 1
-    for frame in _frames(data):
-        try:
-            say(_explain(frame))
-        except FrameError as error:
-            say(f"{frame.hex(' ') or 'nothing'}: not legal: {error}")
-            return 1
-    return 0
-
-
-def _bytes(word: str) -> bytes:
-    """The bytes of `06`, `0x06`, `0x6` or `060220020000`. Raises ValueError, also for half a byte."""
-    if re.fullmatch(r"0x[0-9a-fA-F]", word):
-        word = f"0{word[2:]}"
-    digits = word.removeprefix("0x")
-    if not re.fullmatch(r"[0-9a-fA-F]+", digits):
-        raise ValueError(f"{_short(word)} is not hexadecimal")
-    if len(digits) % 2:
-        raise ValueError(f"{_short(word)} ends with half a byte; a byte has two digits, such as 06")
-    return bytes.fromhex(digits)
-
-
-def _short(word: str) -> str:
-    shown = ascii(word)
-    return shown if len(shown) <= _MAX_ECHO else shown[:_MAX_ECHO] + "…"
-
-
-def _frames(data: bytes) -> Iterator[bytes]:
-    """Cut legal frames off the front while there are any; what is left is one piece, to be explained as it is."""
-    while data[:2] in _FRAME_HEADERS and len(data) > data[0]:
-        yield data[: data[0]]
-        data = data[data[0] :]
-    yield data
-
-
-def _explain(data: bytes) -> str:
-    frame = decode_frame(data)
-    name = f"ONE LEG, leg {frame.leg}" if isinstance(frame, OneLeg) else "ONE SERVO"
-    ops = (
-        f"servo {servo_id} {command.op.name.lower()}"
-        + ("" if command.op is Op.STOP else f" {command.angle_cdeg // 100}.{command.angle_cdeg % 100:02}°")
-        for servo_id, command in frame.servos
-    )
-    return f"{data.hex(' ')}: {name}: {', '.join(ops)}"
 
 
 def _check_op(op: str) -> None:

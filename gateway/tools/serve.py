@@ -1,0 +1,34 @@
+"""`run` and `stop-servos`: the two commands that touch SPI."""
+
+import sys
+
+from gateway import logs, service
+from gateway.client import DEFAULT_ENDPOINT
+from gateway.settings import Settings
+from gateway.tools.terminal import say
+
+
+def run(settings: Settings, *, simulated: bool) -> None:
+    """Run the service and, once it is ready, say where it is and what to try next."""
+    logs.set_up(settings.log)
+
+    def ready() -> None:
+        robot = "a simulated controller" if simulated else settings.spi.device
+        where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
+        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
+        say(
+            f"Try, in a second terminal: {_this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}"
+        )
+
+    service.run(settings, simulated=simulated, on_ready=ready)
+
+
+def _this_command() -> str:
+    """How this program was called, so that a line can be copied."""
+    return "hexapod-gateway" if sys.argv[0].endswith("__main__.py") else sys.argv[0]
+
+
+def _connect_option(settings: Settings) -> str:
+    """What a client on this machine must add to reach this service."""
+    listen = settings.zenoh.listen
+    return f" --connect {listen[0]}" if listen and DEFAULT_ENDPOINT not in listen else ""

@@ -1,0 +1,15 @@
+"""What a command says: results on stdout, remarks on stderr."""
+
+import sys
+
+
+def say(text: str) -> None:
+    """A line of result, on stdout."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def hint(text: str) -> None:
+    """A line for the person, on stderr, out of the way of pipes."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
