@@ -124,14 +124,14 @@ build_venv() {
 	if [ -n "$wheels" ]; then
 		# --isolated: no pip configuration of this machine, which may name an index.
 		"$venv/bin/pip" --isolated install --quiet --disable-pip-version-check --no-cache-dir --no-index \
-			--find-links "$wheels" "$NAME[spi]"
+			--find-links "$wheels" "${NAME}[spi]"
 	else
 		# From a copy: a build as root would leave files in the repository.
 		sources=$(mktemp -d)
 		cp -r "$ROOT/pyproject.toml" "$ROOT/README.md" "$ROOT/LICENSE" "$ROOT/gateway" "$ROOT/schemas" "$sources"
-		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "$sources[spi]"
+		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "${sources}[spi]"
 	fi || fail "pip could not install $NAME (above is why); nothing else was changed"
-	"$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev' ||
+	{ "$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev'; } ||
 		fail "what was installed does not run (above is why); nothing else was changed"
 	touch "$venv/complete"
 	unfinished=''
@@ -181,7 +181,7 @@ write_configuration() {
 	[ -n "$certs" ] || return 0
 	run install -d -m 0750 -o root -g $NAME $ETC/zenoh
 	for file in $CERTIFICATES; do
-		if [ "$file" = gateway.json5 ] && [ -e $ETC/zenoh/$file ]; then
+		if [ "$file" = gateway.json5 ] && [ -e "$ETC/zenoh/$file" ]; then
 			say "keep $ETC/zenoh/$file, your configuration"
 		else
 			put "$certs/$file" $ETC/zenoh/"$file" 0640 $NAME
@@ -289,7 +289,7 @@ start_service() {
 # What `systemctl edit` and simulated.conf make: it changes what the service does, so it is named each time.
 keep_drop_ins() {
 	local file
-	for file in $UNIT.d/*.conf; do
+	for file in "$UNIT".d/*.conf; do
 		[ ! -e "$file" ] || say "keep $file, your change to the service"
 	done
 }

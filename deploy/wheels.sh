@@ -21,7 +21,7 @@ trap 'rm -rf "$sources"' EXIT
 cp -r pyproject.toml README.md LICENSE gateway schemas "$sources" # a build would leave files here, and find old ones
 
 if [ -z "$processor" ]; then
-	pip wheel --wheel-dir "$folder" "$sources[spi]"
+	pip wheel --wheel-dir "$folder" "${sources}[spi]"
 else
 	pip wheel --no-deps --wheel-dir "$folder" "$sources"
 	# Raspberry Pi OS 12 has glibc 2.36; pip wants each older one named too.
