@@ -16,9 +16,8 @@ def run(settings: Settings, *, simulated: bool) -> None:
         robot = "a simulated controller" if simulated else settings.spi.device
         where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
-        say(
-            f"Try, in a second terminal: {_this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}"
-        )
+        command = f"{_this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}"
+        say(f"Try, in a second terminal: {command}")
 
     service.run(settings, simulated=simulated, on_ready=ready)
 
