@@ -1,8 +1,9 @@
 """How the service logs: for people on a terminal, as JSON lines for the journal."""
 
+import json
 import logging
 import sys
-from typing import Literal
+from typing import Any, Final, Literal
 
 import structlog
 
@@ -21,15 +22,22 @@ def set_up(settings: LogSettings) -> None:
         structlog.processors.TimeStamper(fmt="iso", utc=True),
     ]
     renderer: list[structlog.typing.Processor] = (
-        [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), event_key="message")]
+        [
+            _without_control_characters,
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(),
+                event_key="message",
+                exception_formatter=structlog.dev.plain_traceback,
+            ),
+        ]
         if shape == "console"
-        else [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer(ensure_ascii=False)]
+        else [_TRACEBACKS, structlog.processors.JSONRenderer(_one_line)]
     )
     formatter = structlog.stdlib.ProcessorFormatter(
         foreign_pre_chain=shared,
         processors=[
             structlog.stdlib.ProcessorFormatter.remove_processors_meta,
-            structlog.processors.EventRenamer("message", replace_by="kind"),
+            structlog.processors.EventRenamer("message"),
             *renderer,
         ],
     )
@@ -38,6 +46,28 @@ def set_up(settings: LogSettings) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(settings.level.upper())
+
+
+_TRACEBACKS: Final = structlog.processors.ExceptionRenderer(
+    structlog.tracebacks.ExceptionDictTransformer(show_locals=False)  # they would hold passwords, and are long
+)
+
+
+def _one_line(event: object, **options: Any) -> str:
+    """Readable JSON; what ends a line for some reader, or steers a terminal, stays an escape (JSON allows it raw)."""
+    text = json.dumps(event, ensure_ascii=False, **options)
+    return text if text.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
+
+
+def _without_control_characters(
+    _logger: structlog.typing.WrappedLogger, _name: str, event: structlog.typing.EventDict
+) -> structlog.typing.EventDict:
+    """What others wrote must neither steer the terminal nor look like lines of ours; JSON escapes by itself."""
+    return {key: _visible(value) if isinstance(value, str) else value for key, value in event.items()}
+
+
+def _visible(text: str) -> str:
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
 def _without_nulls(

@@ -45,10 +45,16 @@ def seeds(target: str) -> list[bytes]:
     apart = PAUSES_NS.index(1_000_000)
     plain = [bytes((apart, len(frame))) + frame for frame in frames if frame]
     announced = [bytes((apart, 1, len(frame), apart, len(frame))) + frame for frame in frames if frame]
+    begun, said = frames[0][:5], bytes((apart, 1, len(frames[0])))
     return [
         *(b"\0" + frame for frame in plain),
         *(b"\1" + frame for frame in announced),
-        *(b"\0" + plain[0][:5] + bytes((pause, 0)) + plain[1] for pause in range(len(PAUSES_NS))),
+        # One frame begun, and the next one after each of the pauses.
+        *(b"\0" + bytes((apart, 5)) + begun + bytes((pause, 0)) + plain[1] for pause in range(len(PAUSES_NS))),
+        *(
+            b"\1" + said + bytes((apart, 5)) + begun + bytes((pause, 0)) + announced[1]
+            for pause in range(len(PAUSES_NS))
+        ),
         b"\0" + b"".join(plain[:5]),
         b"\1" + b"".join(announced[:5]),
     ]

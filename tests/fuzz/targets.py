@@ -52,10 +52,15 @@ def check_intake(key: CommandKey, payload: bytes, answer: object) -> str:
     if key.target in (Target.ESTOP, Target.RESET):
         assert answer == intake.Intent()
         return "intent"
-    assert_targets_are_what_was_sent(key, json.loads(payload), answer.targets)
+    assert_targets_are_what_was_sent(key, json.loads(payload, object_pairs_hook=_with_every_name_once), answer.targets)
     for frame in frames_of(answer.targets):
         assert frames.decode(frame.to_bytes()) == frame
     return "intent"
+
+
+def _with_every_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    assert len(dict(pairs)) == len(pairs), pairs
+    return dict(pairs)
 
 
 def assert_targets_are_what_was_sent(key: CommandKey, sent: object, targets: intake.Targets) -> None:
