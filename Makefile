@@ -54,12 +54,12 @@ $(VENV)/bin/python:
 		echo "Python's venv is missing; on Debian: apt-get install python3-venv"; exit 1; }
 
 $(VENV)/run: $(VENV)/bin/python pyproject.toml
-	@echo "Installing hexapod-gateway into $(VENV) …"
+	@echo "Installing hexapod-gateway into $(VENV) (half a minute) …"
 	@$(BIN)/pip install --quiet --disable-pip-version-check -e .
 	@touch $@
 
 $(VENV)/dev: $(VENV)/bin/python pyproject.toml
-	@echo "Installing hexapod-gateway with its development tools into $(VENV) …"
+	@echo "Installing hexapod-gateway with its development tools into $(VENV) (a minute) …"
 	@$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@$(BIN)/pip install --quiet --disable-pip-version-check -e '.[spi]' || \
 		echo "spidev could not be built (python3-dev and gcc?); the hardware tests will be skipped"
