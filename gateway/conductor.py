@@ -31,8 +31,8 @@ from gateway.inbox import Received, Reply, Verb
 from gateway.intake import Intent, Rejection, decode, stop_all_of, too_large
 from gateway.metrics import Metrics
 from gateway.outbox import Outbox, wall_clock
-from gateway.protocol import VERSION
 from gateway.refusals import RefusalLimit
+from gateway.report import report
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from gateway.staleness import Staleness
@@ -322,45 +322,14 @@ class Conductor:
 
     def state(self) -> telemetry.GatewayState:
         """What the gateway knows now."""
-        now_ns = self._clock()
-        legs = self.supervisor.legs
-        return telemetry.GatewayState(
-            mode=self.supervisor.mode,
-            time=wall_clock(),
-            uptime_s=(now_ns - self._started_ns) / 1e9,
-            version=__version__,
-            protocol=VERSION,
+        return report(
+            self._settings,
+            self.supervisor,
+            self.bus,
+            self.metrics,
+            started_ns=self._started_ns,
+            now_ns=self._clock(),
             simulated=self._simulated,
-            legs=tuple(
-                telemetry.LegReport(
-                    leg=leg.number,
-                    watchdog=leg.watchdog,
-                    age_ms=None if leg.heard_ns is None else (now_ns - leg.heard_ns) / 1e6,
-                    servos=tuple(  # type: ignore[arg-type]
-                        telemetry.ServoReport(
-                            id=servo.servo_id,
-                            running=servo.running,
-                            angle_deg=None if servo.angle_cdeg is None else servo.angle_cdeg / 100,
-                        )
-                        for servo in leg.servos
-                    ),
-                )
-                for leg in legs
-            ),
-            commands=telemetry.CommandCounts(
-                accepted=self.metrics.accepted, rejected=self.metrics.rejected.total(), coalesced=self.metrics.coalesced
-            ),
-            spi=telemetry.SpiReport(
-                device="simulated controller" if self._simulated else self._settings.spi.device,
-                framing=self._settings.spi.framing,
-                frames=self.bus.frames,
-                errors=self.bus.errors,
-            ),
-            watchdog=telemetry.WatchdogReport(
-                timeout_ms=self._settings.watchdog.timeout_ms,
-                expirations=self.supervisor.expirations,
-                stop_latency_us=self.metrics.watchdog_stops.report(),
-            ),
         )
 
 
