@@ -6,13 +6,14 @@ WHEELS ?= dist/wheels
 # What the hardware tests need of Debian: an emulated kernel device, for the system's own Python.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux
 
-.PHONY: help run test check bench schemas format clean wheels debian-packages
+.PHONY: help run test check bench soak schemas format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller (makes $(VENV))"
 	@echo "make test     all tests"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script"
+	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
@@ -32,6 +33,9 @@ check: $(VENV)/dev
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks
+
+soak: $(VENV)/dev
+	$(BIN)/python -m tests.benchmarks.soak
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas

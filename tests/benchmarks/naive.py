@@ -1,0 +1,32 @@
+"""The yardstick of the benchmark: what one would write in ten minutes. It checks nothing, and never stops a servo."""
+
+import json
+import signal
+import sys
+
+import spidev
+import zenoh
+
+OPS = {"start": 1, "stop": 2, "set": 3}
+spi = spidev.SpiDev()
+spi.open(0, 0)
+spi.max_speed_hz = 2_500_000
+
+
+def on_command(sample: zenoh.Sample) -> None:
+    """Write a leg's command as a ONE LEG frame."""
+    leg = int(str(sample.key_expr).split("/")[2])
+    frame = [14, 1]
+    for joint, servo in enumerate(json.loads(sample.payload.to_bytes())["servos"], start=1):
+        angle = servo.get("angle_deg", 0)
+        frame += [leg * 10 + joint, OPS[servo["op"]], int(angle), round(angle % 1 * 100)]
+    spi.writebytes2(frame)
+
+
+config = zenoh.Config()
+config.insert_json5("listen/endpoints", json.dumps([sys.argv[1]]))
+config.insert_json5("scouting/multicast/enabled", "false")
+with zenoh.open(config) as session:
+    session.declare_subscriber("hexapod/leg/*/cmd", on_command)
+    print("ready", flush=True)
+    signal.pause()
