@@ -57,7 +57,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     },
     Mode.IDLE: {
         Command: _QUIET,
-        Reset: frozenset({Mode.IDLE}),
+        Reset: _QUIET,
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
         TimePassed: _QUIET,

@@ -1,0 +1,71 @@
+"""What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
+
+from dataclasses import dataclass, fields
+from operator import attrgetter
+from typing import Any, Self
+
+from gateway.protocol.frames import Op
+
+
+class Violation(AssertionError):  # noqa: N818  (the model checker's word for it)
+    """The supervisor broke a promise."""
+
+
+def demand(condition: bool, promise: str) -> None:
+    """Raise Violation unless the promise was kept."""
+    if not condition:
+        raise Violation(promise)
+
+
+@dataclass(frozen=True, slots=True)
+class Want:
+    """What an accepted command wants of a servo, as long as no frame has said it."""
+
+    op: Op
+    angle_cdeg: int
+    order: int
+
+
+@dataclass(slots=True)
+class ServoHistory:
+    """One servo: the angle last written while it is energised, what is wanted of it, what is owed to it."""
+
+    written_cdeg: int | None = None
+    want: Want | None = None
+    owed: int = 0
+    owed_ns: int = 0
+    stopped_ns: int | None = None
+    stopped_by: frozenset[str] = frozenset()
+
+    def clone(self) -> Self:
+        """A copy."""
+        return type(self)(*_SERVO_FIELDS(self))
+
+    @property
+    def on(self) -> bool:
+        return self.written_cdeg is not None
+
+    @property
+    def starts(self) -> bool:
+        return self.want is not None and self.want.op is Op.START
+
+    def stop(self, by: str, now_ns: int) -> None:
+        """A Stop that somebody asked for ends what was wanted."""
+        self.want = None
+        self.stopped_by = (self.stopped_by if self.stopped_ns == now_ns else frozenset()) | {by}
+        self.stopped_ns = now_ns
+
+
+@dataclass(slots=True)
+class LegHistory:
+    """One leg: when an accepted command named it, and when a frame last moved it."""
+
+    heard_ns: int | None = None
+    moved_ns: int | None = None
+
+    def clone(self) -> Self:
+        """A copy."""
+        return type(self)(self.heard_ns, self.moved_ns)
+
+
+_SERVO_FIELDS: "attrgetter[tuple[Any, ...]]" = attrgetter(*(f.name for f in fields(ServoHistory)))

@@ -1,0 +1,283 @@
+"""The exhaustive check of the supervisor finds nothing, and finds what is planted in it."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from gateway.events import Command, Effect, EmergencyStop, Event, Refused, Reset, TimePassed
+from gateway.legs import Leg, Legs, Rules, Servo
+from gateway.pacing import StartQueue, Turn
+from gateway.supervisor import Supervisor
+from schemas.telemetry import Cause, Reason
+from tests.history import Violation
+from tests.model_check import CONFIGURATIONS, Configuration, Key, State, check, start, successors
+
+BY_NAME = {configuration.name: configuration for configuration in CONFIGURATIONS}
+ONE_SERVO = BY_NAME["one servo, two channels"]
+ONE_LEG = BY_NAME["one leg, commands for all of it and for a servo"]
+SLOW = BY_NAME["a turn later than the watchdog"]
+TWO_SLOW_LEGS = BY_NAME["two legs, turns later than the watchdog"]
+WHOLE_ROBOT = BY_NAME["two legs, one silent leg stops both"]
+STAGGERED = BY_NAME["two legs, started one after the other"]
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
+def test_every_reachable_state_keeps_every_promise(configuration: Configuration) -> None:
+    report = check(configuration)
+    print(f"{configuration.name}: {report.states} states, {report.steps} steps")
+    assert report.states > 500, "so few states: the events do not reach what they should"
+
+
+@pytest.mark.parametrize("configuration", [ONE_SERVO, TWO_SLOW_LEGS, STAGGERED], ids=lambda each: each.name)
+def test_states_that_count_as_one_have_one_future(configuration: Configuration) -> None:
+    """What tells states apart leaves nothing out that matters: of two that look alike, the same follows."""
+    futures: dict[Key, list[Key]] = {}
+    alike: list[tuple[Key, State]] = []
+    first: Key = ((), ())
+    frontier = deque([(first, start(configuration))])
+    queued: set[Key] = set()
+    met = 0
+    while frontier:
+        looks, state = frontier.popleft()
+        futures[looks] = []
+        for found, after in successors(configuration, state):
+            futures[looks].append(found)
+            if found not in queued:
+                queued.add(found)
+                frontier.append((found, after))
+            elif (met := met + 1) % 61 == 0:
+                alike.append((found, after))
+        if len(futures) == 500:
+            break
+    compared = [(looks, state) for looks, state in alike if looks in futures]
+    assert len(compared) > 50
+    for looks, state in compared:
+        assert [found for found, _ in successors(configuration, state)] == futures[looks], state.path()
+
+
+# ---- planted bugs
+
+
+class WatchdogWithoutWaitingStarts(Leg):
+    """The watchdog looks only at what runs, so a start that waited too long is sent after all."""
+
+    @property
+    def watched(self) -> bool:
+        return any(servo.running for servo in self.servos)
+
+
+class SetStarts(Servo):
+    """A set is accepted after a Stop."""
+
+    @property
+    def will_run(self) -> bool:
+        return True
+
+
+class ForgetsOthersStops(Servo):
+    """Only the last who stopped a servo in an instant counts."""
+
+    def note_stop(self, by: str, now_ns: int) -> None:
+        self.stopped_by, self.stopped_ns = frozenset((by,)), now_ns
+
+
+class EagerTurn(Turn):
+    """Missed turns are made up in a burst."""
+
+    def take(self, now_ns: int) -> None:
+        del now_ns
+        self.next_ns += self.period_ns
+
+
+def with_parts(*, leg: type[Leg] = Leg, servo: type[Servo] = Servo, turn: type[Turn] = Turn) -> type[Supervisor]:
+    """A supervisor whose legs are made of other parts."""
+
+    class Planted(Supervisor):
+        def __init__(self, rules: Rules) -> None:
+            super().__init__(rules)
+            for number in self.legs.by_number:
+                first, second, third = (servo(s.servo_id) for s in self.legs.by_number[number].servos)
+                self.legs.by_number[number] = leg(number, (first, second, third), turn(rules.period_ns))
+
+    return Planted
+
+
+def with_legs(legs: type[Legs]) -> type[Supervisor]:
+    """A supervisor with other legs."""
+
+    class Planted(Supervisor):
+        def __init__(self, rules: Rules) -> None:
+            super().__init__(rules)
+            self.legs = legs(rules)
+
+    return Planted
+
+
+class StopsTakeTurns(Legs):
+    """A Stop on command waits for the leg's turn."""
+
+    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
+        if not leg.turn.is_open(now_ns, something_waits=True):
+            return []
+        return super()._stop_on_command(leg, servos, command, now_ns)
+
+
+class RepeatsAfterStart(Legs):
+    """Repeats still to come are kept when the servo is started again."""
+
+    def _send(self, leg: Leg, now_ns: int, *, something_waited: bool) -> list[Effect]:
+        kept = [(servo, servo.repeats_left) for servo in leg.servos]
+        effects = super()._send(leg, now_ns, something_waited=something_waited)
+        for servo, repeats in kept:
+            servo.repeats_left = repeats
+        return effects
+
+
+class OlderStartSurvivesStop(Legs):
+    """A Stop leaves what waits for its servo, which is then sent after it."""
+
+    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
+        waiting = [(servo, servo.waiting) for servo in servos]
+        effects = super()._stop_on_command(leg, servos, command, now_ns)
+        for servo, older in waiting:
+            servo.waiting = older
+            if older is not None:
+                self._orders.setdefault(older.order, self._order_of_one())
+        return [effect for effect in effects if getattr(effect, "order", None) not in self._orders]
+
+    def _order_of_one(self) -> Any:
+        from gateway.legs import _Order  # noqa: PLC0415
+
+        return _Order(1)
+
+
+class RefusedInPart(Legs):
+    """What was refused because of one leg still takes effect on another."""
+
+    def drop(self, servos: Any, reason: Reason, detail: str) -> list[Effect]:
+        named = list(servos)
+        others = [(servo, servo.waiting) for servo in self.servos.values() if servo not in named]
+        effects = super().drop(named, reason, detail)
+        for servo, waiting in others:
+            servo.waiting = waiting
+        return effects
+
+    def _target_done(self, number: int) -> list[Effect]:
+        return super()._target_done(number) if number in self._orders else []
+
+
+class LatchLostInFault(Supervisor):
+    """A bus fault loses the emergency stop."""
+
+    def _bus_opened(self, now_ns: int) -> list[Effect]:
+        self._latched_ns = None
+        return super()._bus_opened(now_ns)
+
+
+class LateCommandsCount(Supervisor):
+    """A command that comes after the deadline, but before anyone looked, saves its leg."""
+
+    def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
+        if isinstance(event, Command) and self._refusal(event, now_ns) is None:
+            for servo_id, _ in event.targets:
+                self.legs.by_number[servo_id // 10].heard_ns = now_ns
+        return super()._in_time(event, now_ns)
+
+
+class RefusedCommandsFeed(Supervisor):
+    """A refused command counts as heard."""
+
+    def _command(self, command: Command, now_ns: int) -> list[Effect]:
+        effects = super()._command(command, now_ns)
+        if effects and isinstance(effects[0], Refused):
+            for servo_id, _ in command.targets:
+                self.legs.by_number[servo_id // 10].heard_ns = now_ns
+        return effects
+
+
+class OversleepsTheWatchdog(Supervisor):
+    """Wakes up a tick late."""
+
+    def step(self, event: Event, now_ns: int) -> list[Effect]:
+        effects = super().step(event, now_ns)
+        self.due_ns = None if self.due_ns is None else self.due_ns + 1
+        return effects
+
+
+class EmergencyStopAfterTurns(Supervisor):
+    """An emergency stop comes after the frames whose turn it is."""
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        moves = self.legs.take_turns(now_ns) if self._bus_ok else []
+        return moves + super()._emergency_stop(event, now_ns)
+
+
+class ResetInTheSameInstant(Supervisor):
+    """A reset leaves an emergency stop of the same instant, which may be the newer of the two."""
+
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+        return super()._reset(event, now_ns + 1)
+
+
+class RecoversWithoutStops(Supervisor):
+    """After a fault the bus is used at once."""
+
+    def _bus_opened(self, now_ns: int) -> list[Effect]:
+        effects = super()._bus_opened(now_ns)
+        return [effect for effect in effects if getattr(effect, "cause", None) is not Cause.STARTUP]
+
+
+class OneSilentLegOnly(Supervisor):
+    """The scope of the watchdog is a setting that is accepted and ignored."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        self._rules = Rules(timeout_ns=rules.timeout_ns, period_ns=rules.period_ns, repeats=rules.repeats)
+
+
+class NoPause(StartQueue):
+    """The pause between two legs that are energised is accepted and ignored."""
+
+    def started(self, leg: int, now_ns: int) -> None:
+        super().started(leg, now_ns)
+        self.next_ns = now_ns
+
+
+class AllAtOnce(Legs):
+    """See NoPause."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        self._queue = NoPause(rules.start_pause_ns)
+
+
+@pytest.mark.parametrize(
+    ("configuration", "make", "promise"),
+    [
+        (SLOW, with_parts(leg=WatchdogWithoutWaitingStarts), "not heard for the timeout"),
+        (ONE_SERVO, with_parts(servo=SetStarts), "refused for servo_stopped"),
+        (ONE_SERVO, with_parts(servo=ForgetsOthersStops), "refused for servo_stopped"),
+        (ONE_SERVO, with_parts(turn=EagerTurn), "burst"),
+        (ONE_SERVO, with_legs(StopsTakeTurns), "is sent at once"),
+        (ONE_SERVO, with_legs(RepeatsAfterStart), "wake up|repeated any more"),
+        (ONE_SERVO, with_legs(OlderStartSurvivesStop), "every command is answered|nobody asked"),
+        (TWO_SLOW_LEGS, with_legs(RefusedInPart), "every command is answered|nobody asked|wakes up in time"),
+        (ONE_LEG, LatchLostInFault, "the mode is estopped"),
+        (ONE_LEG, LateCommandsCount, "not heard for the timeout"),
+        (ONE_LEG, RefusedCommandsFeed, "wakes up in time|not heard for the timeout"),
+        (ONE_SERVO, OversleepsTheWatchdog, "wakes up in time"),
+        (ONE_SERVO, EmergencyStopAfterTurns, "a Stop to each leg and nothing else"),
+        (ONE_SERVO, ResetInTheSameInstant, "a reset refused for estopped"),
+        (ONE_LEG, RecoversWithoutStops, "a Stop to each leg"),
+        (WHOLE_ROBOT, OneSilentLegOnly, "not heard for the timeout"),
+        (STAGGERED, with_legs(AllAtOnce), "with a pause"),
+    ],
+    ids=lambda value: getattr(value, "name", None) or getattr(value, "__name__", None),
+)
+def test_it_finds_a_planted_bug(
+    configuration: Configuration, make: Callable[[Rules], Supervisor], promise: str
+) -> None:
+    with pytest.raises(Violation, match=promise):
+        check(configuration, make)
