@@ -70,6 +70,7 @@ ENVIRONMENT_FAULTS = [
     ("HEXAPOD_SPI__", "x", NO_VARIABLE),
     ("HEXAPOD_", "x", NO_VARIABLE),
     ("hexapod_spi__device", "x", NO_VARIABLE),
+    ("HEXAPOD_spi__device", "x", NO_VARIABLE),
     ("Hexapod_Watchdog__Timeout_ms", "100", NO_VARIABLE),
     ("HEXAPOD_LIMITS__SERVOS", "{}", NO_VARIABLE),
     ("HEXAPOD_LIMITS__SERVOS__14__MIN_DEG", "1", NO_VARIABLE),

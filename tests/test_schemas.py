@@ -22,7 +22,7 @@ from schemas.keys import CommandKey, Target
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
 from tests.bad_commands import FAULTS
-from tests.commands import as_json, leg_commands, legs_commands, servo_commands
+from tests.commands import LEG, as_json, leg_commands, legs_commands, servo_commands
 
 SCHEMAS = {name.removesuffix(".json"): json.loads(text) for name, text in documents().items()}
 VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
@@ -84,6 +84,46 @@ def test_schema_and_model_accept_the_same_where_one_value_is_replaced(
             break
         inner = inner[place]
     assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value))
+
+
+VALUES: list[Any] = [None, True, 0, 1, 1.0, -1, 180, 180.5, 2**53, "", "1", "90", "stop", "x" * 64, "x" * 65, [], {}]
+FULL: list[tuple[str, dict[str, Any]]] = [
+    ("ServoCommand", {"op": "set", "angle_deg": 1, "source": "x", "sent_ms": 1}),
+    ("ServoCommand", {"op": "stop", "source": "x", "sent_ms": 1}),
+    ("LegCommand", LEG | {"source": "x", "sent_ms": 1}),
+    ("LegsCommand", {"legs": {"1": LEG, "6": LEG}, "source": "x", "sent_ms": 1}),
+    ("ResetCommand", {}),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), FULL)
+def test_schema_and_model_accept_the_same_with_each_value_in_each_place(name: str, value: dict[str, Any]) -> None:
+    """Also with each place left out, and with one more in each object."""
+
+    def compare() -> None:
+        assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value)), value
+
+    def visit(inner: Any) -> None:
+        for place in list(inner) if isinstance(inner, dict) else range(len(inner)):
+            kept = inner[place]
+            for other in VALUES:
+                inner[place] = other
+                compare()
+            inner[place] = kept
+            if isinstance(inner, dict):
+                del inner[place]
+                compare()
+                inner[place] = kept
+            if isinstance(kept, dict | list):
+                visit(kept)
+        if isinstance(inner, dict):
+            inner["more"] = 1
+            compare()
+            del inner["more"]
+
+    value = json.loads(json.dumps(value))
+    assert VALIDATORS[name].is_valid(value)
+    visit(value)
 
 
 def as_any_reader_sees_it(payload: object) -> object:
