@@ -1,0 +1,289 @@
+"""The benchmark: this gateway beside the naive script, in one run, on emulated SPI devices.
+
+    python -m tests.benchmarks [--only steady|together|flood|idle|memory] [--markdown]
+
+Each is a process of its own, and so is each publisher. A message carries its number in its angles, so that a transfer
+is matched with the moment when its message was published; all clocks are the machine's one monotonic clock. The two
+take turns, a round each, because a machine changes its speed within seconds: what counts is the ratio within a round.
+"""
+
+import argparse
+import math
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from schemas.keys import leg_command
+from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb
+from tests.benchmarks.publisher import number_of
+from tests.benchmarks.subjects import Subject
+from tests.benchmarks.table import Row, as_markdown, as_text, microseconds, ratio_row
+from tests.hil.bed import missing_packages
+
+ALL_LEGS = ("--legs", "1", "2", "3", "4", "5", "6")
+ROUNDS = 9
+ROUND_S = 2.0
+FLOOD_S = 3.0
+STOP_FRAME_OP = 2
+
+
+def say(text: str) -> None:
+    """One line of progress."""
+    print(f"… {text}", file=sys.stderr, flush=True)
+
+
+def both(folder: Path, stack: ExitStack) -> tuple[Subject, Subject]:
+    """The gateway and the naive script."""
+    return Subject("gateway", folder, stack), Subject("naive", folder, stack)
+
+
+def _six_legs(folder: Path, stack: ExitStack, *, together: bool) -> list[Row]:
+    subjects = both(folder, stack)
+    options = (*ALL_LEGS, "--hz", "50", *(["--together"] if together else []))
+    publishers = [subject.publisher(*options) for subject in subjects]
+    for publisher in publishers:
+        publisher.run(0.5)  # whatever is slow only once
+    figures: list[list[Figures]] = [[], []]
+    cpu_us: list[list[float]] = [[], []]
+    rounds = ROUNDS // 2 if together else ROUNDS
+    for number in range(rounds):
+        say(f"six legs at 50 Hz{', all at once' if together else ''}: round {number + 1} of {rounds}")
+        for index in (0, 1) if number % 2 else (1, 0):
+            begun_ns, begun_cpu_ns = now_ns(), cpu_ns(subjects[index].pid)
+            count = publishers[index].run(ROUND_S)
+            cpu_us[index].append((cpu_ns(subjects[index].pid) - begun_cpu_ns) / count / 1000)
+            figures[index].append(Figures.of(publishers[index].latencies_ns(subjects[index].device.written(begun_ns))))
+    p50s = [[figure.p50_us for figure in side] for side in figures]
+    p99s = [[figure.p99_us for figure in side] for side in figures]
+    if together:
+        return [
+            ratio_row("six legs in one instant, 50 Hz: p50", p50s[0], p50s[1], "µs", None),
+            ratio_row("six legs in one instant, 50 Hz: p99", p99s[0], p99s[1], "µs", None),
+        ]
+    return [
+        ratio_row("six legs, 50 Hz each: publish → transfer, p50", p50s[0], p50s[1], "µs", 1.15),
+        ratio_row("six legs, 50 Hz each: publish → transfer, p99", p99s[0], p99s[1], "µs", 1.5),
+        ratio_row("six legs, 50 Hz each: CPU time a command", cpu_us[0], cpu_us[1], "µs", 2.0),
+    ]
+
+
+def steady(folder: Path, stack: ExitStack) -> list[Row]:
+    """Six legs at 50 Hz, evenly spread over time."""
+    return _six_legs(folder, stack, together=False)
+
+
+def together(folder: Path, stack: ExitStack) -> list[Row]:
+    """Six legs at 50 Hz, all in the same instant: the gateway pauses between two frames, the naive script does not."""
+    return _six_legs(folder, stack, together=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Flooded:
+    """A flood of leg 1 with leg 2 at 50 Hz beside it: the ages of both legs' frames, and how many leg 1 was sent."""
+
+    ages: tuple[Figures | None, Figures | None]
+    rate_hz: float
+    stops_us: list[float | None]
+
+
+def _flood(subject: Subject) -> tuple[tuple[Figures | None, Figures | None], float]:
+    flood = subject.publisher("--legs", "1", "--hz", "0")
+    other = subject.publisher("--legs", "2", "--hz", "50")
+    begun_ns = now_ns()
+    other.start(FLOOD_S)
+    flood.start(FLOOD_S)
+    offered = flood.wait()
+    other.wait()
+    end_ns = begun_ns + round(FLOOD_S * 1e9)
+    time.sleep(1.0)
+    # What comes late counts too: a frame of the backlog is no better for having been written after the flood.
+    written = subject.device.written(begun_ns)
+    say(f"  {offered / FLOOD_S:,.0f} messages a second were offered")
+    flooded = [each for each in written if number_of(each.data) is not None and each.data[2] // 10 == 1]
+    ages = [publisher.latencies_ns(written) for publisher in (flood, other)]
+    first, second = (Figures.of(each) if each else None for each in ages)
+    return (first, second), sum(each.monotonic_ns < end_ns for each in flooded) / FLOOD_S
+
+
+def _sixth_stop_us(written: list[Written], begun_ns: int) -> float | None:
+    """From then until all six legs have been written a Stop since."""
+    legs: set[int] = set()
+    for transfer in written:
+        if transfer.monotonic_ns >= begun_ns and len(transfer.data) == 14 and transfer.data[3] == STOP_FRAME_OP:
+            legs.add(transfer.data[2] // 10)
+            if len(legs) == 6:
+                return (transfer.monotonic_ns - begun_ns) / 1000
+    return None
+
+
+def _age(figures: Figures | None) -> str:
+    return "none came" if figures is None else f"{microseconds(figures.p99_us)} (p50 {microseconds(figures.p50_us)})"
+
+
+@dataclass(frozen=True, slots=True)
+class Latest:
+    """The worst of some stops; infinite where one did not come while anybody looked."""
+
+    worst_us: float
+
+    @classmethod
+    def of(cls, stops_us: list[float | None]) -> Self:
+        return cls(max(math.inf if stop_us is None else stop_us for stop_us in stops_us))
+
+    @property
+    def text(self) -> str:
+        return "not until after the flood" if math.isinf(self.worst_us) else microseconds(self.worst_us)
+
+
+def _stops_in_flood(subject: Subject) -> list[float | None]:
+    """Emergency stops during a flood, request → sixth Stop on the wire, in µs; None: not before the flood had ended."""
+    flood = subject.publisher("--legs", "1", "--hz", "0")
+    robot = subject.client()
+    flood.start(FLOOD_S)
+    time.sleep(0.4)
+    requests: list[int] = []
+    for _ in range(8 if subject.name == "gateway" else 1):
+        requests.append(now_ns())
+        if subject.name == "gateway":
+            robot.estop()
+            time.sleep(0.15)
+            robot.reset()
+            time.sleep(0.1)
+        else:  # it knows no emergency stop: six legs are stopped one by one
+            for leg in range(1, 7):
+                robot.publish(leg_command(leg), {"servos": [{"op": "stop"}] * 3})
+    flood.wait()
+    time.sleep(1.0)
+    written = subject.device.written()
+    return [_sixth_stop_us(written, requested_ns) for requested_ns in requests]
+
+
+def flood(folder: Path, _stack: ExitStack) -> list[Row]:
+    """One leg is sent as much as one publisher can."""
+    found = []
+    for name in ("gateway", "naive"):
+        say(f"flood of one leg: {name}")
+        with ExitStack() as stack:
+            ages, rate_hz = _flood(Subject(name, folder, stack))
+        with ExitStack() as stack:
+            found.append(_Flooded(ages, rate_hz, _stops_in_flood(Subject(name, folder, stack))))
+    ours, naive = found
+    stops = Latest.of(ours.stops_us)
+    rows = [
+        Row(f"flood of one leg: {what}, p99", _age(ours.ages[leg]), _age(naive.ages[leg]), f"at most {aim_ms} ms", met)
+        for leg, what, aim_ms in ((0, "age of its frames", 10), (1, "another leg at 50 Hz", 15))
+        for figures in [ours.ages[leg]]
+        for met in [figures is not None and figures.p99_us <= aim_ms * 1000]
+    ]
+    return [
+        *rows,
+        Row(
+            f"flood of one leg: emergency stop → sixth Stop, worst of {len(ours.stops_us)}",
+            stops.text,
+            f"{Latest.of(naive.stops_us).text} (six Stops)",
+            "at most 10 ms",
+            stops.worst_us <= 10_000,
+        ),
+        Row(
+            "flood of one leg: frames a second for it",
+            f"{ours.rate_hz:.1f}",
+            f"{naive.rate_hz:,.0f}",
+            "at most 50",
+            # The first frame opens the first turn, so 3 s hold 151 turns.
+            ours.rate_hz <= 50 + 1 / FLOOD_S + 0.01,
+        ),
+    ]
+
+
+def idle(folder: Path, stack: ExitStack) -> list[Row]:
+    """Nobody commands anything."""
+    subjects = both(folder, stack)
+    say("idle for 5 s")
+    time.sleep(1)
+    begun_ns, begun = now_ns(), [cpu_ns(subject.pid) for subject in subjects]
+    time.sleep(5)
+    elapsed_ns = now_ns() - begun_ns
+    ours, naive = (
+        100 * (cpu_ns(subject.pid) - before_ns) / elapsed_ns for subject, before_ns in zip(subjects, begun, strict=True)
+    )
+    return [Row("idle: CPU, share of one core", f"{ours:.2f} %", f"{naive:.2f} %", "under 1 %", ours < 1)]
+
+
+def memory(folder: Path, stack: ExitStack) -> list[Row]:
+    """A million commands, none lost on the way to the process."""
+    subject = Subject("gateway", folder, stack)
+    publisher = subject.publisher("--legs", "1", "2", "3", "--hz", "0", "--block")
+    count, early_count, early_kb, run_s = 0, 0, 0, 0.02
+    robot = subject.client()
+    deadline_s = time.monotonic() + 60
+    while count < 1_000_000 and time.monotonic() < deadline_s:
+        count += publisher.run(run_s)
+        if not early_kb and count >= 10_000:
+            early_count, early_kb, run_s = count, rss_kb(subject.pid), 2.0
+        say(f"memory: {count:,} commands")
+    state = robot.state()
+    late_kb = rss_kb(subject.pid)
+    return [
+        Row(
+            f"memory after {early_count:,} and after {count:,} commands",
+            f"{early_kb / 1024:.1f} and {late_kb / 1024:.1f} MB ({state.commands.accepted:,} got past the rings)",
+            "",
+            "at most 2 MB more",
+            late_kb <= early_kb + 2048 and count >= 1_000_000,
+        )
+    ]
+
+
+PARTS: dict[str, Callable[[Path, ExitStack], list[Row]]] = {
+    "steady": steady,
+    "together": together,
+    "flood": flood,
+    "idle": idle,
+    "memory": memory,
+}
+
+
+def machine() -> str:
+    """The machine in words."""
+    cpu = next(
+        (line.partition(": ")[2] for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        platform.machine(),
+    )
+    return (
+        f"{os.cpu_count()} × {cpu}, Linux {platform.release()}, Python {platform.python_version()},"
+        f" load before the run {os.getloadavg()[0]:.1f}"
+    )
+
+
+def main() -> int:
+    """Run all parts, or one; the exit status is 0 whatever the figures, for a benchmark is no test."""
+    parser = argparse.ArgumentParser(description="Measure the gateway beside a naive script.")
+    parser.add_argument("--only", choices=PARTS)
+    parser.add_argument("--markdown", action="store_true")
+    options = parser.parse_args()
+    if lack := missing_packages():
+        print(f"the emulated device cannot be had: {lack}")
+        return 0
+    where, begun_s = machine(), time.monotonic()
+    rows: list[Row] = []
+    for name, part in PARTS.items():
+        if options.only in (None, name):
+            with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+                rows += part(Path(folder), stack)
+    print(as_markdown(rows) if options.markdown else as_text(rows))
+    print(
+        f"\n{where}; the run took {time.monotonic() - begun_s:.0f} s;"
+        " ratios are medians over the rounds (least to most)"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

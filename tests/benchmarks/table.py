@@ -1,0 +1,55 @@
+"""The benchmark's results: one row a figure, as text for a terminal or as Markdown for the README."""
+
+from dataclasses import dataclass
+from statistics import median
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One figure of the gateway, the naive script's beside it, the aim, and whether it is met (None: no aim)."""
+
+    name: str
+    gateway: str
+    naive: str
+    aim: str = ""
+    met: bool | None = None
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        verdict = {True: "met", False: "NOT MET", None: ""}[self.met]
+        return self.name, self.gateway, self.naive, self.aim, verdict
+
+
+HEAD = ("figure", "gateway", "naive script", "aim", "")
+
+
+def as_text(rows: list[Row]) -> str:
+    """Columns that line up."""
+    cells = [HEAD, *(row.cells for row in rows)]
+    widths = [max(len(line[column]) for line in cells) for column in range(len(HEAD))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in cells]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def as_markdown(rows: list[Row]) -> str:
+    """The same as a table of Markdown."""
+    lines = [f"| {' | '.join(line)} |" for line in (HEAD, *(row.cells for row in rows))]
+    return "\n".join([lines[0], "|---" * len(HEAD) + "|", *lines[1:]])
+
+
+def microseconds(value_us: float) -> str:
+    """µs while that is short, else ms."""
+    return f"{value_us:.0f} µs" if value_us < 10_000 else f"{value_us / 1000:,.0f} ms"
+
+
+def ratio_row(name: str, ours: list[float], theirs: list[float], unit: str, aim: float | None) -> Row:
+    """Medians of both over the rounds, and the median of the rounds' ratios with its spread, held against the aim."""
+    ratios = [our / their for our, their in zip(ours, theirs, strict=True)]
+    middle = median(ratios)
+    return Row(
+        name,
+        f"{median(ours):.0f} {unit}, {middle:.2f}× ({min(ratios):.2f} to {max(ratios):.2f})",
+        f"{median(theirs):.0f} {unit}",
+        f"at most {aim}×" if aim else "",
+        middle <= aim if aim else None,
+    )
