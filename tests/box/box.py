@@ -89,8 +89,18 @@ class Box:
         finally:
             self._system.close()
 
+    @property
+    def journal_option(self) -> str:
+        """What makes a `journalctl` outside read the journal inside."""
+        folder = next(path for path in ("var/log/journal", "run/log/journal") if self.exists(f"/{path}"))
+        return f"--directory=/proc/{self._pid}/root/{folder}"
+
     def command(self, *command: str) -> list[str]:
-        """The command line that runs `command` inside, from outside; killed, it takes `command` with it."""
+        """The command line that runs `command` inside, from outside. Let it end by itself.
+
+        Killed, it takes `command` with it, but leaves it to this machine's init to be buried, and until then the
+        box cannot end: some inits take ten seconds.
+        """
         enter = ["nsenter", f"--target={self._pid}", "--all", "--root", "--wd", "--"]
         return [*enter, "setpriv", "--pdeathsig=KILL", "--", *command]
 

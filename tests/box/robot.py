@@ -99,8 +99,8 @@ class Robot:
     @contextmanager
     def journal(self) -> Iterator[Child]:
         """The service's journal from now on, as a child whose lines can be waited for."""
-        options = self._journal_options(self.cursor())
-        journal = Child(self.box.command("journalctl", "--follow", *options), {"PATH": "/usr/bin", "LANG": "C.UTF-8"})
+        command = ["journalctl", "--follow", self.box.journal_option, *self._journal_options(self.cursor())]
+        journal = Child(command, {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
         try:
             yield journal
         finally:

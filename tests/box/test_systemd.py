@@ -111,9 +111,10 @@ def test_killed(robot: Robot) -> None:
     with robot.journal() as journal:
         killed_ns = time.monotonic_ns()
         robot.unit.systemctl("kill", "--signal=SIGKILL")
-        client.close()
         stops = stopped_by(robot, opening + 1)
         print(f"first Stop {(stops[0].monotonic_ns - killed_ns) / 1e6:.0f} ms after SIGKILL")
+        assert client.wait() == 4, "no gateway answers"
+        client.close()
         journal.wait_for_output("status=9/KILL")
         journal.wait_for_output("Stop written to all six legs, 4 times each")
         journal.wait_for_output("Started ")
