@@ -207,7 +207,7 @@ class Inbox:
         del item
         for bell in self._bells:
             for _ in range(OTHER_DEPTH):
-                more = bell.try_recv()
+                more = _next_of(bell)
                 if more is None:
                     break
                 self._note(more, received_ns)
@@ -229,7 +229,7 @@ class Inbox:
         for key, rings in self._rings.items():
             for ring in rings:
                 for _ in range(RING_DEPTH):
-                    item = ring.try_recv()
+                    item = _next_of(ring)
                     if item is None:
                         break
                     yield _received(item, key, now_ns)
@@ -245,6 +245,14 @@ class Inbox:
     def _looked(self, attempt: int) -> None:
         self._on_ring()
         self._look(attempt + 1)
+
+
+def _next_of(ring: Handler[Any]) -> Any:
+    """What waits in a ring, if anything. While the inbox closes, the loop still turns and may find its rings gone."""
+    try:
+        return ring.try_recv()
+    except zenoh.ZError:
+        return None
 
 
 def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int) -> Received:

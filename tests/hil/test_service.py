@@ -1,0 +1,352 @@
+"""The service as a user starts it, with the unmodified spidev on the emulated device, commanded through Zenoh.
+
+The gateway is a process of its own; the test, or a command that it runs, is the client. Everything that reaches the
+device is expected byte for byte and in order, so a frame too many fails a test as surely as one too few.
+"""
+
+import json
+import signal
+import statistics
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import leg_payload
+from gateway.protocol.framing import Framing
+from schemas import keys
+from schemas.telemetry import Kind, Mode, Reason
+from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.heard import events, states
+from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
+from tests.hil.wire import LATE_S, STOPS, Wire
+
+pytestmark = pytest.mark.hil
+
+START_3 = "0e011f015a0020012d0021017800"  # leg 3 at 90, 45, 120
+SET_3 = "0e011f035b0020032d0021037800"  # leg 3 at 91, 45, 120
+QUIET: dict[str, Any] = {"repeats": 0, "timeout_ms": 10_000}
+"""A watchdog that adds nothing to what a test of something else expects."""
+
+
+@pytest.fixture(params=list(Framing))
+def wire(request: pytest.FixtureRequest, spi_testbed: SpiTestbed) -> Wire:
+    """The emulated device, in each framing."""
+    return Wire(spi_testbed, request.param)
+
+
+def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    spi = {"framing": wire.framing, **sections.pop("spi", {})}
+    return {"watchdog": QUIET, **sections, "spi": spi}
+
+
+def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
+    """A gateway on the wire, whose start has been read."""
+    gateway = Gateway(folder, settings_for(wire, **sections), bed=wire.bed)
+    wire.expect_opening(*STOPS)
+    return gateway
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
+    with start(tmp_path, wire) as gateway:
+        yield gateway
+
+
+# ---- start
+
+
+def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_command(tmp_path: Path, wire: Wire) -> None:
+    with Gateway(tmp_path, settings_for(wire), bed=wire.bed):
+        transfers = wire.expect_opening(*STOPS)
+        wire.expect_nothing()
+        assert {(each.kind, each.mode, each.bits_per_word, each.speed_hz) for each in transfers} == {
+            ("write", 0, 8, 2_500_000)
+        }
+        assert {each.opening for each in transfers} == {1}
+        order = [type(event) for event in wire.bed.events]
+        assert order.index(Transfer) > max(place for place, kind in enumerate(order) if kind is Setting)
+        assert order.count(Opened) == 1
+
+
+def test_the_stops_of_the_start_are_repeated(tmp_path: Path, wire: Wire) -> None:
+    watchdog = {"repeats": 2, "repeat_interval_ms": 30}
+    with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
+        first = wire.expect(*STOPS)
+        second = wire.expect(*STOPS)
+        assert second[0].monotonic_ns - first[0].monotonic_ns > 20e6
+        assert client.reset().accepted
+        wire.expect_nothing()
+
+
+# ---- commands
+
+
+def test_leg_and_servo_commands_byte_for_byte(gateway: Gateway, wire: Wire) -> None:
+    with gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        assert client.set_leg(3, 91, 45, 120).accepted
+        wire.expect(SET_3)
+        assert client.servo(32, "set", 89.999).accepted
+        wire.expect("060220035a00")
+        assert client.servo(11, "start", 90.29).accepted
+        wire.expect("06020b015a1d")
+        assert client.servo(63, "start", 180).accepted
+        wire.expect("06023f01b400")
+        assert client.servo(63, "stop").accepted
+        wire.expect("06023f020000")
+        assert client.stop(3).accepted
+        wire.expect(STOPS[2])
+        assert client.servo(32, "set", 90).reason is Reason.SERVO_STOPPED
+        assert client.set_leg(1, 1, 2, 3).reason is Reason.SERVO_STOPPED  # two of the three never ran
+        wire.expect_nothing()
+
+
+def test_a_legs_command_stops_first_and_then_moves(gateway: Gateway, wire: Wire) -> None:
+    with gateway.client() as client:
+        both = {"3": leg_payload("start", (90, 45, 120)), "4": leg_payload("start", (0, 0.01, 180))}
+        assert client.ask(keys.LEGS_COMMAND, {"legs": both}).accepted
+        wire.expect(START_3, "0e0129010000" + "2a010001" + "2b01b400")
+        one_each = {"3": leg_payload("set", (91, 45, 120)), "4": leg_payload("stop")}
+        assert client.ask(keys.LEGS_COMMAND, {"legs": one_each}).accepted
+        wire.expect(STOPS[3], SET_3)
+        assert client.ask(keys.LEGS_COMMAND, {"legs": {**one_each, "5": leg_payload("set", (1, 2, 3))}}).detail
+        assert client.stop().accepted
+        wire.expect(*STOPS)
+
+
+def test_put_wildcard_and_delete(gateway: Gateway, wire: Wire) -> None:
+    with gateway.client() as client:
+        client.publish("hexapod/leg/*/cmd", leg_payload("start", (0, 90, 180)))
+        for leg in range(1, 7):
+            wire.expect("0e01" + "".join(f"{10 * leg + joint:02x}01{angle:02x}00" for joint, angle in JOINTS_AT))
+        client.session.delete(keys.servo_command(32))
+        wire.expect("060220020000")
+        client.session.delete(keys.leg_command(5))
+        wire.expect(STOPS[4])
+        client.publish("hexapod/leg/*/cmd", leg_payload("stop"))
+        wire.expect(*STOPS)
+
+
+JOINTS_AT = ((1, 0), (2, 90), (3, 180))
+
+
+def test_bad_commands_reach_no_wire(gateway: Gateway, wire: Wire) -> None:
+    with gateway.client() as client:
+        heard = events(client)
+        bad = [{"servos": [{"op": "start", "angle_deg": angle}] * 3} for angle in (-0.01, 180.01, 1e300, True, "90")]
+        bad += [{"servos": [{"op": "start", "angle_deg": 90}] * 2}, {"servos": []}, {}]
+        for payload in bad:
+            assert not client.ask(keys.leg_command(3), payload).accepted
+        client.session.put(keys.leg_command(3), b"\xff{", encoding="application/json")
+        client.session.put("hexapod/leg/7/cmd", json.dumps(leg_payload("start", (1, 2, 3))))
+        heard.wait(lambda event: event.key == keys.leg_command(3) and event.reason is Reason.MALFORMED)
+        heard.wait(lambda event: event.key == "hexapod/leg/7/cmd", timeout_s=LATE_S)
+        assert client.state().mode is Mode.IDLE
+        wire.expect_nothing()
+
+
+def test_a_second_program_holds_a_leg_and_lets_it_go(tmp_path: Path, wire: Wire) -> None:
+    with start(tmp_path, wire, watchdog={"repeats": 0, "timeout_ms": 2000}) as gateway:
+        sent = gateway.run("send", "leg", "3", "start", "90", "45", "120", "--hold", "0.3")
+        assert sent.returncode == 0, str(sent)
+        found = wire.bed.wait_for_data(bytes.fromhex(STOPS[2]), since=len(wire.bed.transfers), timeout_s=LATE_S)
+        frames = [each.data.hex() for each in wire.skip() if len(each.data) == 14]
+        assert frames[0] == START_3
+        assert frames[-1] == STOPS[2] == found.data.hex()
+        assert set(frames) <= {START_3, START_3.replace("01", "03", 4), STOPS[2]}
+
+
+# ---- silence, emergency stop
+
+
+def test_silence_stops_a_leg_and_says_it_again(tmp_path: Path, wire: Wire) -> None:
+    watchdog = {"timeout_ms": 300, "repeats": 3, "repeat_interval_ms": 20}
+    with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
+        wire.expect(*STOPS * 3)
+        heard = events(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        *_, moved = wire.expect(START_3)
+        *_, stopped = wire.expect(STOPS[2])
+        assert 0.29 < (stopped.monotonic_ns - moved.monotonic_ns) / 1e9 < 2
+        repeated = wire.expect(STOPS[2], STOPS[2], STOPS[2])
+        assert (repeated[-1].monotonic_ns - stopped.monotonic_ns) / 1e9 > 0.05
+        assert "leg 3" in heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED).detail
+        assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
+        wire.expect_nothing()
+
+
+def test_repeats_end_where_the_leg_is_started_again(tmp_path: Path, wire: Wire) -> None:
+    watchdog = {"timeout_ms": 10_000, "repeats": 3, "repeat_interval_ms": 1000}
+    with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        wire.expect(*(STOPS[:2] + STOPS[3:]) * 3)
+
+
+def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway, wire: Wire) -> None:
+    with gateway.client() as client:
+        for payload in (b"", b"{}", b"\xff\x00", b"x" * 5000):
+            assert client.start_leg(3, 90, 45, 120).accepted
+            wire.expect(START_3)
+            client.session.put(keys.ESTOP, payload)
+            wire.expect(*STOPS)
+            assert client.start_leg(3, 90, 45, 120).reason is Reason.ESTOPPED
+            assert client.stop(3).reason is Reason.ESTOPPED
+            wire.expect_nothing()
+            again = client.estop()
+            assert (again.accepted, again.stop_frames) == (True, 6)
+            assert again.latency_us is not None
+            wire.expect(*STOPS)
+            assert client.reset().accepted
+            assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
+            wire.expect_nothing()
+
+
+def test_estop_and_reset_from_the_command_line(gateway: Gateway, wire: Wire) -> None:
+    assert gateway.run("estop").returncode == 0
+    wire.expect(*STOPS)
+    assert gateway.run("send", "leg", "3", "start", "90", "45", "120").returncode == 1
+    assert gateway.run("reset").returncode == 0
+    wire.expect_nothing()
+
+
+# ---- the end
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
+    tmp_path: Path, wire: Wire, number: signal.Signals
+) -> None:
+    watchdog = {"timeout_ms": 10_000, "repeats": 3, "repeat_interval_ms": 20}
+    with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
+        wire.expect(*STOPS * 3)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        begun_s = time.monotonic()
+        gateway.child.send_signal(number)
+        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
+        took_s = time.monotonic() - begun_s
+        assert took_s < 1.5, "a second, and half of one for a busy machine to end a process"
+        wire.expect(*STOPS * 4)
+        wire.expect_nothing()
+
+
+def test_a_signal_under_load_lets_nothing_pass_after_the_stops(tmp_path: Path, wire: Wire) -> None:
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        seen = states(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        while gateway.child.returncode is None:
+            client.publish(keys.leg_command(3), leg_payload("start", (90, 45, 120)))
+            if len(seen.all) == 3:  # under way for a while
+                gateway.child.terminate()
+        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
+    frames = [each.data.hex() for each in wire.skip() if len(each.data) == 14]
+    assert set(frames[:-6]) == {START_3}
+    assert frames[-6:] == STOPS
+
+
+# ---- stop-servos
+
+
+def stop_servos(wire: Wire, config: Path) -> None:
+    child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
+    assert child.wait(LATE_S) == 0, str(child)
+    assert "Stop written to all six legs" in child.stdout
+
+
+def config_for(folder: Path, wire: Wire, **spi: Any) -> Path:
+    return write_settings(folder / "gateway.toml", settings_for(wire, watchdog={"repeats": 3}, spi=spi))
+
+
+def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
+    stop_servos(wire, config_for(tmp_path, wire))
+    found = wire.expect_opening(*STOPS * 4)
+    wire.expect_nothing()
+    assert {(each.mode, each.bits_per_word, each.speed_hz) for each in found} == {(0, 8, 2_500_000)}
+
+
+def test_stop_servos_beside_a_running_gateway(tmp_path: Path, wire: Wire) -> None:
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        stop_servos(wire, config_for(tmp_path, wire))
+        wire.expect_opening(*STOPS * 4)
+        assert client.set_leg(3, 91, 45, 120).accepted  # the gateway does not know, and the controller ignores it
+        wire.expect(SET_3)
+
+
+# ---- whose device
+
+
+def test_a_second_gateway_on_the_same_device_is_refused(tmp_path: Path, gateway: Gateway, wire: Wire) -> None:
+    with Gateway(tmp_path, settings_for(wire), bed=wire.bed, wait=False) as second:
+        assert second.child.wait(LATE_S) == 3
+        assert second.child.stderr == f"hexapod-gateway: {DEVICE} is held by another gateway; stop that one first\n"
+    wire.expect_nothing()
+    with gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+    wire.expect(START_3)
+
+
+def test_the_device_is_free_again_once_its_gateway_has_died(tmp_path: Path, gateway: Gateway, wire: Wire) -> None:
+    gateway.child.kill()
+    with start(tmp_path, wire):
+        wire.expect_nothing()
+
+
+@pytest.mark.parametrize("command", ["run", "stop-servos"])
+def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed, command: str) -> None:
+    spi_testbed.remove_node()
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    child = spi_testbed.spawn([*COMMAND, command, "--config", str(config)])
+    assert child.wait(LATE_S) == 3
+    assert child.stderr == (
+        f"hexapod-gateway: {DEVICE} does not exist; switch SPI on (dtparam=spi=on), "
+        "or try --sim for a simulated controller\n"
+    )
+
+
+def test_a_device_that_may_not_be_opened_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    spi_testbed.refuse_open()
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)], privileged=False)
+    assert child.wait(LATE_S) == 3
+    assert child.stderr == (
+        f"hexapod-gateway: {DEVICE} may not be opened by this user; add the user to the device's group (spi), "
+        "or try --sim\n"
+    )
+
+
+# ---- each setting of [spi]
+
+
+def test_device(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    with Gateway(tmp_path, {"spi": {"device": "/dev/spidev1.1"}}, bed=spi_testbed, wait=False) as gateway:
+        assert gateway.child.wait(LATE_S) == 3
+        assert gateway.child.stderr.startswith("hexapod-gateway: /dev/spidev1.1 does not exist; ")
+    assert spi_testbed.events == []
+
+
+@pytest.mark.parametrize("speed_hz", [1, 20_000_000])
+def test_speed_hz(tmp_path: Path, spi_testbed: SpiTestbed, speed_hz: int) -> None:
+    wire = Wire(spi_testbed)
+    stop_servos(wire, config_for(tmp_path, wire, speed_hz=speed_hz))
+    wire.skip()
+    with start(tmp_path, wire, spi={"speed_hz": speed_hz}):
+        assert {each.speed_hz for each in spi_testbed.transfers} == {speed_hz}
+
+
+def test_frame_gap_us(tmp_path: Path, wire: Wire) -> None:
+    gaps_us: dict[int, list[float]] = {}
+    for gap_us in (1000, 0):
+        with start(tmp_path, wire, spi={"frame_gap_us": gap_us}):
+            arrivals_ns = [each.monotonic_ns for each in wire.bed.transfers if each.opening == len(gaps_us) + 1]
+            gaps_us[gap_us] = [(after - before) / 1000 for before, after in pairwise(arrivals_ns)]
+    assert min(gaps_us[1000]) >= 1000
+    assert statistics.median(gaps_us[0]) < statistics.median(gaps_us[1000])
+    assert min(gaps_us[0]) < 1000

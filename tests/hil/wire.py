@@ -1,0 +1,86 @@
+"""What a test expects on the emulated wire, in the gateway's framing, and what a controller makes of it."""
+
+from collections.abc import Iterable
+
+from gateway.protocol.frames import stop_leg
+from gateway.protocol.framing import Framing
+from gateway.spi.simulator import SimulatedController
+from schemas.robot import LEGS
+from tests.hil.bed import SpiTestbed, Transfer
+
+STOPS = [stop_leg(leg).to_bytes().hex() for leg in LEGS]
+"""Stops for all six legs, as every start, end and emergency stop writes them."""
+LATE_S = 20.0
+"""How long a test waits for something that takes milliseconds: a busy machine must not fail it."""
+
+
+def transfers_of(framing: Framing, *frames: str) -> list[bytes]:
+    """The transfers that carry these frames (hex), in order."""
+    return [data for frame in frames for data in framing.transfers(bytes.fromhex(frame))]
+
+
+def opening_of(framing: Framing, *frames: str) -> list[bytes]:
+    """The same, from a device that has just been opened."""
+    preamble = [] if framing.preamble is None else [framing.preamble]
+    return [*preamble, *transfers_of(framing, *frames)]
+
+
+class Wire:
+    """Reads the transfers of one device one after the other: what is not expected fails the test that comes upon it."""
+
+    def __init__(self, bed: SpiTestbed, framing: Framing = Framing.PLAIN) -> None:
+        self.bed = bed
+        self.framing = framing
+        self._read = 0
+
+    def expect(self, *frames: str) -> list[Transfer]:
+        """The next frames (hex), and nothing else among them; waits for them."""
+        return self.expect_transfers(transfers_of(self.framing, *frames))
+
+    def expect_opening(self, *frames: str) -> list[Transfer]:
+        """The preamble, where the framing has one, and these frames."""
+        return self.expect_transfers(opening_of(self.framing, *frames))
+
+    def expect_transfers(self, expected: list[bytes], *, errno: int = 0) -> list[Transfer]:
+        """The next transfers, byte for byte, each answered `errno`."""
+        begin, self._read = self._read, self._read + len(expected)
+        found = self.bed.wait_for(lambda transfers: len(transfers) >= self._read, LATE_S)[begin : self._read]
+        assert [(transfer.data.hex(), transfer.errno) for transfer in found] == [
+            (data.hex(), errno) for data in expected
+        ]
+        return found
+
+    def expect_nothing(self) -> None:
+        """Nothing has come since what was last read. To be asked when an answer says that all was written."""
+        assert [transfer.data.hex() for transfer in self.bed.transfers[self._read :]] == []
+
+    def skip(self) -> list[Transfer]:
+        """All that has come since what was last read, whatever it is."""
+        begin, transfers = self._read, self.bed.transfers
+        self._read = len(transfers)
+        return transfers[begin:]
+
+
+class Replay:
+    """A simulated controller that is given recorded transfers at the times at which they came."""
+
+    def __init__(self, framing: Framing) -> None:
+        self.now_ns = 0
+        self.controller = SimulatedController(framing, clock=lambda: self.now_ns)
+
+    def play(self, transfers: Iterable[Transfer]) -> None:
+        """What of these was delivered."""
+        for transfer in transfers:
+            if transfer.delivered:
+                self.give(transfer.data, transfer.monotonic_ns)
+
+    def give(self, data: bytes, now_ns: int) -> None:
+        """One transfer."""
+        self.now_ns = now_ns
+        self.controller.transfer(data)
+
+    def energised_for_good(self) -> frozenset[int]:
+        """The servos that are on now, or come on when a receive under way is given up (a second after it began)."""
+        now = self.controller.energised
+        self.now_ns += 2_000_000_000
+        return now | self.controller.energised
