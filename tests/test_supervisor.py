@@ -13,7 +13,8 @@ from tests.steps import Steps, all_stopped, leg, legs, servo
 
 def test_the_start_stops_all_six_legs() -> None:
     robot = Steps(opened=False)
-    assert robot.supervisor.mode is Mode.STARTING
+    before = robot.supervisor.mode
+    assert before is Mode.STARTING
     assert robot.open(0) == all_stopped("startup")
     assert robot.supervisor.mode is Mode.IDLE
     assert robot.due_ms is None
