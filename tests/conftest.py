@@ -1,10 +1,18 @@
-"""Which event loop a test gets: marked `virtual_time`, one whose clock leaps to its next timer; else the usual one."""
+"""What all tests share: Hypothesis's patience, and the event loop (`virtual_time`: one that leaps to its next timer)."""
 
 import asyncio
 from collections.abc import Callable, Mapping
 
 import async_solipsism
 import pytest
+from hypothesis import HealthCheck
+from hypothesis import settings as hypothesis_settings
+
+# A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
+hypothesis_settings.register_profile(
+    "any machine", hypothesis_settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+hypothesis_settings.load_profile("any machine")
 
 
 def pytest_asyncio_loop_factories(
