@@ -35,7 +35,7 @@ class Robot:
     def __init__(self, box: Box, wheels: Path) -> None:
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
-        box.run(INSTALLER, "--wheels", share(box, wheels), timeout_s=120)
+        box.run(INSTALLER, "--wheels", share(box, wheels), timeout_s=300)
         self._configuration = box.read(CONFIGURATION)
         folder = box.shared / "bed"
         folder.mkdir()

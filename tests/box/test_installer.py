@@ -34,7 +34,7 @@ class Machine:
     def run(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
         """Run the installer; the lines that it printed."""
         env = {"PYTHON": python} if python else {}
-        done = self.box.run(INSTALLER, *options, check=check, env=env, timeout_s=120)
+        done = self.box.run(INSTALLER, *options, check=check, env=env, timeout_s=300)
         assert check or done.returncode != 0, done.stdout
         return (done.stdout + done.stderr).splitlines()
 
