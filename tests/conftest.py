@@ -1,4 +1,4 @@
-"""What all tests share: Hypothesis's patience, and the event loop (`virtual_time`: one that leaps to its next timer)."""
+"""What all tests share: Hypothesis's patience, and the event loop (`virtual_time`: it leaps to its next timer)."""
 
 import asyncio
 from collections.abc import Callable, Mapping
