@@ -7,6 +7,7 @@ laptop. Here they are meant from the file's own folder, so the folder can be unz
 import datetime as dt
 import json
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -80,6 +81,14 @@ def _check(setting: str, file: Path, config: Path) -> None:
         raise ConfigError(
             f"{file} expired on {end:%Y-%m-%d}: get a new one from `hexapod-gateway certs renew` (is this clock right?)"
         )
+
+
+def get(config: zenoh.Config, key: str) -> Any:
+    """One value of a configuration, None where it is unset."""
+    try:
+        return json.loads(config.get_json(key))
+    except zenoh.ZError:
+        return None
 
 
 def one_line(error: Exception) -> str:

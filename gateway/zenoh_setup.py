@@ -2,13 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import zenoh
 
+from gateway import exposure
 from gateway.errors import ConfigError, ZenohError
 from gateway.settings import ZenohSettings
-from gateway.zenoh_config import load_client_config, load_config, one_line
+from gateway.zenoh_config import get, load_client_config, load_config, one_line
 
 _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
 
@@ -28,6 +29,7 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     config.insert_json5("listen/exit_on_failure", "true")
     # Shared memory goes around every size limit, and local clients gain nothing by it at this size.
     config.insert_json5("transport/shared_memory/enabled", "false")
+    exposure.check(config, allow_insecure=settings.allow_insecure)
     return config
 
 
@@ -45,14 +47,6 @@ def client_config(endpoint: str | None, config_file: Path | None = None) -> zeno
 
 _RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 """A client that lost the gateway was back after 0.35 s with this, after 1 to 2 s with Zenoh's own pauses."""
-
-
-def get(config: zenoh.Config, key: str) -> Any:
-    """One value of a configuration, None where it is unset."""
-    try:
-        return json.loads(config.get_json(key))
-    except zenoh.ZError:
-        return None
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:

@@ -1,0 +1,106 @@
+"""Who could reach the gateway: it does not start where a stranger on the network could move the robot.
+
+A listen endpoint that is not loopback needs TLS with client certificates, or user and password, or the deliberate
+`zenoh.allow_insecure = true`. What is not understood here counts as exposed.
+"""
+
+import ipaddress
+import logging
+from pathlib import Path
+from typing import Final
+
+import zenoh
+
+from gateway.errors import ConfigError
+from gateway.zenoh_config import get
+
+_LOCAL_LINKS: Final = frozenset({"unixsock-stream", "unixpipe"})
+"""Links that do not leave the machine; who may use them is a matter of file permissions."""
+_IP_LINKS: Final = frozenset({"tcp", "udp", "tls", "quic", "ws"})
+_TLS_LINKS: Final = frozenset({"tls", "quic"})
+
+logger = logging.getLogger(__name__)
+
+
+def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
+    """Refuse, or with `allow_insecure` warn of, endpoints on which anyone may command. Raises ConfigError."""
+    listen = listen_endpoints(config)
+    if not listen and not _endpoints(config, "connect"):
+        raise ConfigError("zenoh.listen and zenoh.connect are both empty, so that nobody could reach the gateway")
+    open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]
+    if open_to_anyone and not allow_insecure:
+        raise ConfigError(
+            f"{', '.join(open_to_anyone)} would let anyone on the network move the robot: make certificates with "
+            "`hexapod-gateway certs init` and set zenoh.config, or set zenoh.allow_insecure = true"
+        )
+    if open_to_anyone:
+        logger.warning("zenoh.allow_insecure: anyone who reaches %s can move the robot", ", ".join(open_to_anyone))
+    for endpoint in _endpoints(config, "connect"):
+        if not is_local(endpoint) and not _is_tls(endpoint):
+            logger.warning("%s is dialled without TLS: anyone on that way, and behind it, can move the robot", endpoint)
+    if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
+        logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
+
+
+def listen_endpoints(config: zenoh.Config) -> list[str]:
+    """Where this configuration listens, in the mode that it has."""
+    return _endpoints(config, "listen")
+
+
+def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
+    """Whether somebody on another machine needs neither certificate nor password to use `endpoint`."""
+    return not is_local(endpoint) and not _demands_certificate(endpoint, config) and not _demands_password(config)
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine reaches it: `tcp/127.0.0.1:7447`, `tcp/[::1]:7447`, a Unix socket."""
+    link, _, rest = endpoint.partition("/")
+    if link in _LOCAL_LINKS:
+        return True
+    if link not in _IP_LINKS:
+        return False
+    address = rest.partition("#")[0].partition("?")[0]
+    host = address.rpartition(":")[0].removeprefix("[").removesuffix("]")
+    if host == "localhost":
+        return True
+    try:
+        ip = ipaddress.ip_address(host)
+    except ValueError:  # a name may mean any address, and tomorrow another one
+        return False
+    mapped = ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None
+    return (mapped or ip).is_loopback
+
+
+def _is_tls(endpoint: str) -> bool:
+    return endpoint.partition("/")[0] in _TLS_LINKS
+
+
+def _demands_certificate(endpoint: str, config: zenoh.Config) -> bool:
+    # An endpoint can carry settings of its own behind a "#", which override the file's.
+    overrides = endpoint.partition("#")[2]
+    return (
+        _is_tls(endpoint)
+        and get(config, "transport/link/tls/enable_mtls") is True
+        and bool(get(config, "transport/link/tls/root_ca_certificate"))
+        and "mtls" not in overrides
+        and "root_ca" not in overrides
+    )
+
+
+def _demands_password(config: zenoh.Config) -> bool:
+    # An empty dictionary switches authentication off, so that it must hold at least one user.
+    file = get(config, "transport/auth/usrpwd/dictionary_file")
+    if not isinstance(file, str):
+        return False
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{file}: the password file cannot be read: {error}") from error
+    return any(user and password for user, _, password in (line.strip().partition(":") for line in lines))
+
+
+def _endpoints(config: zenoh.Config, direction: str) -> list[str]:
+    found = get(config, f"{direction}/endpoints")
+    if isinstance(found, dict):  # endpoints by mode
+        found = found.get(get(config, "mode") or "peer", [])
+    return [found] if isinstance(found, str) else list(map(str, found or []))

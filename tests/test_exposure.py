@@ -1,0 +1,155 @@
+"""Which configurations let a stranger command the robot: refused, unless somebody says that it is meant."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway import exposure
+from gateway.errors import ConfigError
+from gateway.settings import ZenohSettings
+from gateway.zenoh_setup import service_config
+
+MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}
+
+
+def config(**settings: Any) -> zenoh.Config:
+    made = zenoh.Config()
+    for key, value in {"mode": "peer", **settings}.items():
+        made.insert_json5(key, json.dumps(value))
+    return made
+
+
+def refused(*listen: str, **settings: Any) -> bool:
+    try:
+        exposure.check(config(**{"listen/endpoints": list(listen), **settings}), allow_insecure=False)
+    except ConfigError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/127.0.0.1:7447",
+        "tcp/127.8.9.10:7447",
+        "tcp/[::1]:7447",
+        "tcp/[::ffff:127.0.0.1]:7447",
+        "tcp/localhost:7447",
+        "udp/127.0.0.1:7447",
+        "ws/127.0.0.1:7447",
+        "tls/127.0.0.1:7447",
+        "tcp/127.0.0.1:7447#iface=lo",
+        "tcp/127.0.0.1:7447?rel=1",
+        "unixsock-stream//run/gateway.sock",
+    ],
+)
+def test_this_machine_alone_needs_nothing(endpoint: str) -> None:
+    assert not refused(endpoint)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/0.0.0.0:7447",
+        "tcp/[::]:7447",
+        "tcp/[::ffff:192.0.2.7]:7447",
+        "tcp/192.0.2.7:7447",
+        "tcp/192.0.2.7:7447#iface=lo",
+        "udp/0.0.0.0:7447",
+        "ws/0.0.0.0:80",
+        "quic/0.0.0.0:7447",
+        "tls/0.0.0.0:7447",
+        "tcp/robot.local:7447",
+        "tcp/localhost.example.com:7447",
+        "tcp/127.0.0.1.example.com:7447",
+        "serial//dev/ttyUSB0",
+        "vsock/-1:17000",
+        "carrier-pigeon/127.0.0.1:1",
+    ],
+)
+def test_whatever_else_is_open_to_strangers(endpoint: str) -> None:
+    assert exposure.is_open_to_anyone(endpoint, config())
+    assert not exposure.is_local(endpoint)
+
+
+@pytest.mark.parametrize(
+    ("listen", "settings", "expected"),
+    [
+        (["tls/0.0.0.0:7447"], MTLS, False),
+        (["quic/0.0.0.0:7447"], MTLS, False),
+        (["tcp/0.0.0.0:7447"], MTLS, True),
+        (["tls/0.0.0.0:7447", "tcp/0.0.0.0:7448"], MTLS, True),
+        (["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"], MTLS, False),
+        (["tls/0.0.0.0:7447"], {**MTLS, "transport/link/tls/enable_mtls": False}, True),
+        (["tls/0.0.0.0:7447"], {"transport/link/tls/enable_mtls": True}, True),
+        (["tls/0.0.0.0:7447#enable_mtls=false"], MTLS, True),
+        (["tls/0.0.0.0:7447#root_ca_certificate_file=/mine.pem"], MTLS, True),
+    ],
+)
+def test_tls_with_client_certificates(listen: list[str], settings: dict[str, Any], expected: bool) -> None:
+    assert refused(*listen, **settings) is expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("anna:secret\n", False), ("", True), ("\n\n", True), ("anna\n", True), (":secret\n", True), ("anna:\n", True)],
+)
+def test_passwords_and_that_an_empty_dictionary_is_none(tmp_path: Path, text: str, expected: bool) -> None:
+    users = tmp_path / "users.txt"
+    users.write_text(text)
+    assert refused("tcp/0.0.0.0:7447", **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
+
+
+def test_endpoints_by_mode() -> None:
+    by_mode = {"listen/endpoints": {"peer": ["tcp/127.0.0.1:1"], "router": ["tcp/0.0.0.0:1"]}}
+    exposure.check(config(**by_mode), allow_insecure=False)
+    with pytest.raises(ConfigError):
+        exposure.check(config(**by_mode, mode="router"), allow_insecure=False)
+
+
+def test_the_refusal_says_how_to_go_on() -> None:
+    with pytest.raises(ConfigError) as error:
+        exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"]}), allow_insecure=False)
+    assert "\n" not in str(error.value)
+    for word in ("tcp/0.0.0.0:7447", "certs init", "zenoh.config", "zenoh.allow_insecure"):
+        assert word in str(error.value)
+
+
+def test_allow_insecure_is_a_warning_each_time(caplog: pytest.LogCaptureFixture) -> None:
+    exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"]}), allow_insecure=True)
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert "anyone who reaches tcp/0.0.0.0:7447 can move the robot" in record.message
+
+
+def test_listening_nowhere_and_dialling_nobody_is_a_mistake() -> None:
+    with pytest.raises(ConfigError, match="nobody could reach the gateway"):
+        service_config(ZenohSettings(listen=()))
+    service_config(ZenohSettings(listen=(), connect=("tcp/127.0.0.1:7447",)))
+
+
+def test_what_makes_one_wonder_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    rule = {"id": "r", "permission": "deny", "flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"]}
+    odd = {"listen/endpoints": [], "connect/endpoints": ["tcp/192.0.2.1:7447"], "access_control": {"rules": [rule]}}
+    exposure.check(config(**odd), allow_insecure=False)
+    assert "192.0.2.1:7447 is dialled without TLS" in caplog.text
+    assert "access_control has rules, but is not enabled" in caplog.text
+
+
+def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
+    made = service_config(ZenohSettings())
+    assert exposure.listen_endpoints(made) == ["tcp/127.0.0.1:7447"]
+    assert json.loads(made.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(made.get_json("scouting/gossip/enabled")) is False
+
+
+def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path) -> None:
+    path = tmp_path / "zenoh.json5"
+    path.write_text("{ scouting: { multicast: { enabled: true } } }")
+    made = service_config(ZenohSettings(config=str(path)))
+    assert json.loads(made.get_json("scouting/multicast/enabled")) is True
+    assert json.loads(made.get_json("scouting/gossip/enabled")) is False
