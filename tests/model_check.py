@@ -26,7 +26,7 @@ from tests.history import Violation, demand
 from tests.oracle import Oracle
 
 TICK: Final = 10
-"""Nanoseconds, in a world where a leg's period is two ticks; its tenth, the early share, is less than a tick."""
+"""Nanoseconds, in a world where a leg's period is two ticks; its half, the early share, is one."""
 
 Targets = tuple[tuple[int, ServoOp], ...]
 
@@ -69,7 +69,7 @@ _servo_fields = _getter(
     Servo, "servo_id", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
 )
 _leg_fields = _getter(Leg, "number", "servos", "turn", "heard_ns", "expired")
-_turn_fields = _getter(Turn, "period_ns", "next_ns")
+_turn_fields = _getter(Turn, "period_ns", "next_ns", "last_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _order_fields = _getter(_Order, "targets", "coalesced")
 _getter(Waiting, "op", "order")
@@ -131,6 +131,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 else None,
                 leg.expired,
                 max(leg.turn.next_ns - now_ns, -leg.turn.period_ns),  # a period late, and the grid begins anew
+                max(leg.turn.last_ns - now_ns, -leg.turn.period_ns // 2),  # half a period after a frame, all is open
                 tuple(
                     (
                         servo.angle_cdeg,

@@ -273,7 +273,7 @@ class Oracle:
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
             demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
-            least_ns = self.rules.period_ns // 2 - self.rules.period_ns // 10
+            least_ns = self.rules.period_ns // 2 - self.rules.period_ns // 2
             demand(leg.moved_ns is None or now_ns - leg.moved_ns >= least_ns, "missed turns are not made up in a burst")
             leg.moved_ns = now_ns
         for servo_id, op in transmit.frame.servos:
@@ -318,8 +318,8 @@ class Oracle:
 
     @property
     def _longest_turn_ns(self) -> int:
-        """A period, and the tenth of one that the frame before may have been early."""
-        return self.rules.period_ns + self.rules.period_ns // 10
+        """A period, and the half of one that the frame before may have been early."""
+        return self.rules.period_ns + self.rules.period_ns // 2
 
     def _head_of_queue(self, now_ns: int) -> list[int]:
         """With staggered starts: when the first leg that waits to be started must be sent at the latest."""

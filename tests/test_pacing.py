@@ -60,6 +60,12 @@ def test_a_stream_at_the_rate_is_never_delayed_by_its_own_jitter() -> None:
     assert sent_at(100, jittered) == jittered
 
 
+def test_a_stream_at_the_rate_does_not_stay_late_because_its_first_frame_was() -> None:
+    """The first was 40 late; the others are on time, and go out on time."""
+    on_time = [1040, 1100, 1200, 1300, 1400, 1500]
+    assert sent_at(100, on_time) == on_time
+
+
 def test_missed_turns_are_skipped() -> None:
     """Nothing for ten periods, then four in a row: no burst."""
     assert sent_at(100, [1000, 2050, 2051, 2052, 2053]) == [1000, 2050, 2150]
@@ -72,22 +78,22 @@ def test_after_a_late_frame_the_next_waits_half_a_period_at_least() -> None:
 @settings(deadline=None)
 @given(st.lists(st.integers(1000, 2500), min_size=1, max_size=60).map(lambda times: sorted(set(times))))
 def test_no_arrivals_send_more_than_the_rate(arrivals_ns: list[int]) -> None:
-    """In any stretch of n periods at most n + 2 frames, for each may be up to a tenth early and less than one late."""
+    """In any stretch of n periods at most n + 2 frames, for each may be up to half early and less than one late."""
     period_ns = 50
     sent = sent_at(period_ns, arrivals_ns)
-    assert all(later - earlier >= 0.4 * period_ns for earlier, later in itertools.pairwise(sent))
+    assert all(later - earlier >= 0.5 * period_ns for earlier, later in itertools.pairwise(sent))
     for first, start_ns in enumerate(sent):
         for last in range(first, len(sent)):
-            assert last - first + 1 <= (sent[last] - start_ns) / period_ns + 2.1
+            assert last - first + 1 <= (sent[last] - start_ns) / period_ns + 2.5
 
 
 @settings(deadline=None)
 @given(st.lists(st.integers(1000, 2500), min_size=1, max_size=60).map(lambda times: sorted(set(times))))
 def test_what_waits_is_sent_within_a_turn(arrivals_ns: list[int]) -> None:
-    """A period, and the tenth of one that the frame before may have been early."""
+    """A period, and the half of one that the frame before may have been early."""
     sent = sent_at(50, arrivals_ns)
     for arrival_ns in arrivals_ns:
-        assert any(arrival_ns <= sent_ns <= arrival_ns + 55 for sent_ns in sent)
+        assert any(arrival_ns <= sent_ns <= arrival_ns + 75 for sent_ns in sent)
 
 
 def test_a_queue_without_a_pause_lets_all_go() -> None:
