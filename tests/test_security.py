@@ -31,7 +31,7 @@ class Secured:
         certs.init(self.folder, [HOST], port=self.port)
         certs.issue(self.folder, "anna", "operator")
         certs.issue(self.folder, "otto", "observer")
-        settings = {
+        settings: dict[str, dict[str, Any]] = {
             "zenoh": {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/0.0.0.0:{self.port}"]},
             "telemetry": {"frames": True},
         }
