@@ -165,11 +165,6 @@ class Legs:
         """The frames of the legs that waited until now."""
         return [effect for leg in self for effect in self._send(leg, now_ns, something_waited=True)]
 
-    def forget_repeats(self) -> None:
-        """No Stop is repeated any more."""
-        for servo in self.servos.values():
-            servo.repeats_left = 0
-
     # ---- commands
 
     def apply(self, command: Command, now_ns: int) -> list[Effect]:

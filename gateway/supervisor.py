@@ -242,7 +242,6 @@ class Supervisor:
     def _bus_failed(self, event: BusFailed) -> list[Effect]:
         first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
         effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
-        self.legs.forget_repeats()  # BusOpened stops all six legs anew
         if first:
             effects.append(Announce(Kind.BUS_FAULT, event.detail))
         return effects

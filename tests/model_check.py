@@ -136,7 +136,8 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                     (
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting.op, rank[servo.waiting.order]),
-                        servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
+                        # A bus that opens again is told to stop everything anew.
+                        supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
                         servo.stopped_by if servo.stopped_ns == now_ns else None,
                     )
                     for servo in leg.servos
@@ -274,12 +275,12 @@ _TWO_LEGS = (
 _WAITS = (0, TICK, 5 * TICK)
 
 CONFIGURATIONS: Final = (
-    Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, (0, TICK, 3 * TICK, 5 * TICK)),
-    Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS),
+    Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
+    Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS, ends=False),
     Configuration(
         "a turn later than the watchdog", _rules(timeout_ns=2 * TICK, period_ns=3 * TICK), (1,), _WHOLE_LEG, _WAITS[1:]
     ),
-    Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS, _WAITS[1:], ends=False),
+    Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS[1:], _WAITS[1:], ends=False),
     Configuration("two legs, repeated Stops", _rules(), (1, 2), _TWO_LEGS[:4], _WAITS[1:], ends=False),
     Configuration(
         "two legs, turns later than the watchdog",

@@ -184,9 +184,14 @@ class Oracle:
                         if servo.want is not None and servo.want.order == effect.order:
                             servo.want = None  # a refused command takes no effect any more
         stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
-        if self.rules.start_pause_ns and stopped_all:
-            # Whoever stops a leg does not want another to start a moment later.
-            waits = any(servo.starts and not servo.on for servo in self.servos.values())
+        if self.rules.start_pause_ns and (stopped_all or watchdog):
+            self._queue_ended(event)
+
+    def _queue_ended(self, event: Event) -> None:
+        """Whoever stops a leg does not want another to start a moment later."""
+        own = event.order if isinstance(event, Command) else None
+        for servo in self.servos.values():
+            waits = servo.want is not None and servo.want.order != own and servo.starts and not servo.on
             demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
     def _watched(self, leg: int) -> bool:
@@ -273,7 +278,7 @@ class Oracle:
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
             demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
-            least_ns = self.rules.period_ns // 2 - self.rules.period_ns // 2
+            least_ns = self.rules.period_ns // 2 - self.rules.period_ns // 10
             demand(leg.moved_ns is None or now_ns - leg.moved_ns >= least_ns, "missed turns are not made up in a burst")
             leg.moved_ns = now_ns
         for servo_id, op in transmit.frame.servos:

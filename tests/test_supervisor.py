@@ -159,7 +159,7 @@ def test_missed_turns_are_not_made_up() -> None:
 def test_the_period_is_a_setting() -> None:
     robot = Steps(Rules(repeats=0, period_ns=100 * NS_PER_MS))
     robot.command(100, leg(1, "start 90"))
-    robot.command(150, leg(1, "set 80"))
+    robot.command(130, leg(1, "set 80"))
     assert robot.due_ms == 200
 
 

@@ -110,6 +110,14 @@ def test_a_stop_anywhere_ends_the_queue(stopped: str) -> None:
     assert robot.time(200) == []
 
 
+def test_a_watchdogs_stop_ends_the_queue() -> None:
+    robot = staggered(400)
+    robot.command(100, leg(1, "start 90"))
+    robot.command(200, leg(2, "start 90"))
+    assert robot.time(350) == ["watchdog 1 stop", "refused 2 servo_stopped", "announce watchdog_expired"]
+    assert robot.time(500) == []
+
+
 def test_a_leg_that_waits_and_is_not_heard_is_refused() -> None:
     robot = staggered(400)
     robot.command(100, legs("12", "start 90"), "legs")

@@ -63,11 +63,11 @@ def test_other_legs_do_not_feed_it() -> None:
 
 
 def test_a_command_that_is_held_back_by_the_rate_feeds_it() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=300 * NS_PER_MS))
+    robot = Steps(Rules(repeats=0, period_ns=260 * NS_PER_MS))
     robot.command(100, leg(1, "start 90"))
-    robot.command(300, leg(1, "set 80"))
+    robot.command(200, leg(1, "set 80"))
     assert robot.time(350) == []
-    assert robot.time(400) == ["command 1 set 80", "settled 2"]
+    assert robot.time(360) == ["command 1 set 80", "settled 2"]
 
 
 def test_refused_commands_do_not_feed_it() -> None:
@@ -119,7 +119,7 @@ def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
     robot = Steps(Rules(repeats=0, whole_robot=True))
     robot.command(100, leg(1, "start 90"))
     robot.command(200, leg(2, "start 90"))
-    robot.command(210, leg(2, "set 80"))
+    robot.command(205, leg(2, "set 80"))
     assert robot.time(350) == [*all_stopped("watchdog"), "refused 3 stale", "announce watchdog_expired"]
     assert watchdog_of(robot) == [EXPIRED, EXPIRED, IDLE, IDLE, IDLE, IDLE]
     assert robot.supervisor.expirations == 1
@@ -128,8 +128,8 @@ def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
 def test_waking_up_after_many_deadlines_stops_and_sends_nothing_else() -> None:
     robot = Steps(Rules(repeats=2))
     robot.command(100, legs("123", "start 90"))
-    robot.command(110, leg(2, "stop"))
-    robot.command(115, leg(1, "set 80"))
+    robot.command(104, leg(2, "stop"))
+    robot.command(105, leg(1, "set 80"))
     assert robot.time(9000) == [
         "watchdog 1 stop",
         "watchdog 3 stop",
