@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from gateway.certs.reading import read_certificates, read_file
+from gateway import certs
 from gateway.errors import ConfigError
 
 _TLS = "transport/link/tls"
@@ -36,7 +36,7 @@ def load_config(path: Path) -> zenoh.Config:
     has expired: `zenoh.open` would only say that it cannot connect.
     """
     path = path.absolute()
-    read_file(path, "Zenoh configuration")
+    certs.read_file(path, "Zenoh configuration")
     try:
         config = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
@@ -68,10 +68,10 @@ def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
 
 def _check(setting: str, file: Path, config: Path) -> None:
     try:
-        read_file(file, setting.rpartition("/")[2])
+        certs.read_file(file, setting.rpartition("/")[2])
         if setting not in (_CA, *_CERTIFICATES):
             return
-        certificates = read_certificates(file)
+        certificates = certs.read_certificates(file)
     except ConfigError as error:
         raise ConfigError(f"{config}: {error}") from error
     # Of a chain the first is one's own; of several CAs, any may be the one in use.

@@ -1,8 +1,28 @@
 """Certificates: who may reach the gateway, and as what. `init` once, `issue` for each laptop."""
 
-from gateway.certs.authority import CA_DAYS, LAPTOP_ROLES, LEAF_DAYS
-from gateway.certs.folder import Certificate, describe, expiries, init, issue, renew
-from gateway.certs.reading import read_certificate
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+LAPTOP_ROLES: Final = ("operator", "observer")
+CA_DAYS: Final = 3650
+LEAF_DAYS: Final = 730
+
+if TYPE_CHECKING:
+    from gateway.certs.folder import Certificate, describe, expiries, init, issue, renew
+    from gateway.certs.reading import read_certificate, read_certificates, read_file
+
+_HOMES: Final = {
+    **dict.fromkeys(("Certificate", "describe", "expiries", "init", "issue", "renew"), "gateway.certs.folder"),
+    **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded when used: cryptography takes long to load, and no emergency stop should wait for it.
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
 
 __all__ = [
     "CA_DAYS",
@@ -14,5 +34,7 @@ __all__ = [
     "init",
     "issue",
     "read_certificate",
+    "read_certificates",
+    "read_file",
     "renew",
 ]

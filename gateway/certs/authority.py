@@ -17,14 +17,12 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from gateway.certs import CA_DAYS
 from gateway.errors import ConfigError
 
-LAPTOP_ROLES = ("operator", "observer")
 GATEWAY = "gateway"
 CA = "ca"
 
-CA_DAYS = 3650
-LEAF_DAYS = 730
 # A robot without a network and a battery-backed clock wakes up at the time of its last shutdown, or of its image: a
 # certificate made today would be "not valid yet" to it. Nothing is gained by a late start in a private CA, so all
 # certificates start a year early.

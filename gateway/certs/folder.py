@@ -17,7 +17,7 @@ import zenoh
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 
-from gateway.certs import authority, zenoh_files
+from gateway.certs import CA_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, zenoh_files
 from gateway.certs.authority import KeyPair
 from gateway.certs.publish import SECRET, Content, publish, replace
 from gateway.certs.reading import read_certificate, read_key
@@ -48,7 +48,7 @@ def init(
     directory: Path,
     hosts: Sequence[str],
     *,
-    days: int = authority.LEAF_DAYS,
+    days: int = LEAF_DAYS,
     port: int = zenoh_files.DEFAULT_PORT,
     now: dt.datetime | None = None,
 ) -> list[Path]:
@@ -89,15 +89,15 @@ def issue(
     role: str,
     *,
     bundle: Path | None = None,
-    days: int = authority.LEAF_DAYS,
+    days: int = LEAF_DAYS,
     now: dt.datetime | None = None,
 ) -> list[Path]:
     """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths."""
     now = now or _now()
     _check_name(name)
-    if role not in authority.LAPTOP_ROLES:
+    if role not in LAPTOP_ROLES:
         raise ConfigError(
-            f"unknown role {role!r}: choose {' (commands and watches) or '.join(authority.LAPTOP_ROLES)} (only watches)"
+            f"unknown role {role!r}: choose {' (commands and watches) or '.join(LAPTOP_ROLES)} (only watches)"
         )
     _check_days(days)
     ca = _load_ca(directory, now)
@@ -125,7 +125,7 @@ def issue(
     return list(files)
 
 
-def renew(directory: Path, name: str, *, days: int = authority.LEAF_DAYS, now: dt.datetime | None = None) -> Path:
+def renew(directory: Path, name: str, *, days: int = LEAF_DAYS, now: dt.datetime | None = None) -> Path:
     """Gives the certificate of a laptop, or "gateway", a new expiry; its key stays as it is."""
     now = now or _now()
     _check_days(days)
@@ -233,8 +233,8 @@ def _check_name(name: str) -> None:
 
 
 def _check_days(days: int) -> None:
-    if not 1 <= days <= authority.CA_DAYS:
-        raise ConfigError(f"--days {days} is not between 1 and {authority.CA_DAYS}, the days a CA lives")
+    if not 1 <= days <= CA_DAYS:
+        raise ConfigError(f"--days {days} is not between 1 and {CA_DAYS}, the days a CA lives")
 
 
 def _now() -> dt.datetime:
