@@ -5,7 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from gateway.protocol.framing import Framing
 from tests.hil.bed import SpiTestbed, missing_packages
+from tests.hil.wire import Wire
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -21,3 +23,9 @@ def spi_testbed() -> Iterator[SpiTestbed]:
     """A fresh emulated `/dev/spidev0.0`; programs still running at the end are killed."""
     with SpiTestbed() as bed:
         yield bed
+
+
+@pytest.fixture(params=list(Framing))
+def wire(request: pytest.FixtureRequest, spi_testbed: SpiTestbed) -> Wire:
+    """The emulated device, in each framing."""
+    return Wire(spi_testbed, request.param)

@@ -1,15 +1,22 @@
 """What a test expects on the emulated wire, in the gateway's framing, and what a controller makes of it."""
 
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 from gateway.protocol.frames import stop_leg
 from gateway.protocol.framing import Framing
 from gateway.spi.simulator import SimulatedController
 from schemas.robot import LEGS
+from tests.gateway_process import Gateway
 from tests.hil.bed import SpiTestbed, Transfer
 
 STOPS = [stop_leg(leg).to_bytes().hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""
+START_3 = "0e011f015a0020012d0021017800"  # leg 3 at 90, 45, 120
+SET_3 = "0e011f035b0020032d0021037800"  # leg 3 at 91, 45, 120
+QUIET: dict[str, Any] = {"repeats": 0, "timeout_ms": 10_000}
+"""A watchdog that adds nothing to what a test of something else expects."""
 LATE_S = 20.0
 """How long a test waits for something that takes milliseconds: a busy machine must not fail it."""
 
@@ -59,6 +66,18 @@ class Wire:
         begin, transfers = self._read, self.bed.transfers
         self._read = len(transfers)
         return transfers[begin:]
+
+
+def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    spi = {"framing": wire.framing, **sections.pop("spi", {})}
+    return {"watchdog": QUIET, **sections, "spi": spi}
+
+
+def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
+    """A gateway on the wire, whose start has been read."""
+    gateway = Gateway(folder, settings_for(wire, **sections), bed=wire.bed)
+    wire.expect_opening(*STOPS)
+    return gateway
 
 
 class Replay:

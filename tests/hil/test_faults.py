@@ -1,0 +1,315 @@
+"""A device that fails, goes and comes back, or is slow: the emulated kernel device does it to the service.
+
+Afterwards the robot stands, whatever was under way has been refused, and whoever wants it to move must start it again.
+"""
+
+import errno
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client, leg_payload
+from gateway.protocol.framing import Framing
+from schemas import keys
+from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
+from tests.gateway_process import COMMAND, Gateway, write_settings
+from tests.heard import Heard, events, states
+from tests.hil.bed import Opened, SpiTestbed, Transfer
+from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Wire, opening_of, settings_for, start, transfers_of
+
+pytestmark = pytest.mark.hil
+
+FIRST_TRY_S = 0.1
+LAST_TRIES_S = 2.0
+BUSY_S = 0.5
+"""What a busy machine may add to the two above, which are the contract's."""
+
+
+class Scene:
+    """Leg 3 runs; leg 4 waits to be started, for its start would come two seconds after leg 3's."""
+
+    def __init__(self, gateway: Gateway, client: Client, wire: Wire, pool: ThreadPoolExecutor) -> None:
+        self.gateway = gateway
+        self.client = client
+        self.wire = wire
+        self.heard: Heard[Event] = events(client)
+        seen = states(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        self._waiting: Future[Ack] = pool.submit(client.start_leg, 4, 1, 2, 3)
+        seen.wait(lambda state: state.legs[3].watchdog is WatchdogState.ARMED)
+
+    def touch(self) -> None:
+        """A Set for the running leg, whose frame meets the fault that was ordered; so does what waits."""
+        refused = self.client.set_leg(3, 91, 45, 120)
+        assert (refused.accepted, refused.reason) == (False, Reason.BUS_FAULT)
+        assert self._waiting.result(LATE_S).reason is Reason.BUS_FAULT
+
+    def recovered(self, *, mode: Mode = Mode.IDLE) -> list[Transfer]:
+        """Wait for it; all transfers since the fault. Nothing was delivered but Stops, the last all six at once."""
+        self.heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED, timeout_s=LATE_S)
+        assert self.client.state().mode is mode
+        kinds = [event.kind for event in self.heard.all if event.kind in (Kind.BUS_FAULT, Kind.BUS_RECOVERED)]
+        assert kinds == [Kind.BUS_FAULT, Kind.BUS_RECOVERED]
+        transfers = self.wire.skip()
+        nothing_else = {*opening_of(self.wire.framing, *STOPS)}
+        assert {each.data for each in transfers if each.delivered} <= nothing_else
+        last = [each.data for each in transfers if each.opening == transfers[-1].opening and each.delivered]
+        assert last == opening_of(self.wire.framing, *STOPS)
+        return transfers
+
+    def goes_on(self) -> None:
+        """Nothing moves by itself, and all can be had again."""
+        assert self.client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
+        self.wire.expect_nothing()
+        assert self.client.start_leg(3, 90, 45, 120).accepted
+        self.wire.expect(START_3)
+        assert self.client.stop(3).accepted
+        self.wire.expect(STOPS[2])
+
+
+@contextmanager
+def scene(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Iterator[Scene]:
+    sections = {"limits": {"start_stagger_ms": 2000}, "telemetry": {"state_hz": 50}, **sections}
+    with (
+        start(folder, wire, **sections) as gateway,
+        gateway.client() as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        yield Scene(gateway, client, wire, pool)
+
+
+def openings(bed: SpiTestbed, since_ns: int) -> list[Opened]:
+    return [event for event in bed.events if isinstance(event, Opened) and event.monotonic_ns > since_ns]
+
+
+def check_tries(bed: SpiTestbed, fault_ns: int) -> list[float]:
+    """The pauses before each try to reopen, in seconds."""
+    times_ns = [fault_ns, *(opened.monotonic_ns for opened in openings(bed, fault_ns))]
+    pauses_s = [(after - before) / 1e9 for before, after in pairwise(times_ns)]
+    assert pauses_s[0] < FIRST_TRY_S + BUSY_S
+    assert max(pauses_s) < LAST_TRIES_S + BUSY_S
+    return pauses_s
+
+
+# ---- transfers fail
+
+
+@pytest.mark.parametrize(("code", "count"), [(errno.EIO, 1), (errno.ENODEV, 1), (errno.EIO, 10)])
+def test_transfers_that_fail_once_and_ten_times(tmp_path: Path, wire: Wire, code: int, count: int) -> None:
+    with scene(tmp_path, wire) as at:
+        wire.bed.fail(code, count=count)
+        at.touch()
+        transfers = at.recovered()
+        assert [each.errno for each in transfers if each.errno] == [code] * count
+        assert transfers[0].errno == code
+        pauses_s = check_tries(wire.bed, transfers[0].monotonic_ns)
+        if len(pauses_s) > 3:
+            assert pauses_s[-1] > 2 * pauses_s[0], "growing"
+        assert at.client.state().spi.errors > 0
+        at.goes_on()
+
+
+def test_transfers_that_fail_for_five_seconds(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    wire = Wire(spi_testbed)
+    with scene(tmp_path, wire) as at:
+        spi_testbed.fail()
+        at.touch()
+        for refused in (at.client.start_leg(3, 1, 2, 3), at.client.stop(), at.client.reset()):
+            assert refused.reason is Reason.BUS_FAULT
+        assert at.client.state().mode is Mode.BUS_FAULT
+        fault_ns = next(each.monotonic_ns for each in spi_testbed.transfers if each.errno)
+        # The last try before five seconds are over is made after 4.54 s.
+        spi_testbed.wait_for(lambda transfers: transfers[-1].monotonic_ns > fault_ns + 4_500_000_000, LATE_S)
+        assert [event.kind for event in at.heard.all].count(Kind.BUS_FAULT) == 1
+        spi_testbed.heal()
+        at.recovered()
+        pauses_s = check_tries(spi_testbed, fault_ns)
+        assert len(pauses_s) < 12, "it waits between its tries"
+        at.goes_on()
+
+
+def test_only_the_body_of_an_announced_frame_fails(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    """The controller awaits that body: without the preamble, the first Stops would be taken for it."""
+    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
+    with scene(tmp_path, wire, spi={"frame_gap_us": 1000}) as at:
+        spi_testbed.delay_ms(300)  # time to order the fault between the announcement and the body
+        with ThreadPoolExecutor(1) as pool:
+            refused = pool.submit(at.client.set_leg, 3, 91, 45, 120)
+            spi_testbed.wait_for_data(b"\x0e", since=len(spi_testbed.transfers), timeout_s=LATE_S)
+            spi_testbed.delay_ms(0)
+            spi_testbed.fail(count=1)
+            assert refused.result(LATE_S).reason is Reason.BUS_FAULT
+        at.heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED)
+        wire.expect_transfers([b"\x0e"])
+        wire.expect_transfers([bytes.fromhex(SET_3)], errno=errno.EIO)
+        wire.expect_opening(*STOPS)
+        at.goes_on()
+
+
+# ---- the device goes and comes back
+
+
+def test_the_device_vanishes_and_comes_back(tmp_path: Path, wire: Wire) -> None:
+    with scene(tmp_path, wire, log={"level": "debug"}) as at:
+        wire.bed.remove_node()
+        at.touch()
+        at.gateway.child.wait_for_output("does not answer yet")
+        assert at.client.start_leg(3, 1, 2, 3).reason is Reason.BUS_FAULT
+        wire.bed.restore_node()
+        transfers = at.recovered()
+        assert transfers[0].errno == errno.ESHUTDOWN
+        at.goes_on()
+
+
+def test_opening_is_refused_for_a_while(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    wire = Wire(spi_testbed)
+    with scene(tmp_path, wire, log={"level": "debug"}) as at:
+        spi_testbed.refuse_open(errno.ENXIO)
+        spi_testbed.fail(errno.EIO, count=1)
+        at.touch()
+        at.gateway.child.wait_for_output("does not answer yet")
+        spi_testbed.restore_node()
+        at.recovered()
+        at.goes_on()
+
+
+# ---- the emergency stop
+
+
+def test_an_emergency_stop_stays_latched_through_a_fault(tmp_path: Path, wire: Wire) -> None:
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        heard = events(client)
+        assert client.estop().stop_frames == 6
+        wire.expect(*STOPS)
+        wire.bed.fail(count=1)
+        again = client.estop()  # its first Stop meets the fault
+        assert again.accepted
+        heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED)
+        assert client.state().mode is Mode.ESTOPPED
+        *_, last = wire.skip()
+        of_last_opening = [each.data for each in wire.bed.transfers if each.opening == last.opening]
+        assert of_last_opening == opening_of(wire.framing, *STOPS)
+        still_latched(client, wire)
+
+
+def test_an_emergency_stop_during_a_fault_is_latched_and_sent_once_the_device_is_back(
+    tmp_path: Path, wire: Wire
+) -> None:
+    with scene(tmp_path, wire) as at:
+        wire.bed.remove_node()
+        at.touch()
+        engaged = at.client.estop()
+        assert (engaged.accepted, engaged.stop_frames) == (True, 0)
+        told = at.heard.wait(lambda event: event.kind is Kind.ESTOP_ENGAGED)
+        assert "the SPI bus does not answer" in told.detail
+        assert at.client.reset().reason is Reason.BUS_FAULT
+        wire.bed.restore_node()
+        at.recovered(mode=Mode.ESTOPPED)
+        still_latched(at.client, wire)
+
+
+def still_latched(client: Client, wire: Wire) -> None:
+    assert client.start_leg(3, 90, 45, 120).reason is Reason.ESTOPPED
+    wire.expect_nothing()
+    assert client.reset().accepted
+    assert client.start_leg(3, 90, 45, 120).accepted
+    wire.expect(START_3)
+
+
+# ---- the end
+
+
+def test_an_end_while_the_device_is_away_is_in_time_and_says_what_was_not_done(
+    tmp_path: Path, spi_testbed: SpiTestbed
+) -> None:
+    with scene(tmp_path, Wire(spi_testbed)) as at:
+        spi_testbed.remove_node()
+        at.touch()
+        begun_s = time.monotonic()
+        at.gateway.child.send_signal(signal.SIGTERM)
+        assert at.gateway.child.wait(LATE_S) == 0
+        assert time.monotonic() - begun_s < 1 + BUSY_S
+        assert "no Stop can be sent" in at.gateway.child.stderr
+
+
+def test_an_end_as_the_device_comes_back_still_stops(tmp_path: Path, wire: Wire) -> None:
+    with scene(tmp_path, wire, log={"level": "debug"}) as at:
+        wire.bed.remove_node()
+        at.touch()
+        at.gateway.child.wait_for_output("does not answer yet")
+        wire.bed.restore_node()
+        at.gateway.child.send_signal(signal.SIGTERM)
+        assert at.gateway.child.wait(LATE_S) == 0
+        delivered = [each.data for each in wire.skip() if each.delivered]
+        stops = transfers_of(wire.framing, *STOPS)
+        assert delivered[-len(stops) :] == stops
+
+
+# ---- slow transfers
+
+
+def test_transfers_of_300_ms_delay_a_stop_and_lose_none(tmp_path: Path, wire: Wire) -> None:
+    with start(tmp_path, wire, watchdog={"repeats": 0, "timeout_ms": 250}) as gateway, gateway.client() as client:
+        heard = events(client)
+        wire.bed.delay_ms(300)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3, STOPS[2])
+        assert heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED)
+        stopped = client.estop()
+        assert (stopped.accepted, stopped.stop_frames) == (True, 6)
+        wire.expect(*STOPS)
+        wire.bed.delay_ms(0)
+        assert client.reset().accepted
+        assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
+        wire.expect_nothing()
+        assert Kind.BUS_FAULT not in {event.kind for event in heard.all}
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+
+
+def test_what_waited_while_a_transfer_took_300_ms_is_refused_as_old(tmp_path: Path, wire: Wire) -> None:
+    with start(tmp_path, wire, limits={"max_age_ms": 100}) as gateway, gateway.client() as client:
+        heard = events(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        before = len(wire.bed.transfers)
+        wire.bed.delay_ms(300)
+        client.publish(keys.leg_command(3), leg_payload("set", (91, 45, 120)))
+        wire.bed.wait_for(lambda transfers: len(transfers) > before, LATE_S)  # it is under way
+        client.publish(keys.leg_command(3), leg_payload("set", (92, 45, 120)))
+        assert heard.wait(lambda event: event.reason is Reason.STALE).key == keys.leg_command(3)
+        wire.expect(SET_3)
+        wire.expect_nothing()
+
+
+# ---- stop-servos
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_stop_servos_outlasts_a_fault(tmp_path: Path, wire: Wire, count: int) -> None:
+    wire.bed.fail(count=count)
+    child = wire.bed.spawn(stop_servos(tmp_path, wire, repeats=0))
+    assert child.wait(LATE_S) == 0, str(child)
+    delivered = {each.data.hex() for each in wire.skip() if each.delivered}
+    assert delivered >= set(STOPS)
+
+
+def stop_servos(folder: Path, wire: Wire, *, repeats: int) -> list[str]:
+    config = write_settings(folder / "gateway.toml", settings_for(wire, watchdog={**QUIET, "repeats": repeats}))
+    return [*COMMAND, "stop-servos", "--config", str(config)]
+
+
+def test_stop_servos_says_what_failed(tmp_path: Path, wire: Wire) -> None:
+    wire.bed.fail(errno.EIO)
+    child = wire.bed.spawn(stop_servos(tmp_path, wire, repeats=3))
+    assert child.wait(LATE_S) == 3
+    assert child.stderr == "hexapod-gateway: /dev/spidev0.0: the transfer failed: Input/output error\n"
+    assert child.stdout == ""
