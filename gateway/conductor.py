@@ -45,6 +45,8 @@ from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
 LAST_REOPEN_S: Final = 2.0
+MAX_KEY: Final = 100
+"""Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
 
 logger = logging.getLogger(__name__)
 
@@ -147,7 +149,7 @@ class Conductor:
             return
         intent = _intent(received)
         if isinstance(intent, Rejection):
-            self._refuse(received.expression, received.source, received.reply, intent.reason, intent.detail)
+            self._refuse(received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail)
             return
         source = intent.source or received.source
         held_up_ms = self._held_up_ms(intent, source, received.received_ns)

@@ -45,7 +45,7 @@ class ZenohSettings(Section):
 class SpiSettings(Section):
     """The device; 2.5 MHz is what v1.0.0 was measured to keep a clean clock at, 20 MHz the controller's most."""
 
-    device: str = "/dev/spidev0.0"
+    device: Annotated[str, Field(pattern=r"^/[^\x00]+$")] = "/dev/spidev0.0"
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
     framing: Framing = Framing.PLAIN
     # At most a millisecond: the pause holds the loop, six legs at a time.
