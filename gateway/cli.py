@@ -113,6 +113,17 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 
 @app.command()
+def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+    """Show the robot live in the terminal: legs, servos, rates, refusals, events; SPACE is the emergency stop.
+
+    A gateway that is not there is waited for; q ends it. Exit codes: 0, 2 no terminal or a faulty --zenoh-config.
+    """
+    from gateway.tools.watch import watch
+
+    watch(connect, zenoh_config, timeout)
+
+
+@app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
 ) -> None:

@@ -1,0 +1,201 @@
+"""The link of `watch` to the gateway: threads that fill the model, and an emergency stop that waits for none of them.
+
+Nothing here is called on the thread that reads the keys except `stop` and `reset`, which start a thread and return.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
+from typing import Any, Final
+
+import zenoh
+from pydantic import BaseModel, ValidationError
+
+from gateway.client import Client
+from gateway.errors import GatewayError
+from gateway.tools.watch.model import Model
+from schemas import keys
+from schemas.telemetry import Ack, Event, GatewayState
+
+POLL_S: Final = 0.5
+"""How often a gateway that publishes no state (`telemetry.state_hz = 0`) is asked for it."""
+ASK_AFTER_MS: Final = 400.0
+ANSWER_S: Final = 1.0
+STOPS_AT_ONCE: Final = 4
+"""A key that is held down repeats itself some 30 times a second; four requests on their way are plenty."""
+CLOSE_S: Final = 0.5
+"""Closing waits for a frozen gateway for ten seconds; nobody who has pressed q should."""
+
+_MANY: Final = 256
+_ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
+
+
+class Link:
+    """Opens, and keeps trying to; Zenoh itself comes back after a broken link. `changed` wakes whoever draws."""
+
+    def __init__(
+        self, connect: Callable[[], Client], model: Model, lock: threading.Lock, changed: Callable[[], None]
+    ) -> None:
+        self._connect = connect
+        self._model = model
+        self._lock = lock
+        self._changed = changed
+        self._client: Client | None = None
+        self._subscribers: list[Any] = []
+        self._ended = threading.Event()
+        self._stops = threading.Semaphore(STOPS_AT_ONCE)
+        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+
+    def start(self) -> None:
+        """Begin to connect."""
+        self._thread.start()
+
+    def close(self) -> bool:
+        """Let go; whether that came about within `CLOSE_S`."""
+        self._ended.set()
+        closer = threading.Thread(target=self._close, name="close", daemon=True)
+        closer.start()
+        closer.join(CLOSE_S)
+        return not closer.is_alive()
+
+    # ---- keys
+
+    def stop(self) -> None:
+        """Ask for the emergency stop, at once and without waiting; until it is confirmed, again and again."""
+        noted = threading.Event()
+        self._try_stop(noted)  # first: not even the model's lock stands between the key and the wire
+        with self._lock:
+            self._model.stop_pressed(time.monotonic_ns())
+        noted.set()
+        self._changed()
+
+    def reset(self) -> None:
+        """Ask for the reset, once."""
+        with self._lock:
+            self._model.reset_confirmed(time.monotonic_ns())
+        self._changed()
+        threading.Thread(target=self._reset, name="reset", daemon=True).start()
+
+    def _try_stop(self, noted: threading.Event | None = None) -> None:
+        if self._stops.acquire(blocking=False):
+            threading.Thread(target=self._stop, args=(noted,), name="stop", daemon=True).start()
+
+    def _stop(self, noted: threading.Event | None) -> None:
+        began_ns = time.monotonic_ns()
+        ack = self._ask(lambda client: client.estop())
+        self._stops.release()
+        if noted is not None:
+            noted.wait()
+        with self._lock:
+            if ack is None:
+                self._model.stop_unanswered()
+            else:
+                self._model.stop_answered(ack, began_ns, time.monotonic_ns())
+        self._changed()
+
+    def _reset(self) -> None:
+        ack = self._ask(lambda client: client.reset())
+        with self._lock:
+            self._model.reset_answered(ack, time.monotonic_ns())
+        self._changed()
+
+    def _ask(self, ask: Callable[[Client], Ack]) -> Ack | None:
+        client = self._client
+        if client is None:
+            return None
+        with suppress(*_ERRORS):
+            return ask(client)
+        return None
+
+    # ---- what is heard
+
+    def _run(self) -> None:
+        while not self._ended.is_set() and self._client is None:
+            self._open()
+            self._ended.wait(POLL_S if self._client is None else 0)
+        while not self._ended.wait(POLL_S):
+            with self._lock:
+                quiet = self._model.state_age_ms(time.monotonic_ns()) > ASK_AFTER_MS
+                stop_wanted = self._model.stop_wanted_ns is not None
+            if stop_wanted:
+                self._try_stop()
+            if quiet:
+                self._ask_for_state()
+
+    def _open(self) -> None:
+        try:
+            client = self._connect()
+        except GatewayError as error:
+            with self._lock:
+                self._model.trouble = str(error)
+                if self._model.stop_wanted_ns is not None:
+                    self._model.stop_unanswered()
+            self._changed()
+            return
+        session = client.session
+        for key, kind in ((keys.STATE, GatewayState), (keys.EVENT, Event)):
+            self._listen(session.declare_subscriber(key, zenoh.handlers.RingChannel(_MANY)), self._report_of(kind))
+        alive = session.liveliness().declare_subscriber(keys.ALIVE, zenoh.handlers.RingChannel(_MANY), history=True)
+        self._listen(alive, self._token)
+        self._client = client
+        with self._lock:
+            stop_wanted = self._model.stop_wanted_ns is not None
+        if stop_wanted:
+            self._try_stop()
+        self._ask_for_state()
+
+    def _listen(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
+        """Read a subscriber on a thread of its own, until it is undeclared."""
+        handler = subscriber.handler
+
+        def read() -> None:
+            with suppress(zenoh.ZError):  # the channel is closed
+                for sample in handler:
+                    take(sample)
+
+        self._subscribers.append(subscriber)
+        threading.Thread(target=read, name=f"listen to {subscriber.key_expr}", daemon=True).start()
+
+    def _report_of(self, kind: type[BaseModel]) -> Callable[[zenoh.Sample], None]:
+        def take(sample: zenoh.Sample) -> None:
+            with suppress(ValidationError):
+                self._heard(kind.model_validate_json(sample.payload.to_bytes()))
+
+        return take
+
+    def _heard(self, report: BaseModel) -> None:
+        now_ns, wall = time.monotonic_ns(), datetime.now().astimezone()
+        with self._lock:
+            mode = None if self._model.state is None else self._model.state.mode
+            if isinstance(report, GatewayState):
+                self._model.heard_state(report, now_ns, wall)
+                if report.mode == mode:
+                    return  # the next picture is soon enough
+            elif isinstance(report, Event):
+                self._model.heard_event(report, now_ns, wall)
+        self._changed()
+
+    def _token(self, sample: zenoh.Sample) -> None:
+        alive = sample.kind == zenoh.SampleKind.PUT
+        with self._lock:
+            self._model.heard_token(alive, time.monotonic_ns(), datetime.now().astimezone())
+        self._changed()
+
+    def _ask_for_state(self) -> None:
+        client = self._client
+        if client is None:
+            return
+        with suppress(*_ERRORS):
+            for reply in client.session.get(keys.STATE, zenoh.handlers.RingChannel(1), timeout=ANSWER_S):
+                if reply.ok is not None:
+                    self._heard(GatewayState.model_validate_json(reply.ok.payload.to_bytes()))
+
+    def _close(self) -> None:
+        with suppress(*_ERRORS):
+            for subscriber in self._subscribers:
+                subscriber.undeclare()
+            if self._client is not None:
+                self._client.close()
+        self._thread.join()

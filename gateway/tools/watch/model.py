@@ -1,0 +1,333 @@
+"""What `watch` knows: pure, with the time as an argument. It neither draws nor speaks Zenoh.
+
+Three questions it answers with care, since people stand beside the robot: how old is what I see, is anybody there, and
+has my emergency stop been taken?
+"""
+
+import re
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import Enum, StrEnum, auto
+from typing import Final
+
+from schemas.robot import LEGS
+from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode, Reason
+
+NS_PER_MS: Final = 1_000_000
+NS_PER_S: Final = 1_000_000_000
+
+SILENT_AFTER_NS: Final = 1_500_000_000
+"""Whoever publishes no state is asked for it every half second, and has a second to answer."""
+RATE_WINDOW_S: Final = 2.0
+"""Rates are means over so long: at 10 states a second, steady to the eye and still quick to follow."""
+OVERTAKEN_S: Final = 1.0
+"""A state that is older than the last one by less than this is an answer that a published state has overtaken."""
+STOP_PATIENCE_NS: Final = 500_000_000
+"""A stop takes milliseconds. Whoever waits longer for its confirmation must hear so, and go to the power switch."""
+REMARK_NS: Final = 15 * NS_PER_S
+"""What went well is read once; what went wrong stays until another key is pressed."""
+QUESTION_NS: Final = 10 * NS_PER_S
+"""A question that stood for longer is taken back: a stray y shall answer nothing."""
+KEPT_EVENTS: Final = 200
+SOURCES: Final = 64
+"""Sources counted one by one, as in the gateway; whoever invents more names shares one line."""
+OTHERS: Final = "all others"
+NAMELESS: Final = "no name"
+
+
+class Presence(Enum):
+    """Whether anybody is there."""
+
+    WAITING = auto()  # nothing has been heard yet
+    LIVE = auto()
+    SILENT = auto()  # something was heard, and then no more
+
+
+class Tone(StrEnum):
+    """How a remark is meant."""
+
+    GOOD = "good"
+    NOTE = "note"
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """What became of a key that was pressed, in one sentence."""
+
+    tone: Tone
+    text: str
+    since_ns: int
+    of_stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One event, or a remark of our own about the gateway (`kind` is then a word of ours)."""
+
+    time: datetime
+    kind: str
+    text: str
+    bad: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Per second, means over the window; None until two states tell."""
+
+    accepted: float | None = None
+    rejected: float | None = None
+    coalesced: float | None = None
+    frames: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    uptime_s: float
+    accepted: int
+    rejected: int
+    coalesced: int
+    frames: int
+
+
+@dataclass(slots=True)
+class Model:
+    """Everything that is shown. Feed it with what was heard; ask it with the time."""
+
+    state: GatewayState | None = None
+    trouble: str = ""
+    """Why no connection comes about, as long as none does."""
+    remark: Remark | None = None
+    refused: Counter[str] = field(default_factory=Counter)
+    """Commands refused since we watch, by source, with those that the gateway left out of its events."""
+    reasons: dict[str, Reason] = field(default_factory=dict)
+    """The latest reason, by source."""
+    lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_EVENTS))
+    """Newest first."""
+    stop_wanted_ns: int | None = None
+    """Since when an emergency stop is asked for that nobody has confirmed."""
+    stop_tries: int = 0
+    _state_ns: int = 0
+    _heard_ns: int | None = None
+    _gone: bool = False
+    _told: Presence = Presence.WAITING
+    _samples: deque[_Sample] = field(default_factory=deque)
+    _asked_ns: int | None = None
+    _reset_ns: int = 0
+
+    # ---- what is heard
+
+    def heard_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
+        """A state came, published or as an answer."""
+        self._hear(now_ns, wall)
+        known = self.state
+        if known is not None and state.uptime_s < known.uptime_s:
+            if known.uptime_s - state.uptime_s < OVERTAKEN_S and state.spi.frames >= self._samples[0].frames:
+                return
+            self._note(wall, "restarted", "the gateway was started anew", bad=True)
+            self._samples.clear()
+        if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
+            self._forget_remark_of_stop()
+        self.state, self._state_ns = state, now_ns
+        if state.mode is Mode.ESTOPPED and self.stop_wanted_ns is not None and self.stop_tries:
+            # Our answer was lost, or somebody else could stop where we may not.
+            self.stop_wanted_ns = None
+            text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
+            self.remark = Remark(Tone.NOTE, text, now_ns, of_stop=True)
+        commands = state.commands
+        self._samples.append(
+            _Sample(state.uptime_s, commands.accepted, commands.rejected, commands.coalesced, state.spi.frames)
+        )
+        # The oldest kept is the newest that is a whole window old, so that slow states give rates too.
+        while len(self._samples) > 2 and state.uptime_s - self._samples[1].uptime_s >= RATE_WINDOW_S:
+            self._samples.popleft()
+
+    def heard_event(self, event: Event, now_ns: int, wall: datetime) -> None:
+        """An event came."""
+        self._hear(now_ns, wall)
+        source = visible(event.source or NAMELESS)
+        text = visible(event.detail)
+        if event.kind is Kind.COMMAND_REJECTED:
+            known = source if source in self.refused or len(self.refused) < SOURCES else OTHERS
+            self.refused[known] += 1 + _left_out(event.detail)
+            if event.reason is not None:
+                self.reasons[known] = event.reason
+            text = f"{source}: {text}"
+        elif event.source is not None:
+            text = f"{text} ({source})"
+        self.lines.appendleft(Line(event.time, event.kind, text, event.kind in _BAD))
+
+    def heard_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
+        """The gateway's liveliness token came or went; it goes within milliseconds when the process ends."""
+        if alive:
+            self._hear(now_ns, wall)
+        else:
+            self._gone = True
+            self.look(now_ns, wall)
+
+    def look(self, now_ns: int, wall: datetime) -> None:
+        """Notice what time alone changes: silence, and a question that nobody answered."""
+        presence = self.presence(now_ns)
+        if presence is Presence.SILENT and self._told is not Presence.SILENT:
+            self._told = presence
+            self._note(wall, "silent", "the gateway fell silent", bad=True)
+        if self._asked_ns is not None and not self.asking(now_ns):
+            self._asked_ns = None
+        remark = self.remark
+        if remark is not None and remark.tone is not Tone.BAD and now_ns - remark.since_ns > REMARK_NS:
+            self.remark = None
+
+    def _hear(self, now_ns: int, wall: datetime) -> None:
+        if self._told is Presence.SILENT and self._heard_ns is not None:
+            away_s = (now_ns - self._heard_ns) / NS_PER_S
+            self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
+        self._heard_ns, self._gone, self._told, self.trouble = now_ns, False, Presence.LIVE, ""
+
+    def _forget_remark_of_stop(self) -> None:
+        """It must not say STOPPED over a robot that may move again."""
+        if self.remark is not None and self.remark.of_stop:
+            self.remark = None
+
+    def _note(self, wall: datetime, kind: str, text: str, *, bad: bool) -> None:
+        self.lines.appendleft(Line(wall, kind, text, bad))
+
+    # ---- what it means
+
+    def presence(self, now_ns: int) -> Presence:
+        """Whether anybody is there."""
+        if self._heard_ns is None:
+            return Presence.WAITING
+        return Presence.SILENT if self._gone or now_ns - self._heard_ns > SILENT_AFTER_NS else Presence.LIVE
+
+    def silent_s(self, now_ns: int) -> float:
+        """For how long nothing has been heard."""
+        return 0.0 if self._heard_ns is None else (now_ns - self._heard_ns) / NS_PER_S
+
+    def state_age_ms(self, now_ns: int) -> float:
+        """How long ago the state came; infinite before the first."""
+        return float("inf") if self.state is None else (now_ns - self._state_ns) / NS_PER_MS
+
+    def command_age_ms(self, leg: LegReport, now_ns: int) -> float | None:
+        """How long ago an accepted command named the leg: what the state said, and the time since it came."""
+        return None if leg.age_ms is None else leg.age_ms + self.state_age_ms(now_ns)
+
+    def running_legs(self) -> int:
+        """Legs with a running servo, in the last state."""
+        legs = () if self.state is None else self.state.legs
+        return sum(any(servo.running for servo in leg.servos) for leg in legs)
+
+    def rates(self) -> Rates:
+        """Commands and frames a second, by the gateway's own clock."""
+        if len(self._samples) < 2:
+            return Rates()
+        first, last = self._samples[0], self._samples[-1]
+        span_s = last.uptime_s - first.uptime_s
+        if span_s <= 0:
+            return Rates()
+        return Rates(
+            (last.accepted - first.accepted) / span_s,
+            (last.rejected - first.rejected) / span_s,
+            (last.coalesced - first.coalesced) / span_s,
+            (last.frames - first.frames) / span_s,
+        )
+
+    # ---- emergency stop and reset
+
+    def stop_pressed(self, now_ns: int) -> None:
+        """Somebody wants everything stopped. Wanted until it is confirmed, or until they ask for a reset."""
+        self._asked_ns = None
+        self.remark = None
+        if self.stop_wanted_ns is None:
+            self.stop_wanted_ns, self.stop_tries = now_ns, 0
+
+    def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
+        """The gateway confirms what was asked at `asked_ns`, and says how much of it succeeded."""
+        if asked_ns < self._reset_ns:
+            return  # that stop has been left since; one pressed later waits for its own answer
+        took = ""
+        if self.stop_wanted_ns is not None:
+            took = f", confirmed {(now_ns - self.stop_wanted_ns) / NS_PER_MS:.0f} ms after the key"
+        elif self.remark is not None and self.remark.of_stop:
+            return  # the second answer to one stop
+        self.stop_wanted_ns = None
+        frames = ack.stop_frames or 0
+        if frames >= len(LEGS) and ack.latency_us is not None:
+            text = f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request{took}"
+            self.remark = Remark(Tone.GOOD, text, now_ns, of_stop=True)
+        else:
+            text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
+            self.remark = Remark(Tone.BAD, text, now_ns)
+
+    def stop_unanswered(self) -> None:
+        """Nobody confirmed it in time; it is being sent again."""
+        self.stop_tries += 1
+
+    def stop_alarm(self, now_ns: int) -> str | None:
+        """What must be shouted about a stop that nobody confirms; None where there is nothing to shout."""
+        if self.stop_wanted_ns is None:
+            return None
+        if not self.stop_tries and now_ns - self.stop_wanted_ns < STOP_PATIENCE_NS:
+            return None
+        waited_s = (now_ns - self.stop_wanted_ns) / NS_PER_S
+        why = (
+            "the gateway lives but does not take it (an observer's certificate may not stop)"
+            if self.presence(now_ns) is Presence.LIVE
+            else "trying on"
+        )
+        return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"
+
+    def reset_pressed(self, now_ns: int) -> None:
+        """Somebody wants to leave the emergency stop: that is asked back, if there is one."""
+        estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
+        if self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None:
+            self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
+            return
+        self._asked_ns = now_ns
+
+    def asking(self, now_ns: int) -> bool:
+        """Whether the question of the reset stands."""
+        return self._asked_ns is not None and now_ns - self._asked_ns < QUESTION_NS
+
+    def reset_confirmed(self, now_ns: int) -> None:
+        """The question was answered with yes."""
+        self._asked_ns = None
+        self.stop_wanted_ns = None
+        self._reset_ns = now_ns
+        self.remark = Remark(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
+
+    def reset_declined(self, now_ns: int) -> None:
+        """The question was answered with anything else."""
+        self._asked_ns = None
+        self.remark = Remark(Tone.NOTE, "no reset: the emergency stop stays as it is", now_ns)
+
+    def reset_answered(self, ack: Ack | None, now_ns: int) -> None:
+        """What became of the reset; None: nobody answered."""
+        if ack is None:
+            text = "NO RESET: nobody answered (an observer's certificate may not reset)"
+            self.remark = Remark(Tone.BAD, text, now_ns)
+        elif ack.accepted:
+            self.remark = Remark(Tone.GOOD, "reset; nothing moves until it is started again", now_ns)
+        else:
+            self.remark = Remark(Tone.BAD, f"NO RESET: {ack.reason}: {visible(ack.detail or '')}", now_ns)
+
+
+_BAD: Final = frozenset({Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPING})
+_LEFT_OUT: Final = re.compile(r" \((\d{1,9}) more from this source were left out\)$")
+
+
+def _left_out(detail: str) -> int:
+    """How many refusals the gateway's limit kept back before this one (gateway/refusals.py words it)."""
+    found = _LEFT_OUT.search(detail)
+    return int(found[1]) if found else 0
+
+
+def visible(text: str) -> str:
+    """What others wrote must not steer the terminal."""
+    return text if text.isprintable() else "".join(char if char.isprintable() else "�" for char in text)
+
+
+def top_refused(refused: Mapping[str, int], count: int) -> list[tuple[str, int]]:
+    """The sources with most refusals, most first; equals by name, so that lines do not dance."""
+    return sorted(refused.items(), key=lambda item: (-item[1], item[0]))[:count]

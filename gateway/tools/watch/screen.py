@@ -1,0 +1,148 @@
+"""The terminal of `watch`: keys on the calling thread, drawing on another."""
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from types import FrameType
+from typing import Final
+
+from rich.console import Console
+from rich.live import Live
+
+from gateway.client import Client
+from gateway.tools.watch.link import Link
+from gateway.tools.watch.model import Model
+from gateway.tools.watch.view import picture
+
+FRAME_S: Final = 0.1
+"""Ages count up between two states, so it draws ten times a second."""
+LEAST_FRAME_S: Final = 0.03
+"""However much happens, the robot's computer has other things to do than to draw."""
+DRAWER_END_S: Final = 0.5
+
+STOP_KEYS: Final = frozenset(b" eE")
+_INTERRUPT: Final = 3
+
+
+class Watch:
+    """One view; `run` shows it until q."""
+
+    def __init__(self, connect: Callable[[], Client], where: str) -> None:
+        self._model = Model()
+        self._lock = threading.Lock()
+        self._where = where
+        self._news = threading.Event()
+        self._ended = threading.Event()
+        self._link = Link(connect, self._model, self._lock, self._news.set)
+        self._console = Console()
+        self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
+        self._drawer = threading.Thread(target=self._draw, name="draw", daemon=True)
+
+    @property
+    def unconfirmed_stop(self) -> bool:
+        """Whether somebody pressed the emergency stop and nobody has confirmed it."""
+        return self._model.stop_wanted_ns is not None
+
+    def run(self) -> bool:
+        """Show it until q or a signal; whether everything was let go of in time."""
+        with _keys_at_once(sys.stdin.fileno()), _wake_on_signals() as woken:
+            self._link.start()
+            self._drawer.start()
+            self._read_keys(sys.stdin.fileno(), woken)
+            self._ended.set()
+            self._news.set()
+            closed = self._link.close()
+            self._drawer.join(DRAWER_END_S)
+        return closed and not self._drawer.is_alive()
+
+    # ---- keys
+
+    def _read_keys(self, terminal: int, woken: int) -> None:
+        while True:
+            ready, _, _ = select.select([terminal, woken], [], [])
+            if woken in ready:
+                return
+            try:
+                pressed = os.read(terminal, 64)
+            except OSError:  # the terminal is gone
+                return
+            if not pressed or not self._press(pressed):
+                return
+
+    def _press(self, pressed: bytes) -> bool:
+        """Act on what was typed; whether to go on. A stop among it comes first, whatever else there is."""
+        if STOP_KEYS & set(pressed):
+            self._link.stop()
+            return True
+        if pressed.startswith(b"\x1b"):  # an arrow key, a mouse: bytes that are no letters
+            return True
+        for key in pressed.lower():
+            with self._lock:
+                asking = self._model.asking(time.monotonic_ns())
+            if asking and key == ord("y"):
+                self._link.reset()
+            elif key in (ord("q"), _INTERRUPT):
+                return False
+            else:
+                with self._lock:
+                    if asking:
+                        self._model.reset_declined(time.monotonic_ns())
+                    elif key == ord("r"):
+                        self._model.reset_pressed(time.monotonic_ns())
+            self._news.set()
+        return True
+
+    # ---- drawing
+
+    def _draw(self) -> None:
+        with self._live:
+            while not self._ended.is_set():
+                self._news.clear()
+                width, height = self._console.size
+                now_ns = time.monotonic_ns()
+                with self._lock:
+                    self._model.look(now_ns, datetime.now().astimezone())
+                    text = picture(self._model, now_ns, self._where, width, height)
+                self._live.update(text, refresh=True)  # waits for the terminal, and so without the lock
+                self._ended.wait(LEAST_FRAME_S)
+                self._news.wait(FRAME_S - LEAST_FRAME_S)
+
+
+@contextlib.contextmanager
+def _keys_at_once(terminal: int) -> Iterator[None]:
+    """Keys come one by one and unseen, Ctrl-C as a key, and Ctrl-S stops nothing; afterwards all is as before."""
+    before = termios.tcgetattr(terminal)
+    during = termios.tcgetattr(terminal)
+    during[0] &= ~(termios.IXON | termios.IXOFF)
+    during[3] &= ~(termios.ICANON | termios.ECHO | termios.ISIG)
+    during[6][termios.VMIN], during[6][termios.VTIME] = 1, 0
+    termios.tcsetattr(terminal, termios.TCSANOW, during)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(terminal, termios.TCSANOW, before)
+
+
+@contextlib.contextmanager
+def _wake_on_signals() -> Iterator[int]:
+    """A descriptor that becomes readable when a signal asks for the end."""
+    readable, writable = os.pipe()
+
+    def wake(_number: int, _frame: FrameType | None) -> None:
+        os.write(writable, b".")
+
+    before = {number: signal.signal(number, wake) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+    try:
+        yield readable
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(readable)
+        os.close(writable)
