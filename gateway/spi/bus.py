@@ -32,30 +32,34 @@ class Bus:
         self._pause = pause
         self._device: SpiDevice | None = None
         self._free_ns = 0
+        self._in_step = False
         self.frames = 0
         self.errors = 0
         self.transfer_latency = Latency()
 
     def open(self) -> None:
-        """Open the device anew and write the preamble, where the framing has one. Raises SpiError.
-
-        The preamble belongs here and nowhere else: only after opening can no half of a body be on the wire.
-        """
+        """Open the device anew and write the preamble, where the framing has one. Raises SpiError."""
         self.close()
         try:
             self._device = GuardedDevice(self._open_device(), self._framing)
-            if self._framing.preamble is not None:
-                self._transfer(self._framing.preamble)
+            self._get_in_step()
         except SpiError:
             self.errors += 1
             self.close()
             raise
 
     def write(self, frame: Frame) -> None:
-        """Write one frame. Raises SpiError; the device stays open, for the next frame may be a Stop."""
+        """Write one frame. Raises SpiError; the device stays open, for the next frame may be a Stop.
+
+        After a failed transfer the preamble comes first: a controller that awaits the body of an announced frame would
+        take this one for it, and from then on see lengths where there are none.
+        """
         try:
+            self._get_in_step()
+            self._in_step = False  # until the whole frame is written
             for data in self._framing.transfers(frame.to_bytes()):
                 self._transfer(data)
+            self._in_step = True
         except SpiError:
             self.errors += 1
             raise
@@ -67,6 +71,12 @@ class Bus:
             with suppress(SpiError):
                 self._device.close()
             self._device = None
+        self._in_step = False
+
+    def _get_in_step(self) -> None:
+        if not self._in_step and self._framing.preamble is not None:
+            self._transfer(self._framing.preamble)
+        self._in_step = True
 
     def _transfer(self, data: bytes) -> None:
         if self._device is None:
