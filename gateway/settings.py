@@ -45,11 +45,18 @@ class ZenohSettings(Section):
 class SpiSettings(Section):
     """The device; 2.5 MHz is what v1.0.0 was measured to keep a clean clock at, 20 MHz the controller's most."""
 
-    device: Annotated[str, Field(pattern=r"^/[^\x00]+$")] = "/dev/spidev0.0"
+    device: str = "/dev/spidev0.0"
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
     framing: Framing = Framing.PLAIN
     # At most a millisecond: the pause holds the loop, six legs at a time.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 100.0
+
+    @field_validator("device")
+    @classmethod
+    def _path(cls, device: str) -> str:
+        if not device.startswith("/") or "\0" in device:
+            raise ValueError("write the path of a device, such as /dev/spidev0.0")
+        return device
 
 
 AngleDeg = Annotated[float, Finite, Field(ge=0, le=180)]
