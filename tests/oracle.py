@@ -278,7 +278,7 @@ class Oracle:
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
             demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
-            least_ns = self.rules.period_ns // 2 - self.rules.period_ns // 10
+            least_ns = self.rules.period_ns // 2
             demand(leg.moved_ns is None or now_ns - leg.moved_ns >= least_ns, "missed turns are not made up in a burst")
             leg.moved_ns = now_ns
         for servo_id, op in transmit.frame.servos:
