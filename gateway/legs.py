@@ -50,15 +50,15 @@ class Servo:
         """Whether a `set` has something to set: the servo runs, or waits to be started."""
         return self.running or (self.waiting is not None and self.waiting.op.op is Op.START)
 
-    def note_stop(self, by: str, now_ns: int) -> None:
-        """Remember who stopped it now."""
-        earlier = self.stopped_by if self.stopped_ns == now_ns else frozenset[str]()
+    def note_stop(self, by: str, instant_ns: int) -> None:
+        """Remember who stopped it in this instant."""
+        earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()
         self.stopped_by = earlier | {by}
-        self.stopped_ns = now_ns
+        self.stopped_ns = instant_ns
 
-    def stopped_by_another(self, channel: str, now_ns: int) -> bool:
+    def stopped_by_another(self, channel: str, instant_ns: int) -> bool:
         """Whether somebody else than `channel` stopped it in this very instant."""
-        return self.stopped_ns == now_ns and not self.stopped_by <= {channel}
+        return self.stopped_ns == instant_ns and not self.stopped_by <= {channel}
 
 
 @dataclass(slots=True)
@@ -136,6 +136,8 @@ class Legs:
         self.by_number = {number: Leg(number, _servos_of(number), Turn(rules.period_ns)) for number in LEGS}
         self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
         self._orders: dict[int, _Order] = {}
+        self.instant_ns = 0
+        """When the present instant began; see `Supervisor.step`."""
         self._queue = StartQueue(rules.start_pause_ns)
 
     def __iter__(self) -> Iterator[Leg]:
@@ -174,16 +176,16 @@ class Legs:
             by_leg.setdefault(leg_of(servo_id), []).append((self.servos[servo_id], op))
         self._orders[command.order] = _Order(len(command.targets))
         effects: list[Effect] = []
-        moves: list[tuple[Leg, list[tuple[Servo, ServoOp]]]] = []
+        stops: list[tuple[Leg, list[Servo]]] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
             leg.heard_ns = now_ns
             if all(op.op is Op.STOP for _, op in targets):
-                effects += self._stop_on_command(leg, [servo for servo, _ in targets], command, now_ns)
+                stops.append((leg, [servo for servo, _ in targets]))
             else:
-                moves.append((leg, targets))
-        for leg, targets in moves:  # after all Stops: a Stop ends what waits to be energised, but not what came with it
-            effects += self._move(leg, targets, command, now_ns)
+                effects += self._move(leg, targets, command, now_ns)
+        for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
+            effects += self._stop_on_command(leg, servos, command, now_ns)
         return effects
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
@@ -191,11 +193,11 @@ class Legs:
         effects = _stops(leg, servos, Cause.COMMAND)
         for servo in servos:
             effects += self._replace(servo, None)
-            servo.note_stop(command.channel, now_ns)
+            servo.note_stop(command.channel, self.instant_ns)
             self._stopped(servo, now_ns)
             effects += self._target_done(command.order)
         leg.expired = leg.expired and len(servos) < len(leg.servos)
-        return effects + self._empty_queue()
+        return effects + self._empty_queue(command.order)
 
     def _move(self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int) -> list[Effect]:
         """A command that starts or sets (and may stop some servos as well): it waits for the leg's turn."""
@@ -205,7 +207,7 @@ class Legs:
             newest = merged(servo.waiting.op if servo.waiting else None, op)
             effects += self._replace(servo, Waiting(newest, command.order))
             if op.op is Op.STOP:
-                servo.note_stop(command.channel, now_ns)
+                servo.note_stop(command.channel, self.instant_ns)
         effects += self._send(leg, now_ns, something_waited=something_waited)
         for servo, _ in targets:
             # The leg's turn has not come. Its moves wait; its Stops do not.
@@ -256,7 +258,7 @@ class Legs:
         transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
         servos = [servo for number in deadlines_ns for servo in self.by_number[number].servos]
         for servo in servos:
-            servo.note_stop(cause, now_ns)
+            servo.note_stop(cause, self.instant_ns)
             self._stopped(servo, now_ns)
         for number in deadlines_ns:
             self.by_number[number].expired = False
@@ -267,9 +269,13 @@ class Legs:
         servo.repeats_left = self._rules.repeats
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
-    def _empty_queue(self) -> list[Effect]:
-        """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now."""
-        waiting = [servo for number in self._queue.legs for servo in self.by_number[number].servos]
+    def _empty_queue(self, own: int | None = None) -> list[Effect]:
+        """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now.
+
+        Unless the Stop's own command wants it.
+        """
+        servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
+        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting.order != own]
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before its turn to be started")
 
     # ---- commands under way

@@ -140,6 +140,15 @@ def test_a_command_that_starts_one_leg_and_stops_another_does_not_refuse_itself(
     assert robot.time(150) == ["command 2 start 90", "settled 2"]
 
 
+def test_a_set_keeps_the_start_that_waits_although_a_stop_for_another_leg_comes_with_it() -> None:
+    robot = staggered()
+    robot.command(100, legs("1234", "start 90"), "legs")
+    told = robot.command(110, leg(2, "stop") + leg(3, "set 80"), "legs")
+    assert told == ["command 2 stop", "refused 1 servo_stopped"]
+    assert robot.time(150) == ["command 3 start 80", "settled 2"]
+    assert robot.time(200) == []
+
+
 def test_what_an_emergency_stop_drops_from_the_queue_is_refused_for_it() -> None:
     robot = staggered()
     robot.command(100, leg(1, "start 90"))
