@@ -13,7 +13,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -23,6 +23,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import Handler, RingChannel
 
+from gateway.realtime import WAITER_PRIORITY, prefer_thread
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE, CommandKey
 
@@ -30,9 +31,11 @@ RING_DEPTH: Final = 8
 """Messages per key and tick: enough for a start, a stop and some setpoints sent in one go; more would only be older."""
 OTHER_DEPTH: Final = 16
 """The same for what names no key of ours; it is refused one by one, so there is no use in more."""
-LOOK_AGAIN_S: Final = (0.001, 0.004, 0.016, 0.064)
+LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """The doorbell can ring before the message has reached its key's own ring (two deliveries, one after the other, by a
 thread that may be interrupted in between). So a bell whose key had nothing is followed by some more looks."""
+
+_PLACES: Final = {key: place for place, key in enumerate(COMMAND_KEYS)}
 
 logger = logging.getLogger(__name__)
 
@@ -88,26 +91,27 @@ class Waiter:
         self._ring = ring
         self._loop = loop
         self._note = note
-        self._done = threading.Event()
+        self._dealt = threading.Lock()  # held while the loop has not dealt with the item; an Event takes twice as long
+        self._dealt.acquire()
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
 
     def _wait(self) -> None:
+        prefer_thread(WAITER_PRIORITY)
         # The ring closes with the session, and the loop may close before it: both end the thread.
         with suppress(zenoh.ZError, RuntimeError):
             while True:
                 # Nothing of the item is kept here: a query that is still referenced keeps its asker waiting.
                 deal = self._note(self._ring.recv(), time.monotonic_ns())
-                self._done.clear()
                 self._loop.call_soon_threadsafe(self._on_loop, deal)
                 del deal
-                self._done.wait()
+                self._dealt.acquire()
 
     def _on_loop(self, deal: Callable[[], None]) -> None:
         try:
             deal()
         finally:
-            self._done.set()
+            self._dealt.release()
 
 
 class Inbox:
@@ -126,6 +130,9 @@ class Inbox:
         self._estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._rung: set[str] = set()
+        self._missed: set[str] = set()
+        self._look_at: set[str] = set()
+        self._read_all = False
         self._look_again: asyncio.TimerHandle | None = None
         self._declared: list[Any] = []
 
@@ -159,16 +166,19 @@ class Inbox:
         message (its thread notes it by itself), so that nothing that waits comes before it.
         """
         taken: set[str] = set()
-        for received in list(self._take_commands()):
+        for received in list(self._take_commands(self._keys_to_read())):
             while self._estops:
                 yield self._estops.popleft()
             taken.add(received.key)
             yield received
         while self._estops:
             yield self._estops.popleft()
-        if self._rung - taken:
+        missed = self._rung - taken
+        self._missed = (self._missed | missed) - taken
+        if missed:
             self._look(0)
         self._rung.clear()
+        self._read_all = False
 
     @property
     def hears(self) -> bool:
@@ -206,28 +216,42 @@ class Inbox:
         self._note(item, received_ns)
         del item
         for bell in self._bells:
-            for _ in range(OTHER_DEPTH):
+            for waiting in range(OTHER_DEPTH):
                 more = _next_of(bell)
                 if more is None:
+                    # One of a full bell is with its thread, and may have been taken out after another was lost.
+                    self._read_all = self._read_all or waiting >= OTHER_DEPTH - 1
                     break
                 self._note(more, received_ns)
+            else:
+                self._read_all = True
         self._on_ring()
 
     def _note(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
         """A key of ours is read from its own ring; what names none of ours is refused from here."""
         key = str(item.key_expr)
-        if key in COMMAND_KEYS:
-            if key != ESTOP:
-                self._rung.add(key)
-        elif "*" not in key or not any(item.key_expr.intersects(zenoh.KeyExpr(known)) for known in COMMAND_KEYS):
-            self._others.append(_received(item, key, received_ns))
-        else:
+        if key in self._rings:
             self._rung.add(key)
+        elif key != ESTOP:
+            named = (
+                {known for known in COMMAND_KEYS if item.key_expr.intersects(zenoh.KeyExpr(known))}
+                if "*" in key
+                else set[str]()
+            )
+            self._rung |= named & self._rings.keys()
+            if not named:
+                self._others.append(_received(item, key, received_ns))
 
-    def _take_commands(self) -> Iterator[Received]:
+    def _keys_to_read(self) -> Collection[str]:
+        """Those whose bell rang; all where bells may have been lost. To look into all takes 30 µs, more than most."""
+        if self._read_all:
+            return self._rings
+        return sorted(self._rung | self._look_at, key=_PLACES.__getitem__)
+
+    def _take_commands(self, command_keys: Collection[str]) -> Iterator[Received]:
         now_ns = time.monotonic_ns()
-        for key, rings in self._rings.items():
-            for ring in rings:
+        for key in command_keys:
+            for ring in self._rings[key]:
                 for _ in range(RING_DEPTH):
                     item = _next_of(ring)
                     if item is None:
@@ -239,12 +263,17 @@ class Inbox:
     def _look(self, attempt: int) -> None:
         if self._look_again is not None:
             self._look_again.cancel()
-        if attempt < len(LOOK_AGAIN_S):
+        if self._missed:
             self._look_again = self._loop.call_later(LOOK_AGAIN_S[attempt], self._looked, attempt)
 
     def _looked(self, attempt: int) -> None:
+        self._look_at = self._missed
         self._on_ring()
-        self._look(attempt + 1)
+        self._look_at = set()
+        if attempt + 1 < len(LOOK_AGAIN_S):
+            self._look(attempt + 1)
+        else:
+            self._missed = set()  # it was taken with another of its key, before its own bell was heard
 
 
 def _next_of(ring: Handler[Any]) -> Any:

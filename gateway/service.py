@@ -13,7 +13,7 @@ from typing import Any
 
 import zenoh
 
-from gateway import exposition
+from gateway import exposition, realtime
 from gateway.conductor import Conductor
 from gateway.errors import GatewayError, SpiError
 from gateway.inbox import Inbox
@@ -69,6 +69,7 @@ def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDev
 
 def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = lambda: None) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
+    realtime.prefer_process()
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
         runner.run(_run(settings, simulated=simulated, on_ready=on_ready))
@@ -93,6 +94,11 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         outbox.open(session)
         inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
         conductor.take = inbox.take
+        realtime.settle()
+        # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
+        logger.info(
+            "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
+        )
         conductor.announce_start()
         manager.ready(f"takes commands on {', '.join(settings.zenoh.listen)}")
         on_ready()
