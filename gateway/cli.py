@@ -113,6 +113,17 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 
 @app.command()
+def check(config: ConfigOption = None) -> None:
+    """Say whether this machine can run the service, line by line, and how to mend what it lacks.
+
+    Looks only: nothing reaches the robot, and a running gateway is not disturbed. Exit codes: 0 it can, 1 it cannot.
+    """
+    from gateway.tools.check import check
+
+    sys.exit(check(config))
+
+
+@app.command()
 def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Show the robot live in the terminal: legs, servos, rates, refusals, events; SPACE is the emergency stop.
 

@@ -1,0 +1,91 @@
+"""`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to mend it.
+
+It looks, and changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
+"""
+
+import datetime as dt
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.text import Text
+
+from gateway import settings as settings_file
+from gateway.errors import ConfigError
+from gateway.exposure import listen_endpoints
+from gateway.settings import Settings
+from gateway.tools.check import device, machine, network
+from gateway.tools.check.result import Result, Verdict, failure, ok, warning
+
+_STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
+
+
+def check(config: Path | None) -> int:
+    """Print every check's line as it is known; the exit code: 0, or 1 after a failure."""
+    console = Console(highlight=False, soft_wrap=True)
+    results = []
+    for result in run(config):
+        results.append(result)
+        console.print(line(result))
+    failures = sum(result.verdict is Verdict.FAILURE for result in results)
+    warnings = sum(result.verdict is Verdict.WARNING for result in results)
+    if failures:
+        console.print(Text(f"This machine cannot run the service: {_count(failures, 'failure')}.", "bold red"))
+        return 1
+    remark = f", with {_count(warnings, 'warning')}" if warnings else ""
+    console.print(Text(f"This machine can run the service{remark}.", "bold green"))
+    return 0
+
+
+def run(config: Path | None) -> Iterator[Result]:
+    """All checks, in order; those of the settings only where these can be read."""
+    yield machine.python()
+    try:
+        settings = settings_file.load(config)
+    except ConfigError as error:
+        for fault in str(error).splitlines():
+            yield failure("configuration", fault, "mend it there, and check again")
+        yield warning("the rest", "device, ports and certificates were not looked at", "mend the configuration first")
+    else:
+        yield _configuration(config)
+        yield from _of_settings(settings)
+    yield machine.clock()
+    yield machine.unit()
+    yield machine.realtime()
+
+
+def _configuration(config: Path | None) -> Result:
+    path = config or settings_file.DEFAULT_PATH
+    return ok("configuration", str(path) if path.exists() else f"the defaults, for there is no {path}")
+
+
+def _of_settings(settings: Settings) -> Iterator[Result]:
+    spi_device = device.device(settings.spi)
+    yield spi_device
+    yield device.speed(settings.spi)
+    yield device.framing(settings.spi)
+    certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
+    yield from certificates
+    zenoh_config, told = network.zenoh_configuration(settings.zenoh)
+    yield from (result for result in told if result.sentence not in {known.sentence for known in certificates})
+    gateway_runs = device.held(spi_device)
+    if zenoh_config is not None:
+        yield from network.ports(listen_endpoints(zenoh_config), gateway_runs=gateway_runs)
+    if settings.telemetry.metrics:
+        yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
+
+
+def line(result: Result) -> Text:
+    """`verdict  what  sentence → mend`, in columns."""
+    text = Text().append(f"{result.verdict:8}", _STYLES[result.verdict]).append(f" {result.name:14} ", "bold")
+    text.append(_one_line(result.sentence))
+    return text.append(f" → {_one_line(result.mend)}", "cyan") if result.mend else text
+
+
+def _one_line(text: str) -> str:
+    return "".join(char if char.isprintable() else " " for char in text)
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"

@@ -1,0 +1,159 @@
+"""The SPI device: node, permissions, who holds it, speed, framing. Nothing is written to the robot."""
+
+import grp
+import importlib.util
+import os
+import pwd
+import stat
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import SpiError
+from gateway.protocol.framing import Framing
+from gateway.settings import SpiSettings
+from gateway.spi.kernel import KernelDevice
+from gateway.tools.check.result import Result, failure, ok, warning
+from schemas.robot import LEGS
+
+MEASURED_HZ: Final = 2_500_000
+"""Up to here v1.0.0 was measured to keep a clean clock."""
+STOP_BITS: Final = 8 * 14
+SLOW_STOPS_MS: Final = 20.0
+"""The shortest watchdog timeout that can be set: six Stops should not take longer to write."""
+SERVICE_USER: Final = "hexapod-gateway"
+
+_NAME: Final = "SPI device"
+_HELD: Final = "is held by a running gateway"
+
+
+def device(spi: SpiSettings) -> Result:
+    """Whether the device can be opened and set up as the service does it; it is let go of at once."""
+    path = Path(spi.device)
+    lack = _driver() or _node(path) or _permission(path)
+    if lack is not None:
+        return lack
+    try:
+        KernelDevice(spi.device, spi.speed_hz).close()
+    except SpiError as error:
+        if isinstance(error.__cause__, BlockingIOError):
+            return ok(_NAME, f"{path} {_HELD}; a second one would be refused")
+        return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
+    return ok(_NAME, f"{path} opens, as {_user()}{_other_user()}")
+
+
+def held(result: Result) -> bool:
+    """Whether `device` found that a gateway has it."""
+    return _HELD in result.sentence
+
+
+def _driver() -> Result | None:
+    if importlib.util.find_spec("spidev") is not None:
+        return None
+    return failure(_NAME, "the Python package spidev is missing", "pip install 'hexapod-gateway[spi]'")
+
+
+def _node(path: Path) -> Result | None:
+    try:
+        mode = path.stat().st_mode
+    except PermissionError as error:
+        return failure(_NAME, f"{path} cannot be looked at ({error.strerror})", "check the folder's permissions")
+    except OSError:
+        others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
+        mend = (
+            f"set spi.device; here there is {', '.join(others)}"
+            if others
+            else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+        )
+        return failure(_NAME, f"{path} does not exist", mend)
+    return None if stat.S_ISCHR(mode) else failure(_NAME, f"{path} is no device node", "set spi.device to one")
+
+
+def _permission(path: Path) -> Result | None:
+    if os.access(path, os.R_OK | os.W_OK):
+        return None
+    status = path.stat()
+    group = _group(status.st_gid)
+    rights = stat.filemode(status.st_mode)
+    may_join = status.st_gid and (status.st_mode & 0o060) == 0o060
+    mend = (
+        f"sudo usermod -aG {group} {_user()}, then log in again"
+        if may_join
+        else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
+    )
+    return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", mend)
+
+
+def speed(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
+    """The clock, against what was measured, what the device tree allows, and what a Stop may take."""
+    name = "SPI speed"
+    wanted = _megahertz(spi.speed_hz)
+    most_hz = _most_hz(sys_class / Path(spi.device).name / "device" / "of_node" / "spi-max-frequency")
+    if most_hz is not None and spi.speed_hz > most_hz:
+        return warning(
+            name,
+            f"{wanted} is above the {_megahertz(most_hz)} that the device tree allows {spi.device}",
+            f"set spi.speed_hz = {most_hz} or less, or raise spi-max-frequency",
+        )
+    if spi.speed_hz > MEASURED_HZ:
+        return warning(
+            name,
+            f"{wanted} is above the {_megahertz(MEASURED_HZ)} up to which the protocol was measured",
+            f"set spi.speed_hz = {MEASURED_HZ}, or measure the clock on your wires",
+        )
+    stops_ms = len(LEGS) * (STOP_BITS / spi.speed_hz * 1e3 + spi.frame_gap_us / 1e3)
+    if stops_ms > SLOW_STOPS_MS:
+        return warning(
+            name,
+            f"{wanted} is so slow that an emergency stop takes {stops_ms:.0f} ms to write",
+            f"set spi.speed_hz = {MEASURED_HZ}",
+        )
+    return ok(name, f"{wanted}; an emergency stop takes {stops_ms:.1f} ms to write")
+
+
+def framing(spi: SpiSettings) -> Result:
+    """The framing that the controller's firmware must have, too."""
+    if spi.framing is Framing.PLAIN:
+        return warning(
+            "framing",
+            "plain is the protocol's document, but the published STM32 firmware executes nothing in it",
+            'set spi.framing = "length-prefixed", unless your firmware is another',
+        )
+    return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it")
+
+
+def _most_hz(file: Path) -> int | None:
+    """A device tree's number: four bytes, the highest first."""
+    try:
+        data = file.read_bytes()
+    except OSError:
+        return None
+    return int.from_bytes(data, "big") if len(data) == 4 and any(data) else None
+
+
+def _megahertz(hz: int) -> str:
+    return f"{hz / 1e6:g} MHz" if hz >= 10_000 else f"{hz} Hz"
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
+
+
+def _group(gid: int) -> str:
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)
+
+
+def _other_user() -> str:
+    """Root may open everything; the service is not root."""
+    try:
+        pwd.getpwnam(SERVICE_USER)
+    except KeyError:
+        return ""
+    if os.geteuid():
+        return ""
+    return f" (the service is {SERVICE_USER}: sudo -u {SERVICE_USER} hexapod-gateway check)"

@@ -1,0 +1,121 @@
+"""The machine: Python, clock, systemd unit, real-time rights."""
+
+import ctypes
+import importlib.metadata
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from gateway.tools.check.result import Result, failure, ok, warning
+
+UNIT: Final = "hexapod-gateway"
+PRIORITY: Final = 20
+"""What the service unit asks for."""
+
+_UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
+_TIMEX_BYTES: Final = 512  # more than struct timex has anywhere; zeros ask and set nothing
+
+
+def python() -> Result:
+    """The interpreter and what it speaks to robots with; pip sees to it that they are recent enough."""
+    version = ".".join(map(str, sys.version_info[:3]))
+    try:
+        zenoh = importlib.metadata.version("eclipse-zenoh")
+    except importlib.metadata.PackageNotFoundError:
+        return failure("Python", f"{sys.executable} has no eclipse-zenoh", "pip install hexapod-gateway, into it")
+    return ok("Python", f"{version} with eclipse-zenoh {zenoh}, {sys.executable}")
+
+
+def clock() -> Result:
+    """Whether the kernel says that the clock is synchronised."""
+    try:
+        state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)))
+    except (AttributeError, OSError):  # not Linux
+        state = -1
+    return clock_result(state)
+
+
+def clock_result(adjtimex: int) -> Result:
+    """Of what adjtimex(2) returned. No decision of the gateway depends on the clock, but certificates do."""
+    mend = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
+    if adjtimex == _UNSYNCHRONISED:
+        return warning("clock", "is not synchronised", mend)
+    if adjtimex < 0:
+        return warning("clock", "does not say whether it is synchronised", mend)
+    return ok("clock", "is synchronised")
+
+
+def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "systemctl") -> Result:
+    """The service's unit, as systemd knows it."""
+    if not booted.is_dir() or shutil.which(systemctl) is None:
+        return warning(
+            "systemd unit",
+            "none, for this machine does not run systemd",
+            "let something start the gateway again when it ends, and run `hexapod-gateway stop-servos` then",
+        )
+    command = [systemctl, "show", UNIT, "--property=LoadState,ActiveState,UnitFileState,Result"]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
+    except (OSError, subprocess.SubprocessError) as error:
+        return warning("systemd unit", f"systemctl does not tell ({error})", f"try: systemctl status {UNIT}")
+    return unit_result(dict(line.split("=", 1) for line in said.splitlines() if "=" in line))
+
+
+def unit_result(properties: Mapping[str, str]) -> Result:
+    """Of what `systemctl show` says."""
+    name = "systemd unit"
+    load, active = properties.get("LoadState", ""), properties.get("ActiveState", "")
+    enabled = properties.get("UnitFileState", "")
+    if load == "not-found":
+        return warning(name, "is not installed: nothing stops the servos if the gateway dies", "sudo deploy/install.sh")
+    if load != "loaded":
+        return failure(name, f"cannot be loaded ({load})", f"systemctl status {UNIT} says why")
+    if active == "failed":
+        return failure(
+            name,
+            f"has failed ({properties.get('Result', '?')})",
+            f"journalctl -u {UNIT} says why; then: sudo systemctl restart {UNIT}",
+        )
+    if not enabled.startswith("enabled"):
+        return warning(name, f"is {active}, but does not start with the machine", f"sudo systemctl enable {UNIT}")
+    if active != "active":
+        return warning(name, f"is enabled, but {active}", f"sudo systemctl start {UNIT}")
+    return ok(name, "is enabled and active")
+
+
+def realtime(priority: int = PRIORITY) -> Result:
+    """Whether this process may be scheduled before others: on a busy machine that keeps a Stop from being late."""
+    name = "real-time"
+    if not hasattr(os, "sched_setscheduler"):
+        return warning(name, "this system has no SCHED_FIFO", "run the gateway on Linux")
+    faults: list[OSError] = []
+
+    def ask() -> None:  # on a thread that ends with it, so that nothing has to be put back
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        except OSError as error:
+            faults.append(error)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    if not faults:
+        return ok(name, f"priority {priority} is granted")
+    limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    if 0 <= limit < priority:
+        return warning(
+            name,
+            f"priority {priority} is not granted (RLIMIT_RTPRIO is {limit}): on a busy machine a Stop may be late",
+            "run it as the service, whose unit sets LimitRTPRIO (sudo deploy/install.sh)",
+        )
+    return warning(
+        name,
+        f"priority {priority} is refused by this kernel ({faults[0].strerror}): on a busy machine a Stop may be late",
+        "use a kernel without CONFIG_RT_GROUP_SCHED, or keep other work off this machine",
+    )

@@ -1,0 +1,168 @@
+"""The network: Zenoh's configuration, ports, certificates."""
+
+import datetime as dt
+import errno
+import logging
+import re
+import socket
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import zenoh
+from pydantic import ValidationError
+
+from gateway import certs
+from gateway.client import Client
+from gateway.errors import ConfigError, GatewayError
+from gateway.settings import ZenohSettings
+from gateway.tools.check.result import Result, failure, ok, warning
+from gateway.zenoh_config import certificate_files
+from gateway.zenoh_setup import service_config
+
+WARN_DAYS: Final = 30
+_ANSWER_S: Final = 1.0
+_LINKS: Final = {
+    "tcp": socket.SOCK_STREAM,
+    "tls": socket.SOCK_STREAM,
+    "ws": socket.SOCK_STREAM,
+    "udp": socket.SOCK_DGRAM,
+    "quic": socket.SOCK_DGRAM,
+}
+_ENDPOINT: Final = re.compile(r"(?P<link>[a-z0-9-]+)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
+
+
+def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, list[Result]]:
+    """The configuration that the service would open, and what it would say about it."""
+    with _warnings_of("gateway") as warnings:
+        try:
+            config = service_config(settings)
+        except ConfigError as error:
+            return None, [failure("Zenoh", line, "mend it there") for line in str(error).splitlines()]
+    told = [warning("Zenoh", line, "see Security in the README") for line in warnings]
+    return config, told or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
+
+
+def ports(endpoints: Sequence[str], *, gateway_runs: bool) -> list[Result]:
+    """Each endpoint that the service would listen on. `gateway_runs`: one is known to, so what is taken is its."""
+    if not endpoints:
+        return [ok("port", "none: the gateway listens nowhere, and dials others")]
+    return [port(endpoint, gateway_runs=gateway_runs) for endpoint in endpoints]
+
+
+def port(endpoint: str, *, gateway_runs: bool = False) -> Result:
+    """Whether `endpoint` can be listened on; a gateway that has it already is fine."""
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or found["link"] not in _LINKS:
+        return ok("port", f"{endpoint} was not tried: it is no port")
+    error = _listen(found["host"], int(found["port"]), _LINKS[found["link"]])
+    taken = error is not None and error.errno == errno.EADDRINUSE
+    if taken and (answer := _gateway_at(found) or ("the gateway that runs here, it seems" if gateway_runs else "")):
+        return ok("port", f"{endpoint} is in use by {answer}")
+    return _verdict(endpoint, "zenoh.listen", error)
+
+
+def metrics_port(address: str, *, gateway_runs: bool) -> Result:
+    """Where the metrics would be."""
+    host, _, number = address.rpartition(":")
+    error = _listen(host, int(number), socket.SOCK_STREAM)
+    if error is not None and error.errno == errno.EADDRINUSE and gateway_runs:
+        return ok("port", f"{address} is in use by the gateway that runs here, it seems")
+    return _verdict(address, "telemetry.metrics", error)
+
+
+def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
+    """Why nobody could listen there now; None where somebody could."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), number, type=kind)[0]
+        with socket.socket(family, kind) as probe:
+            if kind is socket.SOCK_STREAM:  # as the listener does: a connection that ended lately is no obstacle
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            if kind is socket.SOCK_STREAM:
+                probe.listen(1)
+    except OverflowError:
+        return OSError(errno.EINVAL, "ports end at 65535")
+    except OSError as error:
+        return error
+    return None
+
+
+def _verdict(where: str, setting: str, error: OSError | None) -> Result:
+    if error is None:
+        return ok("port", f"{where} is free")
+    sentence, mend = {
+        errno.EADDRINUSE: ("is taken by another program", f"see whose it is (ss -ltnp), or set another {setting}"),
+        errno.EADDRNOTAVAIL: ("is no address of this machine", f"set another {setting} (ip address shows them)"),
+        errno.EACCES: ("may not be listened on by this user", f"set {setting} to a port above 1023"),
+        errno.EAFNOSUPPORT: ("needs IPv6, which this kernel lacks", f"in {setting}, write 0.0.0.0 for [::]"),
+    }.get(error.errno or 0, (f"cannot be listened on: {error.strerror}", f"set another {setting}"))
+    return failure("port", f"{where} {sentence}", mend)
+
+
+def _gateway_at(found: re.Match[str]) -> str:
+    """The gateway that answers on a TCP endpoint of this machine, in words; "" where none does."""
+    if found["link"] != "tcp":
+        return ""  # it would want a certificate
+    host = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}.get(found["host"], found["host"])  # noqa: S104 (dialled, not opened)
+    try:
+        with Client(f"tcp/{host}:{found['port']}", timeout_s=_ANSWER_S) as client:
+            state = client.state()
+    except (GatewayError, ValidationError):
+        return ""
+    return f"a gateway that is {state.mode}" + (", on a simulated controller" if state.simulated else "")
+
+
+def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
+    """The certificates that the Zenoh file names, and for how long they are good."""
+    name = "certificates"
+    if not settings.config:
+        return [ok(name, "none are in use")]
+    try:
+        found = [certs.describe(path) for path in certificate_files(Path(settings.config))]
+    except ConfigError as error:
+        return [failure(name, str(error), "until then nobody gets in, and the service does not start")]
+    if not found:
+        return [ok(name, f"{settings.config} names none")]
+    return [_expiry(certificate, now) for certificate in found]
+
+
+def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
+    name, path = "certificates", certificate.path
+    until = f"good until {certificate.not_after:%Y-%m-%d}"
+    mend = (
+        "make a new CA (hexapod-gateway certs init, in another folder) and issue all certificates again"
+        if certificate.role == "ca"
+        else f"hexapod-gateway certs renew {certificate.role}, where ca.key is, and copy {path.name} here"
+    )
+    left_days = certificate.days_left(now)
+    if now < certificate.not_before:
+        return failure(
+            name, f"{path} is good only from {certificate.not_before:%Y-%m-%d}", "set the clock (timedatectl)"
+        )
+    if left_days < 0:
+        return failure(name, f"{path} expired on {certificate.not_after:%Y-%m-%d}", mend)
+    if left_days < WARN_DAYS:
+        return warning(name, f"{path} is {until}, {left_days} days more", mend)
+    return ok(name, f"{path} is {until}")
+
+
+@contextmanager
+def _warnings_of(logger_name: str) -> Iterator[list[str]]:
+    """What is logged as a warning meanwhile; it goes nowhere else."""
+    told: list[str] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            told.append(record.getMessage())
+
+    logger, handler = logging.getLogger(logger_name), Keep(logging.WARNING)
+    propagate = logger.propagate
+    logger.addHandler(handler)
+    logger.propagate = False
+    try:
+        yield told
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = propagate

@@ -1,0 +1,37 @@
+"""What every check returns."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """`FAILURE`: the service would not start, or would not move the robot."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILURE = "failure"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One line: what was looked at, how it stands, and what mends it ("" where nothing needs mending)."""
+
+    name: str
+    verdict: Verdict
+    sentence: str
+    mend: str = ""
+
+
+def ok(name: str, sentence: str) -> Result:
+    """All is well."""
+    return Result(name, Verdict.OK, sentence)
+
+
+def warning(name: str, sentence: str, mend: str) -> Result:
+    """It runs, but somebody should know."""
+    return Result(name, Verdict.WARNING, sentence, mend)
+
+
+def failure(name: str, sentence: str, mend: str) -> Result:
+    """It does not run like this."""
+    return Result(name, Verdict.FAILURE, sentence, mend)
