@@ -118,7 +118,7 @@ class Conductor:
             self._reopen_timer.cancel()
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
-        self._step(ShutDown(), self._clock())
+        self._step(ShutDown())
         self._arm()
 
     def close(self) -> None:
@@ -131,21 +131,25 @@ class Conductor:
     # ---- what happens
 
     def tick(self) -> None:
-        """Take what came in and do what is due. One tick is one instant: everything in it has the same time."""
-        now_ns = self._clock()
-        if self.supervisor.due_ns is not None and now_ns >= self.supervisor.due_ns:
-            self._step(TimePassed(), now_ns)
+        """Take what came in and do what is due. One tick is one instant: nobody knows the order of what it takes."""
+        instant_ns = self._clock()
+        self._do_what_is_due(instant_ns)
         for received in self.take():
-            self._receive(received, now_ns)
+            self._receive(received, instant_ns)
+            self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
         self._arm()
+
+    def _do_what_is_due(self, instant_ns: int) -> None:
+        if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
+            self._step(TimePassed(), instant_ns)
 
     def answer_state(self, reply: Reply) -> None:
         """Answer a `get` on the state."""
         reply(self.state().model_dump_json().encode())
 
-    def _receive(self, received: Received, now_ns: int) -> None:
+    def _receive(self, received: Received, instant_ns: int) -> None:
         if received.key == keys.ESTOP:
-            self._emergency_stop(received, now_ns)
+            self._emergency_stop(received, instant_ns)
             return
         intent = _intent(received)
         if isinstance(intent, Rejection):
@@ -162,9 +166,9 @@ class Conductor:
         number = next(self._numbers)
         self._orders[number] = _Order(received.key, source, received.reply)
         if received.key == keys.RESET:
-            self._step(Reset(number, source, received.key), now_ns)
+            self._step(Reset(number, source, received.key), instant_ns)
         else:
-            self._step(Command(number, received.channel, intent.targets), now_ns)
+            self._step(Command(number, received.channel, intent.targets), instant_ns)
 
     def _held_up_ms(self, intent: Intent, source: str | None, received_ns: int) -> float | None:
         if self._staleness is None or intent.sent_ms is None:
@@ -173,20 +177,20 @@ class Conductor:
         # A Stop is taken however old it is: to stop once too often harms nobody.
         return None if intent.only_stops else held_up_ms
 
-    def _emergency_stop(self, received: Received, now_ns: int) -> None:
+    def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # Nothing of the payload is looked at: whatever it is, somebody wants the robot to stop.
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
-        stop_frames = self._step(EmergencyStop(received.source, received.key), now_ns).count(Cause.ESTOP)
+        stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).count(Cause.ESTOP)
         latency_ns = max(0, self._clock() - received.received_ns)
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
             self._reply(received.reply, Ack(accepted=True, stop_frames=stop_frames, latency_us=latency_ns / 1000))
 
-    def _step(self, event: Event, now_ns: int) -> list[Cause]:
+    def _step(self, event: Event, instant_ns: int | None = None) -> list[Cause]:
         """Let the supervisor take an event and carry out what it says. Returns why each frame was written."""
-        written, fault = self._carry_out(self.supervisor.step(event, now_ns))
+        written, fault = self._carry_out(self.supervisor.step(event, self._clock(), instant_ns))
         if fault is not None:
             self._bus_failed(fault)
         self._tell_mode()
@@ -251,7 +255,7 @@ class Conductor:
             logger.debug("the SPI device does not answer yet: %s", error)
             self._reopen_later()
             return
-        self._step(BusOpened(), self._clock())
+        self._step(BusOpened())
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False
             self._reopen_s = FIRST_REOPEN_S

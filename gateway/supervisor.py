@@ -19,7 +19,7 @@ The rules, by number of the contract's *Behaviour*:
  7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop. A bus that answers again
     only then gets its Stops too.
 
-Within one instant (one `now_ns`), the order of what came by different channels is unknown. So a Stop wins over a Start
+Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
@@ -129,11 +129,16 @@ class Supervisor:
             return Mode.ESTOPPED
         return Mode.ACTIVE if any(servo.running for servo in self.legs.servos.values()) else Mode.IDLE
 
-    def step(self, event: Event, now_ns: int) -> list[Effect]:
-        """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it."""
+    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
+        """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it.
+
+        Events with the same `instant_ns` (their own time, if not given) were collected together, and nobody knows in
+        which order they were sent; to deal with them takes time, and deadlines do not wait for that.
+        """
         mode = self.mode
         if type(event) not in TRANSITIONS[mode]:
             raise IllegalEvent(f"{type(event).__name__} while {mode}")
+        self.legs.instant_ns = now_ns if instant_ns is None else instant_ns
         match event:
             case Command() | Reset() | TimePassed():
                 effects = self._in_time(event, now_ns)
@@ -157,7 +162,7 @@ class Supervisor:
             case Command():
                 effects += self._command(event, now_ns)
             case Reset():
-                effects += self._reset(event, now_ns)
+                effects += self._reset(event)
         if due:
             effects += self.legs.repeat_stops(now_ns)
             effects += self.legs.take_turns(now_ns)
@@ -166,12 +171,12 @@ class Supervisor:
     # ---- events
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        refusal = self._refusal(command, now_ns)
+        refusal = self._refusal(command)
         if refusal is not None:
             return [refusal]
         return self.legs.apply(command, now_ns)
 
-    def _refusal(self, command: Command, now_ns: int) -> Refused | None:
+    def _refusal(self, command: Command) -> Refused | None:
         """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
 
         def refused(reason: Reason, detail: str) -> Refused:
@@ -186,21 +191,21 @@ class Supervisor:
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         for check in (self._outside_limits, self._stopped):
             for servo_id, op in moves:
-                refusal = check(servo_id, op, command.channel, now_ns)
+                refusal = check(servo_id, op, command.channel)
                 if refusal is not None:
                     return refused(*refusal)
         return None
 
-    def _outside_limits(self, servo_id: int, op: ServoOp, _channel: str, _now_ns: int) -> tuple[Reason, str] | None:
+    def _outside_limits(self, servo_id: int, op: ServoOp, _channel: str) -> tuple[Reason, str] | None:
         limits = self._rules.joint_limits_cdeg.get(servo_id)
         if limits is None or limits[0] <= op.angle_cdeg <= limits[1]:
             return None
         low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
         return Reason.JOINT_LIMIT, f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
 
-    def _stopped(self, servo_id: int, op: ServoOp, channel: str, now_ns: int) -> tuple[Reason, str] | None:
+    def _stopped(self, servo_id: int, op: ServoOp, channel: str) -> tuple[Reason, str] | None:
         servo = self.legs.servos[servo_id]
-        if servo.stopped_by_another(channel, now_ns):
+        if servo.stopped_by_another(channel, self.legs.instant_ns):
             # Which of the two is older is not known, and an older Start must not overtake a Stop.
             by = ", ".join(sorted(servo.stopped_by))
             return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
@@ -210,7 +215,7 @@ class Supervisor:
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
         first = self._latched_ns is None
-        self._latched_ns = now_ns
+        self._latched_ns = self.legs.instant_ns
         effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
         if first:
             detail = "emergency stop; all commands are refused until a reset"
@@ -219,12 +224,12 @@ class Supervisor:
             effects.append(Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key))
         return effects
 
-    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+    def _reset(self, event: Reset) -> list[Effect]:
         if self._ended:
             return [Refused(event.order, Reason.STOPPING, _STOPPING)]
         if not self._bus_ok:
             return [Refused(event.order, Reason.BUS_FAULT, _BUS_FAULT)]
-        if self._latched_ns == now_ns:
+        if self._latched_ns == self.legs.instant_ns:
             return [Refused(event.order, Reason.ESTOPPED, "the emergency stop was engaged in the same instant")]
         if self._latched_ns is None:
             return [Settled(event.order)]

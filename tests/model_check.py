@@ -74,7 +74,7 @@ _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _order_fields = _getter(_Order, "targets", "coalesced")
 _getter(Waiting, "op", "order")
 _SUPERVISOR_FIELDS: Final = {"_rules", "legs", "_opened", "_bus_ok", "_latched_ns", "_ended", "expirations", "due_ns"}
-_LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_orders", "_queue"}
+_LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_orders", "_queue", "instant_ns"}
 
 
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:

@@ -6,7 +6,7 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
@@ -32,6 +32,8 @@ class Robot:
         spi = {"frame_gap_us": 0}  # a pause between frames would have to sleep, and virtual time does not
         merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
         self.settings = Settings.model_validate(merged)
+        self.each_takes_ns = 0
+        """How long it takes to deal with one message."""
         self.loop = asyncio.get_running_loop()
         self._instants = 0  # a nanosecond for each message, so that no two share an instant by accident
         self.controller = SimulatedController(self.settings.spi.framing, clock=self.now_ns)
@@ -61,9 +63,11 @@ class Robot:
         """The outbox's side."""
         self.reports.append((key, report))
 
-    def _take(self) -> list[Received]:
+    def _take(self) -> Iterator[Received]:
         taken, self._waiting = self._waiting, []
-        return taken
+        for received in taken:
+            yield received
+            self._instants += self.each_takes_ns
 
     # ---- commands
 
@@ -91,8 +95,16 @@ class Robot:
 
     def get(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
         """An acknowledged command; the list that its answer will be in."""
+        self._instants += 1
+        answers = self.ask_later(key, payload, **more)
+        self.conductor.tick()
+        return answers
+
+    def ask_later(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
+        """The same, waiting for the next tick."""
         answers: list[Ack] = []
-        self.put(key, payload, verb=Verb.GET, reply=lambda data: answers.append(Ack.model_validate_json(data)), **more)
+        take = answers.append
+        self.put_later(key, payload, verb=Verb.GET, reply=lambda data: take(Ack.model_validate_json(data)), **more)
         return answers
 
     def ask(self, key: str, payload: object = b"", **more: Any) -> Ack:

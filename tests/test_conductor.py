@@ -211,6 +211,32 @@ async def test_one_instant_applies_legs_then_leg_then_servo() -> None:
     assert [frame for _, frame in robot.frames] == [moved(Op.START, 1, 1, 1), moved(Op.START, 2, 3, 2)]
 
 
+async def test_a_deadline_does_not_wait_for_a_tick_that_takes_long() -> None:
+    robot = await started_and_quiet(watchdog={"repeats": 0})
+    robot.put(LEG_3, leg("start", 1, 1, 1))
+    for _ in range(8):
+        robot.put_later(keys.leg_command(4), b"{")
+    robot.put_later(keys.leg_command(5), leg("start", 1, 1, 1))
+    robot.each_takes_ns = 40_000_000
+    robot.conductor.tick()
+    stopped_ms, started_ms = (at_ms for at_ms, _ in robot.frames[1:])
+    assert robot.frames[1][1] == stop_leg(3)
+    assert stopped_ms - robot.frames[0][0] == pytest.approx(280, abs=0.01), "after the seventh of nine messages"
+    assert started_ms > stopped_ms
+
+
+async def test_what_a_deadline_stops_within_a_tick_is_not_started_by_what_the_tick_had_taken() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 1, 1, 1))
+    for _ in range(8):
+        robot.put_later(keys.leg_command(4), b"{")
+    answers = robot.ask_later(LEG_3, leg("start", 2, 2, 2))
+    robot.each_takes_ns = 40_000_000
+    robot.conductor.tick()
+    assert [ack.reason for ack in answers] == [Reason.SERVO_STOPPED]
+    assert robot.controller.energised == set()
+
+
 async def test_a_stop_for_one_servo_of_a_leg_stops_only_that() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, leg("start", 1, 1, 1))

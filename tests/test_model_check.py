@@ -180,7 +180,7 @@ class LateCommandsCount(Supervisor):
     """A command that comes after the deadline, but before anyone looked, saves its leg."""
 
     def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
-        if isinstance(event, Command) and self._refusal(event, now_ns) is None:
+        if isinstance(event, Command) and self._refusal(event) is None:
             for servo_id, _ in event.targets:
                 self.legs.by_number[servo_id // 10].heard_ns = now_ns
         return super()._in_time(event, now_ns)
@@ -200,8 +200,8 @@ class RefusedCommandsFeed(Supervisor):
 class OversleepsTheWatchdog(Supervisor):
     """Wakes up a tick late."""
 
-    def step(self, event: Event, now_ns: int) -> list[Effect]:
-        effects = super().step(event, now_ns)
+    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
+        effects = super().step(event, now_ns, instant_ns)
         self.due_ns = None if self.due_ns is None else self.due_ns + 1
         return effects
 
@@ -217,8 +217,9 @@ class EmergencyStopAfterTurns(Supervisor):
 class ResetInTheSameInstant(Supervisor):
     """A reset leaves an emergency stop of the same instant, which may be the newer of the two."""
 
-    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
-        return super()._reset(event, now_ns + 1)
+    def _reset(self, event: Reset) -> list[Effect]:
+        self.legs.instant_ns += 1
+        return super()._reset(event)
 
 
 class RecoversWithoutStops(Supervisor):
