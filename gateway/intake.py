@@ -71,7 +71,7 @@ def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection
         intent = _READERS[key.target](key.number, payload)
     except ValidationError as error:
         return _explain(error)
-    # Each field that it has takes a colon; no more colons, no name given twice. That spares most payloads a second look.
+    # Each field takes a colon: where there are no more colons, no name is given twice. Spares most a second look.
     twice = _name_given_twice(payload) if colons > _fields(key.target, intent) else None
     if twice is not None:
         return Rejection(Reason.INVALID, f"{_name(twice)} is given twice in one object; which one counts is not clear")

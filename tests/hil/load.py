@@ -1,0 +1,124 @@
+"""A machine with far too much to do: fifty clients, a flood, questions, a spinning process on every core."""
+
+import itertools
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from schemas.robot import LEGS
+from schemas.telemetry import GatewayState
+from tests.child import Child
+from tests.gateway_process import Gateway
+from tests.hil.bed import SpiTestbed, Transfer
+
+CLIENTS: Final = 50
+QUESTIONS_HZ: Final = 100
+FLOODED_LEG: Final = 1
+TIMEOUT_MS: Final = 100.0
+SPEECH_S, SILENCE_S = 0.5, 0.25
+"""The stream of setpoints comes and goes: each silence is work for the watchdogs of the five legs without a flood."""
+
+COLLECTOR: Final = """
+import gc, threading, time
+
+def collect():
+    while True:
+        time.sleep(0.1)
+        gc.collect()
+
+threading.Thread(target=collect, daemon=True).start()
+"""
+"""Forces a full garbage collection every 100 ms in whatever Python program finds it as `sitecustomize`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the wire and the gateway's own report say."""
+
+    transfers: list[Transfer]
+    state: GatewayState
+    answers: int
+    """To the questions for the state."""
+
+    def gaps_ms(self) -> list[float]:
+        """For each frame that moves a leg: how long until the leg's next frame, a Stop or another."""
+        gaps = []
+        for leg in LEGS:
+            of_leg = [each for each in self.transfers if each.data[2] // 10 == leg]
+            gaps += [
+                (later.monotonic_ns - earlier.monotonic_ns) / 1e6
+                for earlier, later in itertools.pairwise(of_leg)
+                if not is_stop(earlier.data)
+            ]
+        return gaps
+
+    @property
+    def left_running(self) -> list[int]:
+        """Legs whose last frame was no Stop."""
+        last = {each.data[2] // 10: each.data for each in self.transfers}
+        return [leg for leg, data in last.items() if not is_stop(data)]
+
+    @property
+    def moves(self) -> int:
+        """Frames that move a leg."""
+        return sum(not is_stop(each.data) for each in self.transfers)
+
+
+def is_stop(data: bytes) -> bool:
+    """Whether a frame's (first) operation is a Stop; nothing here sends a leg different operations."""
+    return data[3] == 2
+
+
+@contextmanager
+def crowd(endpoint: str) -> Iterator[Child]:
+    """All of them at work; yields the one that asks, whose last line says how many answers it got."""
+    with ExitStack() as stack:
+
+        def program(module: str, *arguments: object) -> Child:
+            child = Child([sys.executable, "-m", module, endpoint, *map(str, arguments)], os.environ)
+            stack.callback(child.close)
+            child.wait_for_output("ready", timeout_s=30)
+            return child
+
+        program("tests.load_crowd", "clients", CLIENTS)
+        questions = program("tests.load_crowd", "state", QUESTIONS_HZ)
+        program("tests.load_crowd", "flood", FLOODED_LEG)
+        for _ in range(os.cpu_count() or 1):
+            stack.callback(Child([sys.executable, "-c", "while True: pass"], os.environ).close)
+        yield questions
+
+
+def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = False) -> Outcome:
+    """Run a gateway under this load for a while."""
+    env: dict[str, str] = {}
+    if collect:
+        (folder / "sitecustomize.py").write_text(COLLECTOR)
+        env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+    settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": TIMEOUT_MS}, "log": {"level": "error"}}
+    bed.prefer()
+    with Gateway(folder, settings, bed=bed, env=env) as gateway, gateway.client() as client:
+        legs = [str(leg) for leg in LEGS]
+        stream = Child(
+            [sys.executable, "-m", "tests.benchmarks.publisher", gateway.endpoint, "--legs", *legs, "--hz", "50"],
+            os.environ,
+        )
+        try:
+            stream.wait_for_output("ready", timeout_s=20)
+            with crowd(gateway.endpoint) as questions:
+                end_s = time.monotonic() + duration_s
+                for spoken in itertools.count(1):
+                    stream.tell(str(SPEECH_S))
+                    stream.wait_for_line(spoken, timeout_s=30)
+                    time.sleep(SILENCE_S)
+                    if time.monotonic() >= end_s:
+                        break
+                answers = int((questions.stdout.splitlines()[-1].split() or ["0"])[-1])
+            time.sleep(3 * TIMEOUT_MS / 1000)
+            return Outcome(bed.transfers, client.state(), answers)
+        finally:
+            stream.close()
