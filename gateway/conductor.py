@@ -44,7 +44,8 @@ from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
 FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
-LAST_REOPEN_S: Final = 2.0
+LAST_REOPEN_S: Final = 1.0
+"""Half of what the contract allows: a busy machine may wake up late, and a Stop may be waiting."""
 MAX_KEY: Final = 100
 """Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
 
