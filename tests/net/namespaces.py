@@ -1,0 +1,123 @@
+"""Hosts on one machine: a robot and its laptops, each a network namespace, with a link of its own between them.
+
+    with Network(laptops=2) as network:
+        endpoint = f"tcp/{network.robot_address(0)}:7447"
+        gateway = Gateway(folder, {"zenoh": {"listen": [endpoint], "allow_insecure": True}}, prefix=network.robot)
+        laptop = Child([*network.laptop(0), sys.executable, "-m", "tests.net.publisher", …], os.environ)
+        network.cut(0)
+        network.mend(0)
+
+Nothing of it shows outside: the links exist in the namespaces only. `ip netns exec` becomes the program that it starts,
+so a signal to the child is a signal to that program. Monotonic clocks are the same in all of them.
+"""
+
+import itertools
+import os
+import shutil
+import subprocess
+from contextlib import AbstractContextManager, suppress
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+MARK = "hexapod-net"
+_numbers = itertools.count()
+
+
+class Network(AbstractContextManager["Network"]):
+    """A robot, and `laptops` laptops (numbered from 0), each linked to the robot and to nobody else."""
+
+    def __init__(self, laptops: int = 2) -> None:
+        """Create them. What could not be finished is removed again. Raises RuntimeError with what `ip` said."""
+        _remove_leftovers()
+        name = f"{MARK}-{os.getpid()}-{next(_numbers)}"
+        self.laptops = range(laptops)
+        self._robot = f"{name}-robot"
+        self._laptops = [f"{name}-laptop{number}" for number in range(laptops)]
+        try:
+            for namespace in (self._robot, *self._laptops):
+                _ip("netns", "add", namespace)
+                _ip("-n", namespace, "link", "set", "lo", "up")
+            for number, namespace in enumerate(self._laptops):
+                ours = ("link", "add", _link(number), "netns", self._robot)
+                _ip(*ours, "type", "veth", "peer", "name", "robot", "netns", namespace)
+                _ip("-n", self._robot, "address", "add", f"{self.robot_address(number)}/24", "dev", _link(number))
+                _ip("-n", namespace, "address", "add", f"10.77.{number}.2/24", "dev", "robot")
+                _ip("-n", namespace, "link", "set", "robot", "up")
+                self.mend(number)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove it all; end the programs in it before, a namespace lives as long as they do."""
+        for namespace in (self._robot, *self._laptops):
+            _remove(namespace)
+
+    @property
+    def robot(self) -> tuple[str, ...]:
+        """What goes before a command to run it on the robot."""
+        return ("ip", "netns", "exec", self._robot)
+
+    def laptop(self, number: int) -> tuple[str, ...]:
+        """What goes before a command to run it on that laptop."""
+        return ("ip", "netns", "exec", self._laptops[number])
+
+    def robot_address(self, laptop: int) -> str:
+        """Where that laptop reaches the robot."""
+        return f"10.77.{laptop}.1"
+
+    def cut(self, laptop: int) -> None:
+        """Nothing comes through between this laptop and the robot any more; neither is told by the other."""
+        _ip("-n", self._robot, "link", "set", _link(laptop), "down")
+
+    def mend(self, laptop: int) -> None:
+        """The link is back."""
+        _ip("-n", self._robot, "link", "set", _link(laptop), "up")
+
+
+@cache
+def lacks() -> str:
+    """Why there can be no network here, in one line; empty when there can."""
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    if shutil.which("ip") is None:
+        return "Debian package missing: iproute2"
+    try:
+        Network(laptops=1).close()
+    except RuntimeError as error:
+        return f"no network namespaces here: {error}"
+    return ""
+
+
+def _link(laptop: int) -> str:
+    return f"laptop{laptop}"
+
+
+def _remove_leftovers() -> None:
+    """Namespaces whose process was killed before it could remove them."""
+    for line in _ip("netns", "list").splitlines():
+        name = line.split()[0]
+        if name.startswith(f"{MARK}-") and not Path("/proc", name.split("-")[2]).exists():
+            _remove(name)
+
+
+def _remove(namespace: str) -> None:
+    with suppress(RuntimeError):
+        _ip("netns", "delete", namespace)
+
+
+def _ip(*arguments: str) -> str:
+    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False, timeout=20)
+    if done.returncode != 0:
+        raise RuntimeError(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
+    return done.stdout
