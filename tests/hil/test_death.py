@@ -1,0 +1,291 @@
+"""The gateway dies, in the middle of anything: `stop-servos` leaves 18 Stops, and a controller with no servo on.
+
+What the dead gateway and `stop-servos` wrote to the emulated device is given to a simulated controller, which reads it
+as the published firmware does, at the times at which it came.
+"""
+
+import os
+import random
+import socket
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
+from gateway.protocol.framing import Framing
+from schemas.robot import LEGS
+from tests.child import Child
+from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.hil.bed import SpiTestbed, Transfer
+from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
+
+pytestmark = pytest.mark.hil
+
+MS = 1_000_000
+ROUNDS = 4  # of stop-servos: one, and `watchdog.repeats`, which is 3
+
+
+def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
+    """Run it to its end; what it wrote."""
+    before = len(bed.transfers)
+    child = bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
+    assert child.wait(60) == 0, str(child)
+    child.close()
+    return bed.transfers[before:]
+
+
+def check_stops(framing: Framing, replay: Replay, stops: list[Transfer]) -> None:
+    """18 Stops, four times; and each time is enough for the controller, which may be anywhere in a frame."""
+    one_round = opening_of(framing, *STOPS)
+    assert [each.data for each in stops] == one_round * ROUNDS
+    replay.play(stops[: len(one_round)])
+    assert replay.controller.energised == frozenset()
+    replay.play(stops[len(one_round) :])
+    assert replay.energised_for_good() == frozenset()
+    assert not replay.controller.corruptions
+
+
+# ---- a transfer that never returns
+
+
+class ManagerSocket:
+    """A service manager's notification socket."""
+
+    def __init__(self, path: Path) -> None:
+        self.environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "1000000"}
+        self.timeout_s = 1.0
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+
+    def hear(self, timeout_s: float) -> bytes | None:
+        """The next notification; None when none comes in time."""
+        self._socket.settimeout(timeout_s)
+        try:
+            return self._socket.recv(1000)
+        except TimeoutError:
+            return None
+
+    def hear_until(self, said: bytes) -> None:
+        while (heard := self.hear(LATE_S)) is not None and said not in heard:
+            pass
+        assert heard is not None
+
+    def drain(self) -> int:
+        """Read what has been said up to now; how much it was."""
+        count = 0
+        while self.hear(0.0001) is not None:
+            count += 1
+        return count
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[ManagerSocket]:
+    manager = ManagerSocket(tmp_path / "notify")
+    yield manager
+    manager.close()
+
+
+def test_a_transfer_that_never_returns_is_the_service_managers_case(
+    tmp_path: Path, wire: Wire, manager: ManagerSocket
+) -> None:
+    settings = settings_for(wire, watchdog={"timeout_ms": 10_000, "repeats": 3})
+    with Gateway(tmp_path, settings, bed=wire.bed, env=manager.environment) as gateway, gateway.client() as client:
+        wire.expect_opening(*STOPS * 4)
+        manager.hear_until(b"READY=1")
+        for _ in range(3):
+            manager.hear_until(b"WATCHDOG=1")
+        assert client.start_leg(3, 90, 45, 120).accepted
+        before = wire.expect(START_3)
+
+        wire.bed.block()
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(client.set_leg, 3, 91, 45, 120)
+            wire.bed.wait_for_count(len(wire.bed.transfers) + 1, LATE_S)
+            manager.drain()
+            assert manager.hear(manager.timeout_s) is None, "the manager's watchdog runs out"
+            gateway.child.kill()
+        wire.bed.release()
+        transfers = wire.bed.transfers
+        assert transfers[-1].opening == before[0].opening
+
+        replay = Replay(wire.framing)
+        replay.play(transfers)
+        assert replay.controller.energised
+        check_stops(wire.framing, replay, stop_servos(wire.bed, gateway.config))
+
+
+def test_a_gateway_that_works_is_heard_in_time_also_under_load(
+    tmp_path: Path, wire: Wire, manager: ManagerSocket
+) -> None:
+    with load() as endpoint, loaded(tmp_path, wire.bed, wire.framing, endpoint, manager.environment):
+        manager.hear_until(b"READY=1")
+        for _ in range(10):
+            assert manager.hear(manager.timeout_s) == b"WATCHDOG=1"
+
+
+# ---- killed under load
+
+
+KILLS = 50  # for each framing
+LANES = 3  # gateways that share nothing, at once: starting one is most of the time
+
+
+@contextmanager
+def load() -> Iterator[str]:
+    """A publisher that gateways dial, at this endpoint."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    publisher = Child([sys.executable, "-m", "tests.hil.load", endpoint], os.environ)
+    try:
+        publisher.wait_for_output("listening", 30)
+        yield endpoint
+    finally:
+        publisher.close()
+
+
+def loaded(
+    folder: Path, bed: SpiTestbed, framing: Framing, endpoint: str, env: Mapping[str, str] | None = None
+) -> Gateway:
+    """A gateway that dials the publisher, and has more to send than goes through."""
+    settings: dict[str, dict[str, Any]] = {
+        # Announced, half of the time is between an announcement and its body.
+        "spi": {"framing": framing, "frame_gap_us": 1000 if framing is Framing.LENGTH_PREFIXED else 100},
+        "limits": {"leg_rate_hz": 100},
+        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
+    }
+    return Gateway(folder, settings, bed=bed, env=env, wait=False)
+
+
+def kill_once(folder: Path, bed: SpiTestbed, framing: Framing, endpoint: str, moment_s: float) -> bool:
+    """Kill a gateway that long after its first start, and run stop-servos; whether it died within a frame."""
+    before = len(bed.transfers)
+    with loaded(folder, bed, framing, endpoint) as gateway:
+        gateway.child.wait_for_output("mode active", 60)
+        time.sleep(moment_s)  # the moment itself; nothing is waited for
+        gateway.child.kill()
+        stop_servos(bed, gateway.config)
+    transfers = bed.transfers[before:]
+    of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
+    replay = Replay(framing)
+    replay.play(of_gateway)
+    assert replay.controller.energised, "it died before it did anything"
+    check_stops(framing, replay, transfers[len(of_gateway) :])
+    return len(of_gateway[-1].data) == 1
+
+
+@pytest.mark.parametrize("framing", Framing)
+def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing) -> None:
+    seed = int(os.environ.get("KILL_SEED", time.time_ns() % 1_000_000))
+    print(f"KILL_SEED={seed}")
+    chance = random.Random(seed)  # noqa: S311  (moments, no secrets)
+    moments_s = [chance.uniform(0, 0.1) for _ in range(KILLS)]
+
+    def lane(number: int) -> int:
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        with SpiTestbed() as bed:
+            return sum(kill_once(folder, bed, framing, endpoint, at_s) for at_s in moments_s[number::LANES])
+
+    with load() as endpoint, ThreadPoolExecutor(LANES) as pool:
+        within_frames = sum(pool.map(lane, range(LANES)))
+    print(f"{within_frames} of {KILLS} died between an announcement and its body")
+    assert (within_frames > 0) is (framing is Framing.LENGTH_PREFIXED)
+
+
+# ---- every cut, without chance
+
+
+STARTS: list[Frame] = [
+    OneServo(11, ServoOp(Op.START, 0)),
+    OneServo(63, ServoOp(Op.START, 180_00)),
+    OneServo(32, ServoOp(Op.SET, 6_14)),
+    OneLeg(1, (ServoOp(Op.START, 90_29),) * 3),
+    OneLeg(6, (ServoOp(Op.START, 14_06), ServoOp(Op.STOP, 0), ServoOp(Op.SET, 6_14))),
+]
+LAGS_NS = (0, 1 * MS, 500 * MS, 999 * MS, 1000 * MS, 1001 * MS, 5000 * MS)
+"""From the death to stop-servos: around the second after which the controller gives a receive up."""
+
+
+def moving(framing: Framing) -> Replay:
+    """A controller whose 18 servos are on."""
+    replay = Replay(framing)
+    for leg in LEGS:
+        for data in framing.transfers(OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3).to_bytes()):
+            replay.give(data, 0)
+    assert len(replay.controller.energised) == 18
+    return replay
+
+
+def cuts(framing: Framing) -> Iterator[list[bytes]]:
+    """All that a kernel can have transferred of two frames when their sender dies."""
+    for first in STARTS:
+        for second in STARTS:
+            transfers = [data for frame in (first, second) for data in framing.transfers(frame.to_bytes())]
+            for length in range(len(transfers) + 1):
+                yield transfers[:length]
+
+
+@pytest.fixture
+def last_resort(tmp_path: Path, wire: Wire) -> list[Transfer]:
+    """What stop-servos writes, and when."""
+    return stop_servos(wire.bed, write_settings(tmp_path / "gateway.toml", settings_for(wire, watchdog={"repeats": 3})))
+
+
+def later(transfers: list[Transfer], begin_ns: int) -> list[Transfer]:
+    """The same as if the first had come at `begin_ns`."""
+    moved_ns = begin_ns - transfers[0].monotonic_ns
+    return [replace(each, monotonic_ns=each.monotonic_ns + moved_ns) for each in transfers]
+
+
+def test_wherever_it_died_stop_servos_leaves_no_servo_on(wire: Wire, last_resort: list[Transfer]) -> None:
+    for cut in cuts(wire.framing):
+        for lag_ns in LAGS_NS:
+            replay = moving(wire.framing)
+            for data in cut:
+                replay.give(data, 1 * MS)
+            check_stops(wire.framing, replay, later(last_resort, 1 * MS + lag_ns))
+
+
+def test_without_the_preamble_a_stop_would_be_taken_for_the_missing_body(
+    spi_testbed: SpiTestbed, tmp_path: Path
+) -> None:
+    framing = Framing.LENGTH_PREFIXED
+    settings = settings_for(Wire(spi_testbed, framing), watchdog={"repeats": 0})
+    preamble, *stops = stop_servos(spi_testbed, write_settings(tmp_path / "gateway.toml", settings))
+    assert preamble.data == framing.preamble
+    for announcement, left_on in ((6, {1, 2, 3}), (14, {1})):
+        replay = moving(framing)
+        replay.give(bytes((announcement,)), 1 * MS)
+        replay.play(later(stops, 2 * MS))
+        assert {servo_id // 10 for servo_id in replay.controller.energised} == left_on
+
+
+def test_half_a_body_which_no_kernel_transfer_leaves_starts_servos_for_the_time_of_a_stop(
+    spi_testbed: SpiTestbed, tmp_path: Path
+) -> None:
+    """The preamble's known hazard: its zeros complete half a body. The Stops right behind it end that."""
+    framing = Framing.LENGTH_PREFIXED
+    settings = settings_for(Wire(spi_testbed, framing), watchdog={"repeats": 3})
+    preamble, *stops = stop_servos(spi_testbed, write_settings(tmp_path / "gateway.toml", settings))
+    jumped: set[int] = set()
+    for frame in STARTS:
+        announcement, body = framing.transfers(frame.to_bytes())
+        for length in range(len(body)):
+            replay = Replay(framing)
+            replay.give(announcement, 0)
+            replay.give(body[:length], 0)
+            replay.give(preamble.data, 0)
+            jumped |= replay.controller.energised
+            replay.play(later(stops, 1 * MS))
+            assert replay.energised_for_good() == frozenset()
+            assert not replay.controller.corruptions
+    assert jumped == {11, 12, 13, 61, 63}
