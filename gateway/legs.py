@@ -186,6 +186,8 @@ class Legs:
                 effects += self._move(leg, targets, command, now_ns)
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
+        if stops:  # they may have ended what its own starts queued behind
+            effects += self.take_turns(now_ns)
         return effects
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
