@@ -23,6 +23,7 @@ from gateway.zenoh_setup import service_config
 
 WARN_DAYS: Final = 30
 _ANSWER_S: Final = 1.0
+_LAST_PORT: Final = 65_535
 _LINKS: Final = {
     "tcp": socket.SOCK_STREAM,
     "tls": socket.SOCK_STREAM,
@@ -74,6 +75,8 @@ def metrics_port(address: str, *, gateway_runs: bool) -> Result:
 
 def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
     """Why nobody could listen there now; None where somebody could."""
+    if number > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
+        return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
     try:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), number, type=kind)[0]
         with socket.socket(family, kind) as probe:
@@ -82,8 +85,6 @@ def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
             probe.bind(address)
             if kind is socket.SOCK_STREAM:
                 probe.listen(1)
-    except OverflowError:
-        return OSError(errno.EINVAL, "ports end at 65535")
     except OSError as error:
         return error
     return None

@@ -81,7 +81,7 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
     if model.asking(now_ns):
         messages.append(("Leave the emergency stop? Nothing moves until it is started again.  y: yes  n: no", _ASK))
     if model.presence(now_ns) is Presence.SILENT:
-        messages.append(("No word from the gateway: below is the past. If the robot moves, cut its power.", _ALARM))
+        messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
     if model.remark is not None:
         messages.append((model.remark.text, _TONES[model.remark.tone]))
     if model.presence(now_ns) is Presence.WAITING:

@@ -1,0 +1,87 @@
+"""`check` on the emulated device: what it says of it, and that it writes nothing and disturbs nobody."""
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from tests.child import Child
+from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.hil.bed import DEVICE, SpiTestbed
+
+pytestmark = pytest.mark.hil
+
+
+def check(bed: SpiTestbed, config: Path, *, privileged: bool = True) -> Child:
+    child = bed.spawn([*COMMAND, "check", "--config", str(config)], privileged=privileged)
+    child.wait(30)
+    assert not child.stderr, str(child)
+    return child
+
+
+def line(child: Child, name: str) -> str:
+    (found,) = [line for line in child.stdout.splitlines() if line[9:].startswith(name)]
+    return found
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    sections: dict[str, dict[str, object]] = {
+        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]},
+        "spi": {"framing": "length-prefixed"},
+    }
+    return write_settings(tmp_path / "gateway.toml", sections)
+
+
+def test_a_machine_that_can_run_it_and_not_a_byte_is_written(spi_testbed: SpiTestbed, config: Path) -> None:
+    child = check(spi_testbed, config)
+    assert child.returncode == 0, str(child)
+    assert line(child, "SPI device").startswith(f"ok       SPI device     {DEVICE} opens")
+    assert line(child, "SPI speed").startswith("ok")
+    assert line(child, "framing").startswith("ok")
+    assert child.stdout.splitlines()[-1].startswith("This machine can run the service")
+    assert spi_testbed.transfers == []
+    assert ("speed", 2_500_000) in {(setting.kind, setting.value) for setting in spi_testbed.settings}
+
+
+def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
+    with Gateway(tmp_path, {"watchdog": {"repeats": 0}}, bed=spi_testbed) as gateway:
+        spi_testbed.wait_for_count(6)
+        settings = spi_testbed.settings
+        child = check(spi_testbed, gateway.config)
+        assert child.returncode == 0, str(child)
+        assert "is held by a running gateway" in line(child, "SPI device")
+        assert line(child, "port").startswith("ok")
+        assert "is in use by a gateway that is idle" in line(child, "port")
+        assert spi_testbed.settings == settings
+        assert len(spi_testbed.transfers) == 6
+
+
+def test_a_node_that_this_user_may_not_open(spi_testbed: SpiTestbed, config: Path) -> None:
+    spi_testbed.refuse_open(errno.EACCES)
+    child = check(spi_testbed, config, privileged=False)
+    assert child.returncode == 1
+    assert line(child, "SPI device").startswith(f"failure  SPI device     {DEVICE} may not be opened by ")
+    assert " → " in line(child, "SPI device")
+    assert child.stdout.splitlines()[-1] == "This machine cannot run the service: 1 failure."
+
+
+def test_a_node_that_is_not_there(spi_testbed: SpiTestbed, config: Path) -> None:
+    spi_testbed.remove_node()
+    child = check(spi_testbed, config)
+    assert child.returncode == 1
+    assert f"{DEVICE} does not exist → switch SPI on (dtparam=spi=on" in line(child, "SPI device")
+
+
+def test_another_node_is_named(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
+    config = write_settings(tmp_path / "other.toml", {"spi": {"device": "/dev/spidev7.1"}})
+    child = check(spi_testbed, config)
+    assert child.returncode == 1
+    assert f"/dev/spidev7.1 does not exist → set spi.device; here there is {DEVICE}" in line(child, "SPI device")
+
+
+def test_a_device_that_does_not_open(spi_testbed: SpiTestbed, config: Path) -> None:
+    spi_testbed.refuse_open(errno.ENXIO)
+    child = check(spi_testbed, config)
+    assert child.returncode == 1
+    assert line(child, "SPI device").startswith("failure")

@@ -1,0 +1,487 @@
+"""What `watch` knows: its model, with the time as an argument, and what it draws of it."""
+
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from rich.cells import cell_len
+from rich.text import Text
+
+from gateway.refusals import RefusalLimit
+from gateway.tools.watch.model import (
+    NS_PER_MS,
+    NS_PER_S,
+    OTHERS,
+    QUESTION_NS,
+    REMARK_NS,
+    SILENT_AFTER_NS,
+    SOURCES,
+    STOP_PATIENCE_NS,
+    Model,
+    Presence,
+    Rates,
+    Tone,
+    top_refused,
+)
+from gateway.tools.watch.view import bar, picture
+from schemas.telemetry import (
+    Ack,
+    CommandCounts,
+    Event,
+    GatewayState,
+    Kind,
+    LegReport,
+    Mode,
+    Reason,
+    ServoReport,
+    SpiReport,
+    StopLatency,
+    WatchdogReport,
+    WatchdogState,
+)
+
+WALL = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4)
+
+
+def state(
+    uptime_s: float = 10.0,
+    mode: Mode = Mode.IDLE,
+    *,
+    counts: tuple[int, int, int] = (0, 0, 0),
+    frames: int = 0,
+    age_ms: float | None = None,
+    watchdog: WatchdogState = WatchdogState.IDLE,
+    running: bool = False,
+) -> GatewayState:
+    """A state; what is said of a leg is said of leg 3, and the others never heard anything."""
+    accepted, rejected, coalesced = counts
+    return GatewayState(
+        mode=mode,
+        time=WALL,
+        uptime_s=uptime_s,
+        version="0.1.0",
+        protocol="1.0.0",
+        simulated=True,
+        legs=tuple(
+            LegReport(
+                leg=leg,
+                watchdog=watchdog if leg == 3 else WatchdogState.IDLE,
+                age_ms=age_ms if leg == 3 else None,
+                servos=(
+                    servo(10 * leg + 1, running and leg == 3),
+                    servo(10 * leg + 2, running and leg == 3),
+                    servo(10 * leg + 3, running and leg == 3),
+                ),
+            )
+            for leg in range(1, 7)
+        ),
+        commands=CommandCounts(accepted=accepted, rejected=rejected, coalesced=coalesced),
+        spi=SpiReport(device="simulated controller", framing="plain", frames=frames, errors=0),
+        watchdog=WatchdogReport(
+            timeout_ms=250, expirations=0, stop_latency_us=StopLatency(p50=None, p99=None, max=None)
+        ),
+    )
+
+
+def servo(servo_id: int, running: bool) -> ServoReport:
+    return ServoReport(id=servo_id, running=running, angle_deg=90.0 if running else None)
+
+
+def event(kind: Kind, detail: str = "", source: str | None = None, reason: Reason | None = None) -> Event:
+    return Event(time=WALL, kind=kind, source=source, key=None, reason=reason, detail=detail)
+
+
+def refused(source: str | None, detail: str = "no", reason: Reason = Reason.INVALID) -> Event:
+    return event(Kind.COMMAND_REJECTED, detail, source, reason)
+
+
+def kinds(model: Model) -> list[str]:
+    return [line.kind for line in model.lines]
+
+
+def screen(model: Model, now_ns: int = 0, width: int = 80, height: int = 24) -> str:
+    return picture(model, now_ns, "tcp/robot:7447", width, height).plain
+
+
+# ---- is anybody there?
+
+
+def test_nobody_has_been_heard() -> None:
+    model = Model(trouble="no gateway answers on tcp/robot:7447")
+    assert model.presence(0) is Presence.WAITING
+    assert " WAITING " in screen(model)
+    assert "no gateway answers on tcp/robot:7447; trying again" in screen(model)
+
+
+def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
+    model = Model()
+    model.heard_state(state(), 0, WALL)
+    assert model.presence(SILENT_AFTER_NS) is Presence.LIVE
+    assert model.presence(SILENT_AFTER_NS + 1) is Presence.SILENT
+    model.look(SILENT_AFTER_NS + 1, WALL)
+    model.look(SILENT_AFTER_NS + 2, WALL)
+    assert kinds(model) == ["silent"]
+    assert "SILENT for 4.0 s" in screen(model, 4 * NS_PER_S)
+    assert "was IDLE" in screen(model, 4 * NS_PER_S)
+    assert "If the robot moves, cut power" in screen(model, 4 * NS_PER_S)
+    model.heard_state(state(14), 4 * NS_PER_S, WALL)
+    assert model.presence(4 * NS_PER_S) is Presence.LIVE
+    assert kinds(model) == ["back", "silent"]
+    assert model.lines[0].text == "the gateway is heard again, after 4.0 s"
+
+
+def test_a_token_that_goes_is_silence_at_once() -> None:
+    model = Model()
+    model.heard_token(True, 0, WALL)
+    assert model.presence(0) is Presence.LIVE
+    model.heard_token(False, NS_PER_MS, WALL)
+    assert model.presence(NS_PER_MS) is Presence.SILENT
+    assert kinds(model) == ["silent"]
+    model.heard_token(True, 2 * NS_PER_MS, WALL)
+    assert model.presence(2 * NS_PER_MS) is Presence.LIVE
+
+
+def test_an_event_alone_is_a_word_too() -> None:
+    model = Model()
+    model.heard_state(state(), 0, WALL)
+    model.heard_event(event(Kind.WATCHDOG_EXPIRED), NS_PER_S, WALL)
+    assert model.presence(SILENT_AFTER_NS + NS_PER_S) is Presence.LIVE
+
+
+def test_a_gateway_that_was_started_anew_is_noticed() -> None:
+    model = Model()
+    model.heard_state(state(100, counts=(50, 0, 0), frames=70), 0, WALL)
+    model.heard_state(state(0.5, frames=24), NS_PER_S, WALL)
+    assert kinds(model) == ["restarted"]
+    assert model.rates() == Rates()
+    model.heard_state(state(1.5, counts=(10, 0, 0), frames=34), 2 * NS_PER_S, WALL)
+    assert model.rates() == Rates(10, 0, 0, 10)
+
+
+def test_an_answer_that_was_overtaken_changes_nothing() -> None:
+    model = Model()
+    model.heard_state(state(10.0, Mode.IDLE, frames=5), 0, WALL)
+    model.heard_state(state(10.2, Mode.ESTOPPED, frames=11), NS_PER_MS, WALL)
+    model.heard_state(state(10.1, Mode.IDLE, frames=5), 2 * NS_PER_MS, WALL)
+    assert model.state is not None
+    assert model.state.mode is Mode.ESTOPPED
+    assert kinds(model) == []
+
+
+# ---- how old is what I see?
+
+
+def test_the_age_of_a_command_grows_between_two_states() -> None:
+    model = Model()
+    heard = state(age_ms=40, watchdog=WatchdogState.ARMED, running=True)
+    model.heard_state(heard, 0, WALL)
+    assert model.command_age_ms(heard.legs[2], 0) == 40
+    assert model.command_age_ms(heard.legs[2], 75 * NS_PER_MS) == 115
+    assert model.command_age_ms(heard.legs[0], 75 * NS_PER_MS) is None
+    row = screen(model, 75 * NS_PER_MS).splitlines()[6]
+    assert row.startswith(" 3  ●  90.00° ")
+    assert row.endswith("━━━━╸─────   115 ms")
+
+
+def test_what_a_silent_gateway_last_said_is_not_shown_as_an_age() -> None:
+    model = Model()
+    model.heard_state(state(age_ms=40, watchdog=WatchdogState.ARMED, running=True), 0, WALL)
+    row = screen(model, 5 * NS_PER_S).splitlines()[6]
+    assert row.endswith("?")
+
+
+@pytest.mark.parametrize(
+    ("watchdog", "age_ms", "shown"),
+    [
+        (WatchdogState.EXPIRED, 3_240, "EXPIRED, 3.2 s ago"),
+        (WatchdogState.IDLE, 3_240, "3.2 s ago"),
+        (WatchdogState.IDLE, 600_000, "10 min ago"),
+        (WatchdogState.IDLE, 36_000_000, "10 h ago"),
+        (WatchdogState.IDLE, None, "never"),
+    ],
+)
+def test_a_leg_that_does_not_run(watchdog: WatchdogState, age_ms: float | None, shown: str) -> None:
+    model = Model()
+    model.heard_state(state(watchdog=watchdog, age_ms=age_ms), 0, WALL)
+    assert screen(model).splitlines()[6].endswith(f" {shown}")
+
+
+# ---- rates
+
+
+def test_rates_come_from_the_gateways_own_clock() -> None:
+    model = Model()
+    assert model.rates() == Rates()
+    model.heard_state(state(10.0, counts=(100, 10, 1), frames=200), 0, WALL)
+    assert model.rates() == Rates()
+    # Two states that the network held up and delivered together: the time between them is the gateway's.
+    model.heard_state(state(10.5, counts=(125, 15, 1), frames=225), 9 * NS_PER_S, WALL)
+    assert model.rates() == Rates(50, 10, 0, 50)
+
+
+def test_rates_are_of_the_last_two_seconds() -> None:
+    model = Model()
+    for tick in range(101):  # ten seconds at 10 Hz: silence, and then 50 commands a second for one
+        accepted = max(0, tick - 90) * 5
+        model.heard_state(state(10 + tick / 10, counts=(accepted, 0, 0)), tick * 100 * NS_PER_MS, WALL)
+    accepted_hz = model.rates().accepted
+    assert accepted_hz == pytest.approx(25, rel=0.06)
+
+
+def test_slow_states_give_rates_too() -> None:
+    model = Model()
+    for tick in range(4):
+        model.heard_state(state(10 + 5 * tick, counts=(50 * tick, 0, 0)), tick * 5 * NS_PER_S, WALL)
+    assert model.rates().accepted == 10
+
+
+# ---- refusals and events
+
+
+def test_refusals_are_counted_by_source_with_those_left_out() -> None:
+    """What the gateway's own limit says is what the model counts."""
+    model, limit = Model(), RefusalLimit()
+    for number in range(1000):  # 100 a second for ten seconds
+        now_ns = number * 10 * NS_PER_MS
+        left_out = limit.admit("anna", now_ns)
+        if left_out is not None:
+            model.heard_event(refused("anna", f"servo 11 does not run{left_out}"), now_ns, WALL)
+    waiting = limit.admit("anna", 20 * NS_PER_S)
+    assert waiting is not None
+    model.heard_event(refused("anna", f"servo 11 does not run{waiting}", Reason.SERVO_STOPPED), 20 * NS_PER_S, WALL)
+    model.heard_event(refused("bob"), 20 * NS_PER_S, WALL)
+    assert model.refused == {"anna": 1001, "bob": 1}
+    assert model.reasons["anna"] is Reason.SERVO_STOPPED
+    assert "anna 1001 (servo_stopped)  bob 1 (invalid)" in screen(model_with_state(model))
+
+
+def test_whoever_invents_names_shares_one_line() -> None:
+    model = Model()
+    for number in range(SOURCES + 36):
+        model.heard_event(refused(f"name {number}"), 0, WALL)
+    model.heard_event(refused(None), 0, WALL)
+    assert len(model.refused) == SOURCES + 1
+    assert model.refused[OTHERS] == 37
+
+
+def test_the_order_of_sources_does_not_dance() -> None:
+    assert top_refused(Counter({"b": 2, "a": 2, "c": 9}), 2) == [("c", 9), ("a", 2)]
+
+
+def test_other_events_are_no_refusals() -> None:
+    model = Model()
+    model.heard_event(event(Kind.ESTOP_ENGAGED, "emergency stop", "anna"), 0, WALL)
+    assert model.refused == {}
+    assert model.lines[0].text == "emergency stop (anna)"
+    assert model.lines[0].bad
+
+
+def test_what_others_wrote_cannot_steer_the_terminal() -> None:
+    model = model_with_state(Model())
+    evil = "\x1b[2J\x1b]0;owned\x07\r\n\u202e"
+    model.heard_event(refused(f"a{evil}", f"b{evil}"), 0, WALL)
+    model.heard_event(event(Kind.ESTOP_ENGAGED, f"c{evil}", f"d{evil}"), 0, WALL)
+    model.reset_answered(Ack(accepted=False, reason=Reason.INVALID, detail=f"e{evil}"), 0)
+    shown = screen(model, height=40)
+    assert all(char.isprintable() for char in shown.replace("\n", ""))
+    assert "[2J" in shown  # it is shown, and does nothing
+
+
+# ---- emergency stop and reset
+
+
+def test_a_stop_that_is_confirmed_says_how_many_frames_and_how_soon() -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(0)
+    assert "EMERGENCY STOP sent" in screen(model)
+    model.stop_answered(STOPPED, 0, 3 * NS_PER_MS)
+    assert model.stop_wanted_ns is None
+    shown = " ".join(screen(model).split())
+    assert "STOPPED: 6 Stop frames written within 812 µs of the request, confirmed 3 ms after the key" in shown
+
+
+@pytest.mark.parametrize("ack", [Ack(accepted=True, stop_frames=5, latency_us=10), Ack(accepted=True)])
+def test_a_stop_that_was_not_written_whole_is_shouted(ack: Ack) -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(0)
+    model.stop_answered(ack, 0, NS_PER_MS)
+    assert model.remark is not None
+    assert model.remark.tone is Tone.BAD
+    assert "switch the servos' power off" in " ".join(screen(model).split())
+    model.look(REMARK_NS * 10, WALL)
+    assert model.remark is not None  # it stays
+
+
+def test_a_stop_that_nobody_answers_is_shouted_until_somebody_does() -> None:
+    model = Model()
+    model.stop_pressed(0)
+    assert model.stop_alarm(NS_PER_MS) is None
+    model.stop_unanswered()
+    assert "NOT STOPPED, NOBODY ANSWERED" in screen(model, NS_PER_MS)
+    assert "switch the servos' power off" in screen(model, NS_PER_MS)
+    assert "NOBODY ANSWERED for 60 s" in screen(model, 60 * NS_PER_S)
+    model.stop_answered(STOPPED, 60 * NS_PER_S, 61 * NS_PER_S)
+    assert model.stop_alarm(61 * NS_PER_S) is None
+    assert model.remark is not None
+    assert "confirmed 61000 ms after the key" in model.remark.text
+
+
+def test_who_waits_for_an_answer_hears_so_before_the_timeout() -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(0)
+    assert model.stop_alarm(STOP_PATIENCE_NS - 1) is None
+    assert model.stop_alarm(STOP_PATIENCE_NS) is not None
+
+
+def test_a_living_gateway_that_takes_no_stop_is_named_as_such() -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(0)
+    model.stop_unanswered()
+    assert "the gateway lives but does not take it" in " ".join(screen(model, NS_PER_MS).split())
+    model.heard_state(state(10.1, Mode.ESTOPPED), 2 * NS_PER_MS, WALL)  # somebody else could
+    assert model.stop_wanted_ns is None
+    assert "ESTOPPED, as its state says" in screen(model, 2 * NS_PER_MS)
+
+
+def test_an_answer_from_before_the_reset_does_not_confirm_a_later_stop() -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(1)
+    model.reset_pressed(2)
+    model.reset_confirmed(3)
+    model.stop_pressed(4)
+    model.stop_answered(STOPPED, 1, 5)
+    assert model.stop_wanted_ns == 4
+    model.stop_answered(STOPPED, 4, 6)
+    assert model.stop_wanted_ns is None
+
+
+def test_stopped_is_not_said_over_a_robot_that_may_move_again() -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(0)
+    model.stop_answered(STOPPED, 0, 1)
+    model.heard_state(state(10.1, Mode.ESTOPPED), 2, WALL)
+    assert "STOPPED: 6" in screen(model)
+    model.heard_state(state(10.2, Mode.IDLE), 3, WALL)
+    assert "STOPPED: 6" not in screen(model)
+
+
+def test_a_reset_is_asked_back_and_the_question_does_not_stand_for_ever() -> None:
+    model = Model()
+    model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)
+    model.reset_pressed(0)
+    assert model.asking(QUESTION_NS - 1)
+    assert "Leave the emergency stop?" in screen(model)
+    assert not model.asking(QUESTION_NS)
+    model.look(QUESTION_NS, WALL)
+    assert not model.asking(0)
+
+
+def test_a_stop_takes_the_question_back() -> None:
+    model = Model()
+    model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)
+    model.reset_pressed(0)
+    model.stop_pressed(1)
+    assert not model.asking(1)
+
+
+def test_nothing_to_reset() -> None:
+    model = model_with_state(Model())
+    model.reset_pressed(0)
+    assert not model.asking(0)
+    assert "no emergency stop is engaged" in screen(model)
+
+
+@pytest.mark.parametrize(
+    ("ack", "tone", "text"),
+    [
+        (Ack(accepted=True), Tone.GOOD, "reset; nothing moves until it is started again"),
+        (Ack(accepted=False, reason=Reason.STOPPING, detail="it ends"), Tone.BAD, "NO RESET: stopping: it ends"),
+        (None, Tone.BAD, "NO RESET: nobody answered"),
+    ],
+)
+def test_what_became_of_the_reset(ack: Ack | None, tone: Tone, text: str) -> None:
+    model = Model()
+    model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)
+    model.reset_pressed(0)
+    model.reset_confirmed(1)
+    model.reset_answered(ack, 2)
+    assert model.remark is not None
+    assert (model.remark.tone, model.remark.text[: len(text)]) == (tone, text)
+
+
+# ---- the picture
+
+
+def model_with_state(model: Model) -> Model:
+    model.heard_state(state(), 0, WALL)
+    return model
+
+
+@pytest.mark.parametrize("width", [20, 40, 60, 79, 80, 81, 120, 300])
+@pytest.mark.parametrize("height", [1, 2, 5, 10, 12, 23, 24, 25, 60])
+def test_it_fills_every_terminal_and_no_more(width: int, height: int) -> None:
+    model = Model()
+    heard = state(123456, Mode.ESTOPPED, counts=(10**7, 10**7, 10**7), frames=10**8, running=True, age_ms=1e9)
+    model.heard_state(heard, 0, WALL)
+    for number in range(100):
+        model.heard_event(refused(f"猫 {number} " + "x" * 56, "a long reason, in many words, " * 5), 0, WALL)
+    model.stop_pressed(0)
+    model.stop_unanswered()
+    model.reset_pressed(0)
+    lines = screen(model, NS_PER_MS, width, height).split("\n")
+    assert len(lines) == height
+    assert max(map(cell_len, lines)) <= width
+    assert lines[-1].startswith(" SPACE or e: EMERGENCY STOP"[:width])
+
+
+def test_80_by_24_holds_everything_important() -> None:
+    model = Model()
+    heard = state(3723, Mode.ACTIVE, counts=(1234, 12, 3), frames=5000, running=True, age_ms=45)
+    model.heard_state(heard, 0, WALL)
+    model.heard_event(refused("anna", "servo 41 does not run"), 0, WALL)
+    for text in (
+        " ACTIVE ",
+        "1 leg running",
+        "tcp/robot:7447",
+        "up 1:02:03",
+        "last command of 250 ms",
+        " 6  ○",
+        "1234",
+        "5000",
+        "0 SPI errors",
+        "anna 1 (invalid)",
+        "command_rejected anna: servo 41 does not run",
+        "EMERGENCY STOP",
+        "r: reset",
+        "q: quit",
+    ):
+        assert text in screen(model), screen(model)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_each_mode_has_its_word_and_a_style(mode: Mode) -> None:
+    model = Model()
+    model.heard_state(state(mode=mode), 0, WALL)
+    text: Text = picture(model, 0, "here", 80, 24)
+    assert f" {mode.upper().replace('_', ' ')} " in text.plain.splitlines()[0]
+    assert any(span.start == 0 and "on" in str(span.style) for span in text.spans)
+
+
+@pytest.mark.parametrize(
+    ("share", "drawn"),
+    [(-1, "────"), (0, "────"), (0.125, "╸───"), (0.5, "━━──"), (1, "━━━━"), (9, "━━━━")],
+)
+def test_bars(share: float, drawn: str) -> None:
+    assert bar(share, 4, "green").plain == drawn
+
+
+def test_events_are_shown_newest_first_in_local_time() -> None:
+    model = model_with_state(Model())
+    model.heard_event(event(Kind.STARTED, "first"), 0, WALL)
+    model.heard_event(event(Kind.STOPPING, "second"), 0, WALL + timedelta(seconds=1))
+    shown = screen(model).splitlines()
+    local = WALL.astimezone()
+    assert shown.index(f"{local:%H:%M:%S} stopping         second") < shown.index(
+        f"{local:%H:%M:%S} started          first"
+    )
