@@ -6,10 +6,11 @@ as the published firmware does, at the times at which it came.
 
 import os
 import random
+import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,6 +25,7 @@ from schemas.robot import LEGS
 from tests.child import Child
 from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.hil.forks import Forks
 from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
 
 pytestmark = pytest.mark.hil
@@ -127,7 +129,10 @@ def test_a_transfer_that_never_returns_is_the_service_managers_case(
 def test_a_gateway_that_works_is_heard_in_time_also_under_load(
     tmp_path: Path, wire: Wire, manager: ManagerSocket
 ) -> None:
-    with load() as endpoint, loaded(tmp_path, wire.bed, wire.framing, endpoint, manager.environment):
+    with (
+        load() as endpoint,
+        Gateway(tmp_path, loaded(wire.framing, endpoint), bed=wire.bed, env=manager.environment, wait=False),
+    ):
         manager.hear_until(b"READY=1")
         for _ in range(10):
             assert manager.hear(manager.timeout_s) == b"WATCHDOG=1"
@@ -137,14 +142,14 @@ def test_a_gateway_that_works_is_heard_in_time_also_under_load(
 
 
 KILLS = 50  # for each framing
-LANES = 3  # gateways that share nothing, at once: starting one is most of the time
+LANES = 3  # gateways that share nothing, at once
 
 
 @contextmanager
 def load() -> Iterator[str]:
     """A publisher that gateways dial, at this endpoint."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    publisher = Child([sys.executable, "-m", "tests.hil.load", endpoint], os.environ)
+    publisher = Child([sys.executable, "-m", "tests.hil.starter", endpoint], os.environ)
     try:
         publisher.wait_for_output("listening", 30)
         yield endpoint
@@ -152,34 +157,36 @@ def load() -> Iterator[str]:
         publisher.close()
 
 
-def loaded(
-    folder: Path, bed: SpiTestbed, framing: Framing, endpoint: str, env: Mapping[str, str] | None = None
-) -> Gateway:
-    """A gateway that dials the publisher, and has more to send than goes through."""
-    settings: dict[str, dict[str, Any]] = {
+def loaded(framing: Framing, endpoint: str) -> dict[str, dict[str, Any]]:
+    """Settings of a gateway that dials the publisher, and has more to send than goes through."""
+    return {
         # Announced, half of the time is between an announcement and its body.
         "spi": {"framing": framing, "frame_gap_us": 1000 if framing is Framing.LENGTH_PREFIXED else 100},
         "limits": {"leg_rate_hz": 100},
         "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
     }
-    return Gateway(folder, settings, bed=bed, env=env, wait=False)
 
 
-def kill_once(folder: Path, bed: SpiTestbed, framing: Framing, endpoint: str, moment_s: float) -> bool:
+def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) -> bool:
     """Kill a gateway that long after its first start, and run stop-servos; whether it died within a frame."""
     before = len(bed.transfers)
-    with loaded(folder, bed, framing, endpoint) as gateway:
-        gateway.child.wait_for_output("mode active", 60)
-        time.sleep(moment_s)  # the moment itself; nothing is waited for
-        gateway.child.kill()
-        stop_servos(bed, gateway.config)
+    forks.start("run", "--config", str(config))
+    bed.wait_for(lambda transfers: any(moves(each) for each in transfers[before:]), 60)
+    time.sleep(moment_s)  # the moment itself; nothing is waited for
+    assert forks.kill() == -signal.SIGKILL
+    forks.start("stop-servos", "--config", str(config))
+    assert forks.wait() == 0, str(forks)
     transfers = bed.transfers[before:]
     of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
     replay = Replay(framing)
     replay.play(of_gateway)
-    assert replay.controller.energised, "it died before it did anything"
+    assert replay.controller.energised
     check_stops(framing, replay, transfers[len(of_gateway) :])
     return len(of_gateway[-1].data) == 1
+
+
+def moves(transfer: Transfer) -> bool:
+    return len(transfer.data) == 14 and transfer.data.hex() not in STOPS
 
 
 @pytest.mark.parametrize("framing", Framing)
@@ -192,8 +199,10 @@ def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing) -
     def lane(number: int) -> int:
         folder = tmp_path / str(number)
         folder.mkdir()
+        config = write_settings(folder / "gateway.toml", loaded(framing, endpoint))
         with SpiTestbed() as bed:
-            return sum(kill_once(folder, bed, framing, endpoint, at_s) for at_s in moments_s[number::LANES])
+            forks = Forks(bed)
+            return sum(kill_once(forks, bed, framing, config, at_s) for at_s in moments_s[number::LANES])
 
     with load() as endpoint, ThreadPoolExecutor(LANES) as pool:
         within_frames = sum(pool.map(lane, range(LANES)))
