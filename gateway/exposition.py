@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 from gateway.conductor import Conductor
 from gateway.errors import ConfigError
 from gateway.metrics import BOUNDS_US, Latency
+from gateway.realtime import PAGE_PRIORITY, prefer_thread
 from schemas.telemetry import Cause, Mode, Reason
 
 _PREFIX: Final = "hexapod"
@@ -24,6 +25,7 @@ class _Numbers(Collector):
         self._conductor = conductor
 
     def collect(self) -> Iterator[Metric]:
+        prefer_thread(PAGE_PRIORITY)  # each request has a thread of its own
         metrics, bus = self._conductor.metrics, self._conductor.bus
         yield CounterMetricFamily(f"{_PREFIX}_commands_accepted", "Commands accepted", metrics.accepted)
         yield CounterMetricFamily(

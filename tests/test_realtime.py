@@ -1,0 +1,81 @@
+"""The process's own priority: what it takes, what it leaves to its threads, and that it does without."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from gateway.realtime import LOOP_PRIORITY, NICE, PAGE_PRIORITY, WAITER_PRIORITY
+from tests.gateway_process import Gateway
+
+root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
+
+
+def run(program: str, *prefix: str) -> str:
+    """What a program prints that has imported our module in a process of its own."""
+    command = [
+        *prefix,
+        sys.executable,
+        "-c",
+        f"from gateway.realtime import *\nimport gc, os, sys, threading\n{program}",
+    ]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_the_loop_comes_before_those_who_wait_and_they_before_the_metrics_page() -> None:
+    assert LOOP_PRIORITY > WAITER_PRIORITY > PAGE_PRIORITY > 0
+
+
+@root_only
+def test_a_threads_priority_is_its_own() -> None:
+    program = """
+print(prefer_thread(7), os.sched_getparam(0).sched_priority)
+thread = threading.Thread(target=lambda: print(os.sched_getscheduler(0) == os.SCHED_OTHER))
+thread.start()
+thread.join()
+"""
+    assert run(program).split() == ["True", "7", "True"]
+
+
+@root_only
+def test_threads_started_later_have_the_process_s_niceness() -> None:
+    program = """
+prefer_process()
+thread = threading.Thread(target=lambda: print(os.getpriority(os.PRIO_PROCESS, threading.get_native_id())))
+thread.start()
+thread.join()
+"""
+    assert run(program) == str(NICE)
+
+
+@root_only
+def test_a_niceness_that_is_better_already_is_kept() -> None:
+    assert run("prefer_process(); print(os.getpriority(os.PRIO_PROCESS, 0))", "nice", "-n", "-15") == "-15"
+
+
+@root_only
+def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
+    without = ("setpriv", "--bounding-set=-sys_nice", "--")
+    program = "prefer_process(); print(prefer_thread(7), os.getpriority(os.PRIO_PROCESS, 0))"
+    assert run(program, "prlimit", "--rtprio=0:0", "--nice=0:0", "--", *without).split() == ["False", "0"]
+
+
+def test_what_has_settled_is_collected_no_more() -> None:
+    before, after = run("print(len(gc.get_objects())); settle(); print(len(gc.get_objects()))").split()
+    assert int(before) > 1000
+    assert int(after) < 100
+
+
+@root_only
+def test_the_loop_of_a_running_gateway_has_priority_and_zenohs_threads_have_not(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    with Gateway(tmp_path_factory.mktemp("gateway")) as gateway:
+        pid = gateway.child.pid
+        tasks = [int(task) for task in os.listdir(f"/proc/{pid}/task")]
+        priorities = {task: os.sched_getparam(task).sched_priority for task in tasks}
+        assert priorities[pid] == LOOP_PRIORITY
+        assert sorted(priorities.values()).count(WAITER_PRIORITY) == 5
+        others = [task for task, priority in priorities.items() if priority == 0]
+        assert len(others) >= 3
