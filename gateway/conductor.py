@@ -134,10 +134,10 @@ class Conductor:
     def tick(self) -> None:
         """Take what came in and do what is due. One tick is one instant: nobody knows the order of what it takes."""
         instant_ns = self._clock()
-        self._do_what_is_due(instant_ns)
         for received in self.take():
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
+        self._do_what_is_due(instant_ns)
         self._arm()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
