@@ -48,7 +48,7 @@ class Servo:
     @property
     def will_run(self) -> bool:
         """Whether a `set` has something to set: the servo runs, or waits to be started."""
-        return self.running or (self.waiting is not None and self.waiting.op.op is Op.START)
+        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)
 
     def note_stop(self, by: str, instant_ns: int) -> None:
         """Remember who stopped it in this instant."""
@@ -73,7 +73,8 @@ class Leg:
 
     @property
     def waits(self) -> bool:
-        return any(servo.waiting for servo in self.servos)
+        first, second, third = self.servos
+        return first.waiting is not None or second.waiting is not None or third.waiting is not None
 
     @property
     def waits_to_start(self) -> bool:
@@ -82,7 +83,8 @@ class Leg:
 
     @property
     def watched(self) -> bool:
-        return any(servo.will_run for servo in self.servos)
+        first, second, third = self.servos
+        return first.will_run or second.will_run or third.will_run
 
     def deadline_ns(self, timeout_ns: int) -> int | None:
         """When the watchdog stops this leg; None while there is nothing to stop."""
