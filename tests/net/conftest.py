@@ -1,10 +1,12 @@
-"""Where no network can be, its tests are skipped, but fail in CI; and a fresh network as a fixture."""
+"""Where no network can be, its tests are skipped, but fail in CI; a network, a robot and laptops as fixtures."""
 
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import pytest
 
+from tests.net.hosts import Laptop, Robot
 from tests.net.namespaces import Network, lacks
 
 
@@ -16,8 +18,50 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip(lack)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def network() -> Iterator[Network]:
-    """A robot and two laptops."""
+    """A robot and two laptops; one for all tests of a file, so its links are mended where a test may fail."""
     with Network(laptops=2) as network:
         yield network
+
+
+@dataclass
+class Hosts:
+    """What runs in it."""
+
+    robot: Robot
+    laptops: tuple[Laptop, Laptop]
+
+
+@pytest.fixture(scope="module")
+def running(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
+    """The robot and both laptops. They take seconds to start on a busy machine, so all at once, and once for all."""
+    with (
+        Laptop(network, 0) as first,
+        Laptop(network, 1) as second,
+        Robot(network, tmp_path_factory.mktemp("robot")) as robot,
+    ):
+        yield Hosts(robot, (first.ready(), second.ready()))
+
+
+@pytest.fixture
+def hosts(network: Network, running: Hosts) -> Hosts:
+    """The same, with all links up, no stream and nothing running."""
+    for number, laptop in enumerate(running.laptops):
+        network.mend(number)
+        laptop.ask("pause")
+        laptop.ask("state")  # comes behind whatever was on the way
+    running.robot.at_rest()
+    return running
+
+
+@pytest.fixture
+def robot(hosts: Hosts) -> Robot:
+    """The robot of these."""
+    return hosts.robot
+
+
+@pytest.fixture
+def laptops(hosts: Hosts) -> tuple[Laptop, Laptop]:
+    """The laptops of these."""
+    return hosts.laptops

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
@@ -11,14 +12,17 @@ from typing import Any, Self
 
 from gateway.client import Client
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, FrameRecord
+from schemas.telemetry import Cause, Event, FrameRecord
 from tests.child import Child
 from tests.gateway_process import Gateway
 from tests.heard import events, frames
 from tests.net.namespaces import Network
 
 PORT = 7447
-NO_REPEATS = 0
+ANSWER_S = 20
+TIMEOUT_MS = 250.0
+LEASE_MS = 5000
+"""How long a laptop waits for a sign of life from the gateway before it opens a new session."""
 
 
 class Robot(AbstractContextManager["Robot"]):
@@ -26,23 +30,38 @@ class Robot(AbstractContextManager["Robot"]):
 
     The observer's way is a Unix socket, which network namespaces leave alone: it sees what happens while links are cut.
     A leg may be commanded far more often than the laptops do it, so that no command waits, and a frame is on the wire
-    as soon as its command is accepted.
+    as soon as its command is accepted. Stops are not repeated: each is one frame. The state comes so often that a
+    laptop that no longer reads is soon full. The lease is shorter than Zenoh's own 10 s, so that a laptop gives up
+    sooner.
     """
 
-    def __init__(self, network: Network, folder: Path, settings: Mapping[str, Mapping[str, Any]]) -> None:
-        socket = f"unixsock-stream/{folder / 'robot.sock'}"
-        listen = [*(f"tcp/{network.robot_address(number)}:{PORT}" for number in network.laptops), socket]
+    def __init__(
+        self,
+        network: Network,
+        folder: Path,
+        *,
+        limits: Mapping[str, float] | None = None,
+        lease_ms: int = LEASE_MS,
+        port: int = PORT,
+    ) -> None:
+        observer = f"unixsock-stream/{folder / f'{port}.sock'}"
+        listen = [f"tcp/{network.robot_address(number)}:{port}" for number in network.laptops]
+        config = folder / str(port)
+        config.mkdir()
+        (config / "zenoh.json5").write_text(f"{{transport: {{link: {{tx: {{lease: {lease_ms}}}}}}}}}")
         sections: dict[str, dict[str, Any]] = {
-            "zenoh": {"listen": listen, "allow_insecure": True},
-            "telemetry": {"frames": True},
-            "limits": {"leg_rate_hz": 1000, **settings.get("limits", {})},
-            "watchdog": {"repeats": NO_REPEATS, **settings.get("watchdog", {})},
+            "zenoh": {"listen": [*listen, observer], "allow_insecure": True, "config": str(config / "zenoh.json5")},
+            "telemetry": {"frames": True, "state_hz": 50},
+            "limits": {"leg_rate_hz": 1000, **(limits or {})},
+            "watchdog": {"timeout_ms": TIMEOUT_MS, "repeats": 0},
         }
         with ExitStack() as opened:
-            opened.enter_context(Gateway(folder, sections, prefix=network.robot))
-            self.client = opened.enter_context(Client(socket, source="observer", timeout_s=5))
+            opened.enter_context(Gateway(config, sections, prefix=network.robot))
+            self.client = opened.enter_context(Client(observer, source="observer", timeout_s=5))
             self.frames = frames(self.client)
             self.events = events(self.client)
+            self.port = port
+            self._since = self._events_since = 0
             self._close = opened.pop_all()
 
     def __enter__(self) -> Self:
@@ -52,6 +71,17 @@ class Robot(AbstractContextManager["Robot"]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._close.close()
+
+    def at_rest(self) -> None:
+        """No emergency stop, nothing runs; forget all frames and events until now."""
+        assert self.client.reset().accepted
+        assert self.client.stop().accepted
+        self.forget()
+
+    def forget(self) -> None:
+        """What is said of frames and events is about those from now on."""
+        self.client.state()  # asked later, so answered later than all that was reported before
+        self._since, self._events_since = len(self.frames.all), len(self.events.all)
 
     @property
     def rejected(self) -> int:
@@ -63,52 +93,69 @@ class Robot(AbstractContextManager["Robot"]):
         """The legs of which a servo runs."""
         return {leg.leg for leg in self.client.state().legs if any(servo.running for servo in leg.servos)}
 
-    def wait_for_commands(self, since: int, *legs: int, count: int = 5) -> None:
-        """Wait until each of these legs has been commanded that often, from the frame with that index on."""
-        for leg in legs:
-            self.wait_for_frames(since, lambda frame, leg=leg: commands(frame, leg), count)  # type: ignore[misc]
+    def seen(self, condition: Callable[[FrameRecord], bool]) -> list[FrameRecord]:
+        """Such frames, all that were written up to now."""
+        self.client.state()
+        return [frame for frame in self.frames.all[self._since :] if condition(frame)]
 
-    def wait_for_stops(self, since: int, *legs: int) -> dict[int, float]:
-        """Wait until the watchdog has stopped each of these legs; how long after its last command, in ms."""
+    def wait_for_commands(self, *legs: int, count: int = 5) -> None:
+        """Wait until each of these legs has been commanded that often."""
         for leg in legs:
-            self.wait_for_frames(since, lambda frame, leg=leg: is_stop(frame, leg), 1)  # type: ignore[misc]
-        frames = self.frames.all[since:]
-        return {leg: _silence_ms(frames, leg) for leg in legs}
+            self._wait(is_command(leg), count)
 
-    def wait_for_frames(self, since: int, condition: Callable[[FrameRecord], bool], count: int) -> None:
-        """Wait for that many such frames, from the frame with that index on."""
-        before = sum(condition(frame) for frame in self.frames.all[:since])
+    def wait_for_stops(self, *legs: int) -> list[float]:
+        """Wait until the watchdog has stopped each of these legs; how much later than it should have, in ms."""
+        for leg in legs:
+            self._wait(is_stop(leg), 1)
+        return [self._late_ms(leg) for leg in legs]
+
+    def wait_for_event(self, condition: Callable[[Event], bool]) -> Event:
+        """Wait for such an event."""
+        before = sum(condition(event) for event in self.events.all[: self._events_since])
+        return self.events.wait(condition, count=before + 1)
+
+    def _wait(self, condition: Callable[[FrameRecord], bool], count: int) -> None:
+        before = sum(condition(frame) for frame in self.frames.all[: self._since])
         self.frames.wait(condition, count=before + count)
 
+    def _late_ms(self, leg: int) -> float:
+        frames = self.frames.all[self._since :]
+        stop = next(place for place, frame in enumerate(frames) if is_stop(leg)(frame))
+        last = max(frame.monotonic_ns for frame in frames[:stop] if is_command(leg)(frame))
+        return (frames[stop].monotonic_ns - last) / 1e6 - TIMEOUT_MS
 
-def leg_of(frame: FrameRecord) -> int:
-    """The leg that a frame is for: the third byte is a leg's first servo, or the servo."""
+
+def is_command(*legs: int) -> Callable[[FrameRecord], bool]:
+    """Whether a frame comes from a command for one of these legs."""
+    return lambda frame: frame.cause is Cause.COMMAND and _leg(frame) in legs
+
+
+def is_stop(*legs: int) -> Callable[[FrameRecord], bool]:
+    """Whether a frame is the watchdog's, for one of these legs."""
+    return lambda frame: frame.cause is Cause.WATCHDOG and _leg(frame) in legs
+
+
+def is_from(laptop: "Laptop") -> Callable[[FrameRecord], bool]:
+    """Whether a ONE LEG frame carries that laptop's mark: the whole degrees of joint 2."""
+    return lambda frame: frame.cause is Cause.COMMAND and bytes.fromhex(frame.bytes)[8] == laptop.mark_deg
+
+
+def _leg(frame: FrameRecord) -> int:
+    """A frame's third byte is the servo's id, or that of the leg's first servo."""
     return bytes.fromhex(frame.bytes)[2] // 10
-
-
-def commands(frame: FrameRecord, leg: int) -> bool:
-    return frame.cause is Cause.COMMAND and leg_of(frame) == leg
-
-
-def is_stop(frame: FrameRecord, leg: int) -> bool:
-    return frame.cause is Cause.WATCHDOG and leg_of(frame) == leg
-
-
-def _silence_ms(frames: list[FrameRecord], leg: int) -> float:
-    stop = next(place for place, frame in enumerate(frames) if is_stop(frame, leg))
-    last = max(frame.monotonic_ns for frame in frames[:stop] if commands(frame, leg))
-    return (frames[stop].monotonic_ns - last) / 1e6
 
 
 class Laptop(AbstractContextManager["Laptop"]):
     """A publisher in its namespace; see `tests.net.publisher` for what can be asked of it."""
 
-    def __init__(self, network: Network, number: int, *, lease_ms: int = 10_000) -> None:
-        endpoint = f"tcp/{network.robot_address(number)}:{PORT}"
-        command = [sys.executable, "-m", "tests.net.publisher", endpoint, "--source", f"laptop {number}"]
-        self.child = Child([*network.laptop(number), *command, "--lease-ms", str(lease_ms)], os.environ)
+    def __init__(self, network: Network, number: int, *, port: int = PORT) -> None:
+        """Start it; it is connected when it is first used, or after `ready`."""
         self.source = f"laptop {number}"
-        self.child.wait_for_line(0, 20)
+        self.mark_deg = 60 + number
+        endpoint = f"tcp/{network.robot_address(number)}:{port}"
+        options = ["--source", self.source, "--mark", str(self.mark_deg)]
+        command = [*network.laptop(number), sys.executable, "-m", "tests.net.publisher", endpoint, *options]
+        self.child = Child(command, os.environ)
 
     def __enter__(self) -> Self:
         return self
@@ -118,9 +165,15 @@ class Laptop(AbstractContextManager["Laptop"]):
     ) -> None:
         self.child.close()
 
+    def ready(self) -> Self:
+        """Wait until it is connected."""
+        self.child.wait_for_line(0, ANSWER_S)
+        return self
+
     def ask(self, line: str) -> dict[str, Any]:
-        """What it answers. Raises AssertionError when the gateway did not answer it."""
-        answer: dict[str, Any] = json.loads(self.child.ask(line, 20))
+        """What it answers. Raises AssertionError where that is an error."""
+        self.ready()
+        answer: dict[str, Any] = json.loads(self.child.ask(line, ANSWER_S))
         assert "error" not in answer, f"{line}: {answer['error']}"
         return answer
 
@@ -131,6 +184,16 @@ class Laptop(AbstractContextManager["Laptop"]):
     def stream(self, *legs: int, op: str = "set") -> None:
         """From now on 50 setpoints a second for each of these legs, or starts."""
         self.ask(f"stream {op} {_list(legs)}")
+
+    def stream_acknowledged(self, *legs: int) -> None:
+        """From now on 50 acknowledged setpoints a second, for these legs in turn."""
+        self.ask(f"ask {_list(legs)}")
+
+    def freeze(self) -> None:
+        self.child.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        self.child.send_signal(signal.SIGCONT)
 
 
 def _list(legs: tuple[int, ...]) -> str:

@@ -1,37 +1,48 @@
 """A laptop: streams setpoints to a gateway, and does what lines on its standard input say.
 
-    python -m tests.net.publisher ENDPOINT --source NAME [--lease-ms MS]
+    python -m tests.net.publisher ENDPOINT --source NAME --mark DEGREES
 
-Each line is answered by one line of JSON:
+All its setpoints have that mark as the angle of joint 2, so that a frame shows whose it is. It also subscribes to all
+that the gateway reports. A laptop would have processors of its own, so where it may, it comes before the rest of this
+machine; but not when it floods. Each line is answered by one line of JSON:
 
     start LEGS…         energise these legs, acknowledged: {"accepted": [bool, …]}
     stream OP LEGS…     from now on, 50 times a second, fire and forget: `set` or `start` for each of these legs
     ask LEGS…           from now on, 50 times a second, an acknowledged set for one of these legs after the other
     flood LEGS…         from now on, sets for these legs as fast as it can
-    pause               no more of that; what was sent: see `Sent`
+    sent [COUNT]        once that many of the stream have been sent: see `Sent`
+    pause [COUNT]       the same, and no more of the stream
+    out-of-reach        {} once Zenoh has given the gateway up
+    in-reach            {} once it has found the gateway again
     stop                stop all six legs, acknowledged
     estop               engage the emergency stop, acknowledged
-    state               the gateway's state
+    state               the gateway's state; of these three also `answered_ms`: how long the answer took
 """
 
 import argparse
 import json
+import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import cycle
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
+
+import zenoh
+from zenoh.handlers import RingChannel
 
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
-from schemas.keys import leg_command
+from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
 PERIOD_S = 0.02
+ANSWER_S = 10
+"""Also how long it may take until the gateway has come up."""
+BOUND_S = 15
+NICE, FLOOD_NICE = -10, 5
 
 
 @dataclass
@@ -43,20 +54,30 @@ class Sent:
     refused: int = 0
     unanswered: int = 0
     last_ns: int = 0
-    """When the last one was sent, on the monotonic clock."""
+    """When the last one was sent (of `ask`: answered), on the monotonic clock."""
     longest_gap_ms: float = 0
-    """Between two that were sent, or two that were answered."""
+    """Between two such times."""
+    slowest_ms: float = 0
+    """From an acknowledged one to its answer, as the laptop sees it."""
 
 
 class Laptop:
     """A client of a gateway, with at most one stream."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, source: str, mark_deg: float) -> None:
         self._client = client
+        self._source = source
+        self._mark_deg = mark_deg
         self._thread = threading.Thread()
         self._paused = threading.Event()
+        self._progress = threading.Condition()
         self._sent = Sent()
         self._step = 0
+        self._reach = threading.Condition()
+        self._in_reach = False
+        session = client.session
+        self._declared = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
+        self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
 
     def do(self, line: str) -> Any:
         """Do what the line says; the answer."""
@@ -64,55 +85,89 @@ class Laptop:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "stream" | "ask" | "flood" | "pause":
-                return self._stream(word, rest)
+            case "stream" | "ask" | "flood":
+                return self._begin(word, rest)
+            case "sent" | "pause":
+                return self._report(int(rest[0]) if rest else 0, end=word == "pause")
+            case "out-of-reach" | "in-reach":
+                return self._wait_for_reach(word == "in-reach")
             case "stop" | "estop" | "state":
-                return getattr(self._client, word)().model_dump(mode="json")
+                asked_ns = time.monotonic_ns()
+                answer = getattr(self._client, word)().model_dump(mode="json")
+                return {**answer, "answered_ms": (time.monotonic_ns() - asked_ns) / 1e6}
         raise ValueError(f"no such command: {line}")
 
-    def _stream(self, word: str, rest: Sequence[str]) -> Any:
-        self.pause()
-        match word:
-            case "stream":
-                self._begin(lambda: self._publish(rest[0], rest[1:]), PERIOD_S)
-            case "ask":
-                turns = cycle(rest)
-                self._begin(lambda: self._ask(next(turns)), PERIOD_S)
-            case "flood":
-                self._begin(lambda: self._publish("set", rest), 0)
-        return asdict(self._sent)
-
-    def pause(self) -> None:
+    def end(self) -> None:
         """End the stream, if there is one."""
         if self._thread.is_alive():
             self._paused.set()
             self._thread.join()
 
-    def _begin(self, send: Callable[[], None], period_s: float) -> None:
+    def _begin(self, word: str, rest: Sequence[str]) -> Any:
+        self.end()
+        turns = cycle(rest)
+        sends: dict[str, Callable[[], None]] = {
+            "stream": lambda: self._publish(rest[0], rest[1:]),
+            "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
+            "ask": lambda: self._ask(next(turns)),
+        }
+        set_nice(FLOOD_NICE if word == "flood" else NICE)
         self._sent = Sent()
         self._paused.clear()
-        self._thread = threading.Thread(target=self._run, args=(send, period_s))
+        self._thread = threading.Thread(target=self._run, args=(sends[word], 0 if word == "flood" else PERIOD_S))
         self._thread.start()
+        return {}
+
+    def _report(self, count: int, *, end: bool) -> Any:
+        with self._progress:
+            if not self._progress.wait_for(lambda: self._sent.sent >= count, BOUND_S):
+                return {"error": f"only {self._sent} in {BOUND_S} s"}
+        if end:
+            self.end()
+        return asdict(self._sent)
+
+    def _take_alive(self, sample: zenoh.Sample) -> None:
+        with self._reach:
+            self._in_reach = sample.kind == zenoh.SampleKind.PUT
+            self._reach.notify_all()
+
+    def _wait_for_reach(self, in_reach: bool) -> Any:
+        with self._reach:
+            reached = self._reach.wait_for(lambda: self._in_reach is in_reach, BOUND_S)
+        return {} if reached else {"error": f"not in {BOUND_S} s"}
 
     def _run(self, send: Callable[[], None], period_s: float) -> None:
         due_s = time.monotonic()
         while not self._paused.is_set():
             send()
-            now_ns = time.monotonic_ns()
-            if self._sent.last_ns:
-                self._sent.longest_gap_ms = max(self._sent.longest_gap_ms, (now_ns - self._sent.last_ns) / 1e6)
-            self._sent.last_ns = now_ns
+            with self._progress:
+                self._note(time.monotonic_ns())
+                self._progress.notify_all()
             if period_s:
                 due_s = max(due_s + period_s, time.monotonic())  # a missed turn is skipped, never made up
                 self._paused.wait(due_s - time.monotonic())
+
+    def _note(self, now_ns: int) -> None:
+        if self._sent.last_ns:
+            self._sent.longest_gap_ms = max(self._sent.longest_gap_ms, (now_ns - self._sent.last_ns) / 1e6)
+        self._sent.last_ns = now_ns
 
     def _publish(self, op: str, legs: Sequence[str]) -> None:
         for leg in legs:
             self._client.publish(leg_command(int(leg)), leg_payload(op, self._angles()))
             self._sent.sent += 1
 
+    def _flood(self, keys: Sequence[str]) -> None:
+        """Many at a time, since nothing is to hold it up but Zenoh."""
+        payload = json.dumps({"source": self._source, **leg_payload("set", self._angles())})
+        for _ in range(100):
+            for key in keys:
+                self._client.session.put(key, payload, encoding="application/json")
+        self._sent.sent += 100 * len(keys)
+
     def _ask(self, leg: str) -> None:
         self._sent.sent += 1
+        asked_ns = time.monotonic_ns()
         try:
             accepted = self._client.set_leg(int(leg), *self._angles()).accepted
         except ZenohError:
@@ -120,31 +175,30 @@ class Laptop:
         else:
             self._sent.accepted += accepted
             self._sent.refused += not accepted
+            self._sent.slowest_ms = max(self._sent.slowest_ms, (time.monotonic_ns() - asked_ns) / 1e6)
 
     def _angles(self) -> tuple[float, float, float]:
         """Never the same twice in a row."""
         self._step = (self._step + 1) % 9000
-        return (45 + self._step / 100, 60, 90)
+        return (45 + self._step / 100, self._mark_deg, 90)
 
 
-@contextmanager
-def connect(endpoint: str, source: str, lease_ms: int) -> Iterator[Client]:
-    """A client whose link ends after that long without a sign of life."""
-    with TemporaryDirectory() as folder:
-        config = Path(folder) / "zenoh.json5"
-        config.write_text(json.dumps({"mode": "client", "transport": {"link": {"tx": {"lease": lease_ms}}}}))
-        with Client(endpoint, zenoh_config=config, source=source, timeout_s=5) as client:
-            yield client
+def set_nice(nice: int) -> None:
+    """For all threads of this process, also Zenoh's."""
+    with suppress(PermissionError):
+        for task in os.listdir("/proc/self/task"):
+            os.setpriority(os.PRIO_PROCESS, int(task), nice)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("endpoint")
     parser.add_argument("--source", required=True)
-    parser.add_argument("--lease-ms", type=int, default=10_000)
+    parser.add_argument("--mark", type=float, required=True)
     arguments = parser.parse_args()
-    with connect(arguments.endpoint, arguments.source, arguments.lease_ms) as client:
-        laptop = Laptop(client)
+    set_nice(NICE)
+    with Client(arguments.endpoint, source=arguments.source, timeout_s=ANSWER_S) as client:
+        laptop = Laptop(client, arguments.source, arguments.mark)
         print("{}", flush=True)
         for line in sys.stdin:
             try:
@@ -152,7 +206,7 @@ def main() -> None:
             except ZenohError as error:
                 answer = {"error": str(error)}
             print(json.dumps(answer), flush=True)
-        laptop.pause()
+        laptop.end()
 
 
 if __name__ == "__main__":
