@@ -20,9 +20,14 @@ MOST_PAUSE_MS: Final = 20.0
 def stop_servos(settings: Settings) -> None:
     """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
 
-    Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm.
+    Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm. Beside a
+    gateway that runs, its frames come between that one's, never into them.
     """
-    bus = bus_for(settings.spi, lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False))
+
+    def open_device() -> KernelDevice:
+        return KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False)
+
+    bus = bus_for(settings.spi, open_device, beside=True)
     unstopped = set(LEGS)
     fault: SpiError | None = None
     for repeat in range(1 + settings.watchdog.repeats + MORE_ROUNDS):

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import pytest
 
@@ -33,6 +34,9 @@ class FailingDevice:
         if next(self._turn) in self._failing:
             raise SpiError("told to fail")
         self._controller.transfer(data)
+
+    def turn(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
     def close(self) -> None:
         pass

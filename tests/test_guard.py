@@ -1,5 +1,7 @@
 """The guard at the device's edge: a transfer passes if and only if the framing makes it of a legal frame."""
 
+from contextlib import AbstractContextManager, nullcontext
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,6 +32,9 @@ class Recorder:
         if self.failing:
             raise SpiError("told to fail")
         self.seen.append(data)
+
+    def turn(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
     def close(self) -> None:
         self.closed += 1

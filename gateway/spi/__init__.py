@@ -1,5 +1,6 @@
 """The device contract: what the service needs from an SPI device, whichever one stands behind it."""
 
+from contextlib import AbstractContextManager
 from typing import Protocol
 
 
@@ -8,6 +9,9 @@ class SpiDevice(Protocol):
 
     def transfer(self, data: bytes) -> None:
         """Write `data` in one transaction. Raises `SpiError` when the device reports a fault."""
+
+    def turn(self) -> AbstractContextManager[None]:
+        """The time of one frame, in which no other program's transfers come between this one's."""
 
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""

@@ -1,8 +1,8 @@
 """The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters."""
 
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 from gateway.errors import SpiError
 from gateway.metrics import Latency
@@ -22,12 +22,15 @@ class Bus:
         framing: Framing,
         *,
         frame_gap_ns: int,
+        beside: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
+        """`beside` another program that writes: it does not know of our frames, so the pause is made on both sides."""
         self._open_device = open_device
         self._framing = framing
         self._frame_gap_ns = frame_gap_ns
+        self._beside = beside
         self._clock = clock
         self._pause = pause
         self._device: SpiDevice | None = None
@@ -42,7 +45,8 @@ class Bus:
         self.close()
         try:
             self._device = GuardedDevice(self._open_device(), self._framing)
-            self._get_in_step()
+            with self._turn():
+                self._get_in_step()
         except SpiError:
             self.errors += 1
             self.close()
@@ -55,11 +59,12 @@ class Bus:
         take this one for it, and from then on see lengths where there are none.
         """
         try:
-            self._get_in_step()
-            self._in_step = False  # until the whole frame is written
-            for data in self._framing.transfers(frame.to_bytes()):
-                self._transfer(data)
-            self._in_step = True
+            with self._turn():
+                self._get_in_step()
+                self._in_step = False  # until the whole frame is written
+                for data in self._framing.transfers(frame.to_bytes()):
+                    self._transfer(data)
+                self._in_step = True
         except SpiError:
             self.errors += 1
             raise
@@ -72,6 +77,20 @@ class Bus:
                 self._device.close()
             self._device = None
         self._in_step = False
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        if self._device is None:
+            raise SpiError("the SPI device is closed")
+        if self._framing is Framing.PLAIN:  # a frame is one transfer, which nothing comes into
+            yield
+            return
+        with self._device.turn():
+            if self._beside:
+                self._pause(self._frame_gap_ns / 1e9)
+            yield
+            if self._beside:
+                self._pause(self._frame_gap_ns / 1e9)
 
     def _get_in_step(self) -> None:
         if not self._in_step and self._framing.preamble is not None:
@@ -93,6 +112,6 @@ class Bus:
             self._free_ns = ended_ns + self._frame_gap_ns
 
 
-def bus_for(settings: SpiSettings, open_device: Callable[[], SpiDevice]) -> Bus:
+def bus_for(settings: SpiSettings, open_device: Callable[[], SpiDevice], *, beside: bool = False) -> Bus:
     """A bus with the framing and the pauses of the settings."""
-    return Bus(open_device, settings.framing, frame_gap_ns=round(settings.frame_gap_us * 1000))
+    return Bus(open_device, settings.framing, frame_gap_ns=round(settings.frame_gap_us * 1000), beside=beside)

@@ -4,6 +4,7 @@ The encoder cannot build anything else, so whatever is refused here is a bug of 
 pay for it with its memory (it checks neither ids nor lengths), which is why the check is made once more, on the bytes.
 """
 
+from contextlib import AbstractContextManager
 from typing import Final
 
 from gateway.protocol.frames import FrameError, Op, decode, servo_ids_of
@@ -40,6 +41,10 @@ class GuardedDevice:
         self._announced_len = None
         self._device.transfer(data)
         self._announced_len = announced_len
+
+    def turn(self) -> AbstractContextManager[None]:
+        """The device's turn."""
+        return self._device.turn()
 
     def close(self) -> None:
         """Release the device."""

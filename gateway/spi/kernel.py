@@ -1,9 +1,20 @@
 """The real device: Linux's spidev, opened for HexapodProtocol v1.0.0 (mode 0, 8 bits, most significant bit first)."""
 
 import fcntl
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from gateway.errors import SpiError
+
+PATIENCE_S: Final = 0.25
+PATIENCE_BESIDE_S: Final = 1.0
+"""How long a turn is waited for, once: by the gateway, and by one beside it. A frame with its pauses takes 4 ms, on a
+busy machine some tens; who holds its turn for longer hangs, and Stops do not wait for that."""
+TURN_PAUSE_S: Final = 0.000_2
+_QUEUE, _TURN = 0, 1  # bytes of the device on which the locks lie; it has no bytes of its own to be locked
 
 
 class KernelDevice:
@@ -22,6 +33,7 @@ class KernelDevice:
                 "or try --sim for a simulated controller"
             ) from error
         self._path = path
+        self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_BESIDE_S
         self._spi = spidev.SpiDev()
         try:
             self._spi.open_path(path)
@@ -41,6 +53,45 @@ class KernelDevice:
             self._spi.writebytes2(data)
         except OSError as error:
             raise SpiError(f"{self._path}: the transfer failed: {error.strerror or error}") from error
+
+    @contextmanager
+    def turn(self) -> Iterator[None]:
+        """Keep other programs that use turns from writing between the transfers of one frame.
+
+        A Stop from `stop-servos` between an announcement and its body would be lost, and all that follows misread. The
+        locks are record locks, independent of the one that `exclusive` takes, and end with the process that holds them.
+        """
+        # Whoever is next holds the queue while it waits, so one that writes without a pause cannot take every turn.
+        queued = self._lock(_QUEUE)
+        held = self._lock(_TURN)
+        if queued:
+            self._unlock(_QUEUE)
+        try:
+            yield
+        finally:
+            if held:
+                self._unlock(_TURN)
+
+    def _lock(self, place: int) -> bool:
+        """Wait for a lock, but not for long: false, and a frame is written without it."""
+        give_up_s = time.monotonic() + self._patience_s
+        while True:
+            try:
+                fcntl.lockf(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+            except (BlockingIOError, PermissionError):  # another program's frame is under way
+                if time.monotonic() > give_up_s:
+                    self._patience_s = 0.0
+                    return False
+                time.sleep(TURN_PAUSE_S)
+            except OSError:  # nothing to lock: the device goes, and the transfer will say so
+                return False
+            else:
+                self._patience_s = self._most_patience_s
+                return True
+
+    def _unlock(self, place: int) -> None:
+        with suppress(OSError):
+            fcntl.lockf(self._spi.fileno(), fcntl.LOCK_UN, 1, place)
 
     def close(self) -> None:
         """Release the device."""

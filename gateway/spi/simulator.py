@@ -16,6 +16,7 @@ import functools
 import struct
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Final
 
@@ -97,6 +98,10 @@ class SimulatedController:
             data = data[lost:]
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
+
+    def turn(self) -> AbstractContextManager[None]:
+        """No other program can reach this controller."""
+        return nullcontext()
 
     def close(self) -> None:
         """Nothing to release: the controller and its servos outlive the connection to them, and may be opened again."""

@@ -4,6 +4,7 @@ The gateway is a process of its own; the test, or a command that it runs, is the
 device is expected byte for byte and in order, so a frame too many fails a test as surely as one too few.
 """
 
+import fcntl
 import json
 import signal
 import time
@@ -15,12 +16,13 @@ from typing import Any
 import pytest
 
 from gateway.client import leg_payload
+from gateway.protocol.framing import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.heard import events, states
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Wire, settings_for, start
+from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Replay, Wire, settings_for, start
 
 pytestmark = pytest.mark.hil
 
@@ -255,6 +257,49 @@ def test_stop_servos_beside_a_running_gateway(tmp_path: Path, wire: Wire) -> Non
             wire.expect_opening(*STOPS)
         assert client.set_leg(3, 91, 45, 120).accepted  # the gateway does not know, and the controller ignores it
         wire.expect(SET_3)
+
+
+def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    """A transfer between an announcement and its body would put the controller out of step, and Stops would be lost."""
+    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
+    legs = {str(leg): leg_payload("start", (90, 90, 90)) for leg in range(1, 7)}
+    spi = {"frame_gap_us": 1000}  # half of the time is between the two
+    watchdog = {"repeats": 25, "repeat_interval_ms": 1}
+    config = write_settings(tmp_path / "stop.toml", settings_for(wire, spi=spi, watchdog=watchdog))
+    with start(tmp_path, wire, spi=spi, limits={"leg_rate_hz": 100}) as gateway, gateway.client() as client:
+        assert client.ask(keys.LEGS_COMMAND, {"legs": legs}).accepted
+        child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
+        while child.returncode is None:
+            client.publish(keys.LEGS_COMMAND, {"legs": legs})
+            time.sleep(0.01)  # its rhythm, as fast as the gateway may send
+        assert child.wait(LATE_S) == 0, str(child)
+        gateway.child.terminate()
+        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
+    transfers = wire.bed.transfers
+    openings = [each.opening for each in transfers]
+    assert sum(before != after for before, after in pairwise(openings)) > 50, "they take turns"
+    for announcement, body in pairwise(transfers):
+        if len(announcement.data) == 1:
+            assert (body.opening, len(body.data)) == (announcement.opening, announcement.data[0])
+    replay = Replay(wire.framing)
+    replay.play(transfers)
+    assert not replay.controller.corruptions
+    assert replay.controller.executed == sum(len(each.data) == 1 for each in transfers)
+
+
+def test_a_program_that_keeps_its_turn_for_ever_holds_nobody_up_for_long(
+    tmp_path: Path, spi_testbed: SpiTestbed
+) -> None:
+    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
+    node = Path(spi_testbed.environment["UMOCKDEV_DIR"]) / DEVICE.lstrip("/")
+    with node.open("r+b") as hung:
+        fcntl.lockf(hung, fcntl.LOCK_EX)
+        with start(tmp_path, wire) as gateway, gateway.client() as client:
+            assert client.estop().stop_frames == 6
+            wire.expect(*STOPS)
+            stop_servos(wire, config_for(tmp_path, wire))
+            for _ in range(4):
+                wire.expect_opening(*STOPS)
 
 
 # ---- whose device
