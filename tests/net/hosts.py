@@ -20,7 +20,8 @@ from tests.net.namespaces import Network
 
 PORT = 7447
 ANSWER_S = 20
-TIMEOUT_MS = 250.0
+TIMEOUT_MS = 500.0
+"""Twice the default, since a laptop on a busy machine may itself be silent for longer than that."""
 LEASE_MS = 5000
 """How long a laptop waits for a sign of life from the gateway before it opens a new session."""
 

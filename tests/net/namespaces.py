@@ -7,6 +7,7 @@
         network.cut(0)
         network.mend(0)
 
+What a program on the robot sends to a laptop that does not read is held up soon: buffers that way are small.
 Nothing of it shows outside: the links exist in the namespaces only. `ip netns exec` becomes the program that it starts,
 so a signal to the child is a signal to that program. Monotonic clocks are the same in all of them.
 """
@@ -22,6 +23,7 @@ from types import TracebackType
 from typing import Self
 
 MARK = "hexapod-net"
+BUFFER_BYTES = 16_384
 _numbers = itertools.count()
 
 
@@ -43,9 +45,11 @@ class Network(AbstractContextManager["Network"]):
                 ours = ("link", "add", _link(number), "netns", self._robot)
                 _ip(*ours, "type", "veth", "peer", "name", "robot", "netns", namespace)
                 _ip("-n", self._robot, "address", "add", f"{self.robot_address(number)}/24", "dev", _link(number))
-                _ip("-n", namespace, "address", "add", f"10.77.{number}.2/24", "dev", "robot")
+                _ip("-n", namespace, "address", "add", f"{self._laptop_address(number)}/24", "dev", "robot")
                 _ip("-n", namespace, "link", "set", "robot", "up")
                 self.mend(number)
+                _limit_buffers(namespace, "tcp_rmem")
+            _limit_buffers(self._robot, "tcp_wmem")
         except BaseException:
             self.close()
             raise
@@ -75,6 +79,15 @@ class Network(AbstractContextManager["Network"]):
     def robot_address(self, laptop: int) -> str:
         """Where that laptop reaches the robot."""
         return f"10.77.{laptop}.1"
+
+    def _laptop_address(self, laptop: int) -> str:
+        return f"10.77.{laptop}.2"
+
+    def held_up(self, laptop: int) -> int:
+        """How many bytes that were sent to this laptop are still with the robot's kernel."""
+        to_it = ("dst", f"{self._laptop_address(laptop)}")
+        lines = _run("ip", "netns", "exec", self._robot, "ss", "-Htn", "state", "established", *to_it).splitlines()
+        return sum(int(line.split()[1]) for line in lines)
 
     def cut(self, laptop: int) -> None:
         """Nothing comes through between this laptop and the robot any more; neither is told by the other."""
@@ -116,8 +129,17 @@ def _remove(namespace: str) -> None:
         _ip("netns", "delete", namespace)
 
 
+def _limit_buffers(namespace: str, setting: str) -> None:
+    sizes = f"4096 {BUFFER_BYTES} {BUFFER_BYTES}"
+    _run("ip", "netns", "exec", namespace, "sh", "-c", f"echo {sizes} > /proc/sys/net/ipv4/{setting}")
+
+
 def _ip(*arguments: str) -> str:
-    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False, timeout=20)
+    return _run("ip", *arguments)
+
+
+def _run(*command: str) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
     if done.returncode != 0:
-        raise RuntimeError(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
     return done.stdout

@@ -15,7 +15,7 @@ import pytest
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.net.hosts import TIMEOUT_MS, Laptop, Robot, is_command, is_from, is_stop
-from tests.net.namespaces import Network
+from tests.net.namespaces import BUFFER_BYTES, Network
 
 pytestmark = pytest.mark.net
 
@@ -139,7 +139,9 @@ def test_two_laptops_at_once_and_one_is_cut_off(network: Network, robot: Robot, 
     network.mend(0)
 
 
-def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(robot: Robot, laptops: tuple[Laptop, Laptop]) -> None:
+def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(
+    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+) -> None:
     frozen, other = laptops
     other.start(*LAST)
     other.stream_acknowledged(*LAST)
@@ -151,6 +153,7 @@ def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(robot: Robot, laptops: t
         check_lateness("frozen", robot.wait_for_stops(*FIRST))
         robot.forget()
         other.ask(f"sent {other.ask('sent')['sent'] + 3 * HZ}")
+        assert network.held_up(0) > BUFFER_BYTES // 2, "it was to be full of telemetry that it does not read"
         assert robot.running == set(LAST)
         assert not robot.seen(is_stop(*LEGS))
     finally:
