@@ -344,6 +344,17 @@ def test_a_living_gateway_that_takes_no_stop_is_named_as_such() -> None:
     assert "ESTOPPED, as its state says" in screen(model, 2 * NS_PER_MS)
 
 
+def test_an_answer_that_comes_after_the_state_says_more_than_it() -> None:
+    model = model_with_state(Model())
+    model.stop_pressed(0)
+    model.stop_unanswered()
+    model.heard_state(state(10.1, Mode.ESTOPPED), NS_PER_MS, WALL)
+    model.stop_answered(STOPPED, 0, 2 * NS_PER_MS)
+    assert "STOPPED: 6 Stop frames" in screen(model, 3 * NS_PER_MS)
+    model.stop_answered(Ack(accepted=True, stop_frames=6, latency_us=9_999), 0, 4 * NS_PER_MS)
+    assert "within 812 µs" in screen(model, 4 * NS_PER_MS)  # one stop, and the answer that came first
+
+
 def test_an_answer_from_before_the_reset_does_not_confirm_a_later_stop() -> None:
     model = model_with_state(Model())
     model.stop_pressed(1)
@@ -445,7 +456,7 @@ def test_80_by_24_holds_everything_important() -> None:
         "1 leg running",
         "tcp/robot:7447",
         "up 1:02:03",
-        "last command of 250 ms",
+        "last heard / 250 ms",
         " 6  ○",
         "1234",
         "5000",

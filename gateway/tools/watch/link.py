@@ -19,10 +19,10 @@ from gateway.tools.watch.model import Model
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState
 
-POLL_S: Final = 0.5
+POLL_S: Final = 0.4
 """How often a gateway that publishes no state (`telemetry.state_hz = 0`) is asked for it."""
-ASK_AFTER_MS: Final = 400.0
-ANSWER_S: Final = 1.0
+ASK_AFTER_MS: Final = 300.0
+ANSWER_S: Final = 0.6
 STOPS_AT_ONCE: Final = 4
 """A key that is held down repeats itself some 30 times a second; four requests on their way are plenty."""
 CLOSE_S: Final = 0.5

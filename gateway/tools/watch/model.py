@@ -18,8 +18,9 @@ from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode, R
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
 
-SILENT_AFTER_NS: Final = 1_500_000_000
-"""Whoever publishes no state is asked for it every half second, and has a second to answer."""
+SILENT_AFTER_NS: Final = 2_000_000_000
+"""Whoever publishes no state is asked for it, and one lost answer (link.py: 0.4 s, 0.6 s, 0.4 s) is no silence. A
+process that ends takes its token with it, and is noticed at once."""
 RATE_WINDOW_S: Final = 2.0
 """Rates are means over so long: at 10 states a second, steady to the eye and still quick to follow."""
 OVERTAKEN_S: Final = 1.0
@@ -115,6 +116,7 @@ class Model:
     _told: Presence = Presence.WAITING
     _samples: deque[_Sample] = field(default_factory=deque)
     _asked_ns: int | None = None
+    _pressed_ns: int = 0
     _reset_ns: int = 0
 
     # ---- what is heard
@@ -240,19 +242,19 @@ class Model:
         self._asked_ns = None
         self.remark = None
         if self.stop_wanted_ns is None:
-            self.stop_wanted_ns, self.stop_tries = now_ns, 0
+            self.stop_wanted_ns = self._pressed_ns = now_ns
+            self.stop_tries = 0
 
     def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
         """The gateway confirms what was asked at `asked_ns`, and says how much of it succeeded."""
         if asked_ns < self._reset_ns:
             return  # that stop has been left since; one pressed later waits for its own answer
-        took = ""
-        if self.stop_wanted_ns is not None:
-            took = f", confirmed {(now_ns - self.stop_wanted_ns) / NS_PER_MS:.0f} ms after the key"
-        elif self.remark is not None and self.remark.of_stop:
+        told = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
+        if self.stop_wanted_ns is None and told:
             return  # the second answer to one stop
         self.stop_wanted_ns = None
         frames = ack.stop_frames or 0
+        took = f", confirmed {(now_ns - self._pressed_ns) / NS_PER_MS:.0f} ms after the key"
         if frames >= len(LEGS) and ack.latency_us is not None:
             text = f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request{took}"
             self.remark = Remark(Tone.GOOD, text, now_ns, of_stop=True)

@@ -123,7 +123,7 @@ def _head(state: GatewayState, width: int) -> Text:
     line = Text("leg", "dim").append(" ")
     for joint in (1, 2, 3):
         line.append(f"joint {joint}".ljust(column))
-    return line.append(f"last command of {state.watchdog.timeout_ms:g} ms")
+    return line.append(f"last heard / {state.watchdog.timeout_ms:g} ms")
 
 
 def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool) -> list[Text]:
@@ -190,9 +190,9 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
     in_all = (commands.accepted, commands.rejected, commands.coalesced, spi.frames)
     stops = watchdog.stop_latency_us
     latency = (
-        "none so far"
+        "latency: none so far"
         if stops.p50 is None or stops.p99 is None or stops.max is None
-        else f"p50 {stops.p50:.0f}, p99 {stops.p99:.0f}, worst {stops.max:.0f} µs"
+        else f"p50 {stops.p50 / 1e3:.1f} p99 {stops.p99 / 1e3:.1f} max {stops.max / 1e3:.1f} ms"
     )
     head = Text("           accepted  refused replaced   frames ", "dim")
     head.append(f"  {spi.errors} SPI error{'' if spi.errors == 1 else 's'}", "bold red" if spi.errors else "dim")
@@ -204,7 +204,7 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
     total = Text("in all", "dim").append("     ")
     for count in in_all:
         total.append(f"{count:>8} ")
-    total.append(f"  its Stops: {latency}", "dim")
+    total.append(f"  Stop {latency}", "dim")
     return [head, rate, total]
 
 

@@ -1,0 +1,99 @@
+"""A real terminal: a tmux server of its own, keys sent to it, its screen read."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+import pytest
+
+LACK: Final = "Debian package missing: tmux"
+POLL_S: Final = 0.05
+LATE_S: Final = 30.0
+"""For what takes milliseconds on a machine that is not busy."""
+
+
+def need_tmux() -> None:
+    """Skip or, in CI, fail in one line that names the package."""
+    if shutil.which("tmux"):
+        return
+    if os.environ.get("CI") == "true":
+        pytest.fail(LACK, pytrace=False)
+    pytest.skip(LACK)
+
+
+_ENDED: Final = "ended with status"
+
+
+class Terminal:
+    """One command in a terminal of 80 columns and 24 rows; after it, `stty -a` says how it left the terminal."""
+
+    def __init__(self, folder: Path, command: Sequence[str], *, columns: int = 80, rows: int = 24) -> None:
+        self._socket = folder / "tmux"  # a path, so that no server of somebody else's is met
+        options = folder / "tmux.conf"
+        options.write_text('set -g default-terminal "screen-256color"\n')
+        # tmux itself loses an exit status now and then.
+        script = f'{shlex.join(command)}; echo "{_ENDED} $?"; stty -a; exec cat'
+        size = ("-x", str(columns), "-y", str(rows))
+        self._tmux("-f", str(options), "new-session", "-d", *size, shlex.join(["sh", "-c", script]))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        subprocess.run(["tmux", "-S", self._socket, "kill-server"], capture_output=True, check=False, timeout=LATE_S)
+
+    def press(self, *keys: str) -> None:
+        """Press keys: "Space", "r", "C-c"."""
+        self._tmux("send-keys", *keys)
+
+    def resize(self, columns: int, rows: int) -> None:
+        self._tmux("resize-window", "-x", str(columns), "-y", str(rows))
+
+    @property
+    def screen(self) -> str:
+        return self._tmux("capture-pane", "-p")
+
+    @property
+    def words(self) -> str:
+        """The screen with each run of blanks and line ends as one blank, so that wrapping does not matter."""
+        return " ".join(self.screen.split())
+
+    @property
+    def status(self) -> int | None:
+        """The command's exit status, None while it runs."""
+        found = re.search(rf"{_ENDED} (\d+)", self.words)
+        return int(found[1]) if found else None
+
+    def wait(self, *texts: str, timeout_s: float = LATE_S) -> str:
+        """Wait until all of `texts` are on the screen; its words."""
+        return self.wait_until(lambda words: all(text in words for text in texts), f"{texts}", timeout_s)
+
+    def wait_until(self, holds: Callable[[str], bool], what: str, timeout_s: float = LATE_S) -> str:
+        """Wait until `holds` for the screen's words. Raises TimeoutError that shows the screen."""
+        deadline = time.monotonic() + timeout_s
+        while not holds(words := self.words):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"waited {timeout_s} s for {what}; on the screen:\n{self.screen}")
+            time.sleep(POLL_S)
+        return words
+
+    def wait_for_end(self, timeout_s: float = LATE_S) -> int:
+        """Wait until the command ends; its exit status."""
+        self.wait_until(lambda _: self.status is not None, "its end", timeout_s)
+        assert self.status is not None
+        return self.status
+
+    def _tmux(self, *arguments: str) -> str:
+        command = ["tmux", "-u", "-S", str(self._socket), *arguments]
+        env = {**os.environ, "LC_ALL": "C.UTF-8"}
+        env.pop("TMUX", None)
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LATE_S, env=env).stdout
