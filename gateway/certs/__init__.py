@@ -8,11 +8,13 @@ CA_DAYS: Final = 3650
 LEAF_DAYS: Final = 730
 
 if TYPE_CHECKING:
-    from gateway.certs.folder import Certificate, describe, expiries, init, issue, renew
+    from gateway.certs.folder import Certificate, add_robots, describe, expiries, init, issue, renew
     from gateway.certs.reading import read_certificate, read_certificates, read_file
 
 _HOMES: Final = {
-    **dict.fromkeys(("Certificate", "describe", "expiries", "init", "issue", "renew"), "gateway.certs.folder"),
+    **dict.fromkeys(
+        ("Certificate", "add_robots", "describe", "expiries", "init", "issue", "renew"), "gateway.certs.folder"
+    ),
     **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
 }
 
@@ -29,6 +31,7 @@ __all__ = [
     "LAPTOP_ROLES",
     "LEAF_DAYS",
     "Certificate",
+    "add_robots",
     "describe",
     "expiries",
     "init",

@@ -17,7 +17,7 @@ import zenoh
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 
-from gateway.certs import CA_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, zenoh_files
+from gateway.certs import CA_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, fleet_files, zenoh_files
 from gateway.certs.authority import KeyPair
 from gateway.certs.publish import SECRET, Content, publish, replace
 from gateway.certs.reading import read_certificate, read_key
@@ -25,12 +25,18 @@ from gateway.errors import ConfigError
 
 # Letters, digits, - and _: a file name on every system, and no way out of the folder.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
-_RESERVED = ("ca", "gateway")
+_RESERVED = ("ca", "gateway", "router")
+_ROBOT = "robot."  # in front of a robot's name in the common name of its certificate
+_ROBOT_LENGTH = 48  # a common name has at most 64 characters, "operator." among them
+ROUTER_FILE = "router.json5"
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """One certificate of a folder, as people ask for it. `role` is ca, gateway, operator or observer."""
+    """One certificate of a folder, as people ask for it. `role` is ca, gateway, operator or observer.
+
+    In a fleet: robot.NAME, operator.NAME or observer.NAME, NAME being the robot's.
+    """
 
     path: Path
     name: str
@@ -88,11 +94,15 @@ def issue(
     name: str,
     role: str,
     *,
+    robot: str = "",
     bundle: Path | None = None,
     days: int = LEAF_DAYS,
     now: dt.datetime | None = None,
 ) -> list[Path]:
-    """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths."""
+    """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths.
+
+    `robot` is the one robot of a fleet that it is for, as `add_robots` named it.
+    """
     now = now or _now()
     _check_name(name)
     if role not in LAPTOP_ROLES:
@@ -103,15 +113,16 @@ def issue(
     ca = _load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
     hosts, port = authority.hosts_of(gateway), _port(directory / "gateway.json5")
-    taken = next((path for path in _laptop_files(directory, name) if os.path.lexists(path)), None)
-    if taken is not None:
-        raise ConfigError(f"the name {name} is taken ({taken} exists, and is never overwritten): choose another")
-    laptop = authority.make_laptop(ca, name, role, days, now)
+    if robot and robot not in _robots(directory):
+        raise ConfigError(f"{directory} has no robot {robot!r}: add it with `hexapod-gateway certs robot {robot}`")
+    _check_free(directory, name)
+    common_name = f"{role}.{robot}" if robot else role
+    laptop = authority.make_laptop(ca, name, common_name, days, now)
     certificate, key, config = _laptop_files(directory, name)
     files = {
         key: Content(laptop.key_pem(), SECRET),
         certificate: Content(laptop.certificate_pem()),
-        config: Content(zenoh_files.laptop_json5(name, role, hosts, port)),
+        config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot)),
     }
     if bundle is not None:
         if bundle in files:
@@ -123,6 +134,36 @@ def issue(
         files[bundle] = Content(_zip(members, now), SECRET)
     publish(files)
     return list(files)
+
+
+def add_robots(
+    directory: Path, names: Sequence[str], *, days: int = LEAF_DAYS, now: dt.datetime | None = None
+) -> list[Path]:
+    """Makes NAME.pem, NAME.key and NAME.json5 for each robot of a fleet, and router.json5 anew; returns the paths.
+
+    The router's certificate is the one that `init` made: its hosts are the router's.
+    """
+    now = now or _now()
+    _check_days(days)
+    ca = _load_ca(directory, now)
+    gateway = read_certificate(directory / "gateway.pem")
+    hosts, port = authority.hosts_of(gateway), _port(directory / "gateway.json5")
+    _check_free(directory, "router")
+    files: dict[Path, Content] = {}
+    for name in names:
+        _check_name(name)
+        if len(name) > _ROBOT_LENGTH:
+            raise ConfigError(f"{name!r} is too long for a robot's name: use at most {_ROBOT_LENGTH} characters")
+        _check_free(directory, name)
+        robot = authority.make_laptop(ca, name, f"{_ROBOT}{name}", days, now)
+        certificate, key, config = _laptop_files(directory, name)
+        files[key] = Content(robot.key_pem(), SECRET)
+        files[certificate] = Content(robot.certificate_pem())
+        files[config] = Content(fleet_files.robot_json5(name, hosts, port))
+    publish(files)
+    router = directory / ROUTER_FILE
+    replace(router, Content(fleet_files.router_json5(_robots(directory), port)))
+    return [*files, router]
 
 
 def renew(directory: Path, name: str, *, days: int = LEAF_DAYS, now: dt.datetime | None = None) -> Path:
@@ -209,6 +250,19 @@ def _port(config: Path) -> int:
     return int(found[1])
 
 
+def _robots(directory: Path) -> list[str]:
+    roles = [item.role for item in expiries(directory)]
+    return sorted(role.removeprefix(_ROBOT) for role in roles if role.startswith(_ROBOT))
+
+
+def _check_free(directory: Path, name: str) -> None:
+    mine = () if name != "router" else (directory / ROUTER_FILE,)  # made anew for each robot that is added
+    files = (path for path in _laptop_files(directory, name) if path not in mine)
+    taken = next((path for path in files if os.path.lexists(path)), None)
+    if taken is not None:
+        raise ConfigError(f"the name {name} is taken ({taken} exists, and is never overwritten): choose another")
+
+
 def _laptop_files(directory: Path, name: str) -> tuple[Path, Path, Path]:
     return directory / f"{name}.pem", directory / f"{name}.key", directory / f"{name}.json5"
 
@@ -228,7 +282,7 @@ def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name) or name.lower() in _RESERVED:
         raise ConfigError(
             f"{name!r} cannot name a laptop: use letters, digits, - and _ (up to 63, a letter or digit first), "
-            f"and neither {' nor '.join(_RESERVED)}"
+            f"and not {', '.join(_RESERVED)}"
         )
 
 

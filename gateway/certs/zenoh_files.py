@@ -95,7 +95,7 @@ _LAPTOP = """\
 //   hexapod-gateway watch --zenoh-config @NAME@.json5
 // Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key beside it.
 {
-  mode: "client",
+  mode: "client",@NAMESPACE@
   connect: {
     // Tried in turn until one answers; when the link breaks, again every 0.1 to 0.5 s.
     endpoints: @ENDPOINTS@,
@@ -144,9 +144,11 @@ def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
     return _fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=str(port), SIZE_LIMIT=str(SIZE_LIMIT))
 
 
-def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int) -> bytes:
-    """A laptop's Zenoh configuration: one endpoint for each host of the gateway."""
-    return _fill(_LAPTOP, NAME=name, ROLE=role, ENDPOINTS=json.dumps([endpoint(host, port) for host in hosts]))
+def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, robot: str = "") -> bytes:
+    """A laptop's Zenoh configuration: one endpoint for each host; `robot` is its robot in a fleet."""
+    endpoints = json.dumps([endpoint(host, port) for host in hosts])
+    namespace = f'\n  // Its keys on the router are {robot}/hexapod/…\n  namespace: "{robot}",' if robot else ""
+    return _fill(_LAPTOP, NAME=name, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=namespace)
 
 
 def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str) -> bytes:

@@ -85,6 +85,14 @@ def issue(
         ),
     ],
     directory: Directory,
+    robot: Annotated[
+        str,
+        typer.Option(
+            metavar="ROBOT",
+            help="In a fleet: the one robot that it is for, as `certs robot` named it. Example: --robot robot-7",
+            show_default=False,
+        ),
+    ] = "",
     bundle: Annotated[
         Path | None,
         typer.Option(
@@ -100,13 +108,39 @@ def issue(
 
     A certificate cannot be taken back: give short lives (--days) to laptops that travel.
     """
-    certs.issue(directory, name, role, bundle=bundle, days=days)
-    typer.echo(f"Made {name}, {role}, in {directory}: {name}.json5 {name}.pem {name}.key")
+    certs.issue(directory, name, role, robot=robot, bundle=bundle, days=days)
+    typer.echo(
+        f"Made {name}, {role}{f' of {robot}' if robot else ''}, in {directory}: {name}.json5 {name}.pem {name}.key"
+    )
     if bundle is not None:
         typer.echo(
             f"All that the laptop needs is in {bundle}; its key too, so hand it over in private and delete it then."
         )
     typer.echo(f"Try it: hexapod-gateway watch --zenoh-config {directory / name}.json5")
+
+
+@app.command(epilog="Example: hexapod-gateway certs robot robot-1 robot-2 --dir ~/fleet")
+def robot(
+    names: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="NAME...",
+            help="Each robot's name, which is its namespace on the router: letters, digits, - and _. "
+            "Example: robot-1 robot-2",
+            show_default=False,
+        ),
+    ],
+    directory: Directory,
+    days: Days = certs.LEAF_DAYS,
+) -> None:
+    """Add robots to a fleet behind one Zenoh router, whose hosts were given to `init`; makes router.json5 anew."""
+    certs.add_robots(directory, names, days=days)
+    first = names[0]
+    typer.echo(f"Made {', '.join(names)} in {directory}, and router.json5 for all robots there.")
+    typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")
+    typer.echo(f"Copy to each robot, as to {first}: {first}.json5 {first}.pem {first}.key ca.pem. In its gateway.toml:")
+    typer.echo(f'  [zenoh]\n  listen = []\n  config = "/etc/hexapod-gateway/zenoh/{first}.json5"')
+    typer.echo(f"For its people: hexapod-gateway certs issue NAME --role operator --robot {first} --dir {directory}")
 
 
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")
