@@ -19,10 +19,18 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.fixture(scope="module")
-def network() -> Iterator[Network]:
-    """A robot and two laptops; one for all tests of a file, so its links are mended where a test may fail."""
+def hosts_network() -> Iterator[Network]:
+    """A robot and two laptops; one for all tests of a file."""
     with Network(laptops=2) as network:
         yield network
+
+
+@pytest.fixture
+def network(hosts_network: Network) -> Network:
+    """The same, with all links up."""
+    for number in hosts_network.laptops:
+        hosts_network.mend(number)
+    return hosts_network
 
 
 @dataclass
@@ -34,22 +42,23 @@ class Hosts:
 
 
 @pytest.fixture(scope="module")
-def running(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
+def running(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
     """The robot and both laptops. They take seconds to start on a busy machine, so all at once, and once for all."""
     with (
-        Laptop(network, 0) as first,
-        Laptop(network, 1) as second,
-        Robot(network, tmp_path_factory.mktemp("robot")) as robot,
+        Laptop(hosts_network, 0) as first,
+        Laptop(hosts_network, 1) as second,
+        Robot(hosts_network, tmp_path_factory.mktemp("robot")) as robot,
     ):
         yield Hosts(robot, (first.ready(), second.ready()))
 
 
 @pytest.fixture
 def hosts(network: Network, running: Hosts) -> Hosts:
-    """The same, with all links up, no stream and nothing running."""
-    for number, laptop in enumerate(running.laptops):
-        network.mend(number)
+    """The same, on links that are up, with no stream and nothing running."""
+    del network
+    for laptop in running.laptops:
         laptop.ask("pause")
+        laptop.ask("in-reach")
         laptop.ask("state")  # comes behind whatever was on the way
     running.robot.at_rest()
     return running
