@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WHEELS ?= dist/wheels
-# What the hardware tests need of Debian: an emulated kernel device, for the system's own Python.
-DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux
+# What the tests need of Debian: an emulated kernel device (for the system's own Python), network namespaces, a
+# terminal, and a systemd to start in a box of its own.
+DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus
 
 .PHONY: help run test check bench soak schemas format clean wheels debian-packages
 
