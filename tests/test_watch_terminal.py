@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -81,7 +82,7 @@ def test_the_watchdog_is_seen_to_count_and_to_expire(tmp_path: Path) -> None:
         terminal.wait(" 1 ○")
         assert client.start_leg(3, 90, 45, 120).accepted
         terminal.wait_until(lambda words: re.search(r"━+[╸─]* +\d+ ms 4 ○", words) is not None, "leg 3's bar")
-        terminal.wait("EXPIRED", "watchdog_expired", "watchdog expired 1 times", "Stop p50")
+        terminal.wait("EXPIRED", "watchdog_expired", "watchdog expired 1 time ", "Stop p50")
 
 
 def test_a_small_terminal_keeps_the_legs_and_the_stop_key(terminal: Terminal) -> None:
@@ -204,6 +205,22 @@ def test_a_gateway_that_dies_is_called_silent_and_comes_back_by_itself(tmp_path:
             terminal.wait("5 ● 10.00°")
             terminal.press("Space")
             terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+
+
+def test_a_stop_that_nobody_heard_is_sent_again_when_the_gateway_is_back(tmp_path: Path) -> None:
+    sections: dict[str, dict[str, Any]] = {**PATIENT, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with (
+        Gateway(tmp_path, sections) as gateway,
+        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
+    ):
+        terminal.wait("IDLE")
+        gateway.child.kill()
+        terminal.wait("SILENT for")
+        terminal.press("Space")
+        terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying on")
+        with Gateway(tmp_path, sections):
+            shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+            assert "NOT STOPPED" not in shown
 
 
 def test_a_gateway_that_hangs_is_called_silent(gateway: Gateway, terminal: Terminal) -> None:

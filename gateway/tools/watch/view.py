@@ -120,7 +120,7 @@ def _servo_columns(width: int) -> int:
 
 def _head(state: GatewayState, width: int) -> Text:
     column = _servo_columns(width)
-    line = Text("leg", "dim").append(" ")
+    line = Text("leg ", "dim")
     for joint in (1, 2, 3):
         line.append(f"joint {joint}".ljust(column))
     return line.append(f"last heard / {state.watchdog.timeout_ms:g} ms")
@@ -130,7 +130,7 @@ def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool
     column = _servo_columns(width)
     lines = []
     for leg in state.legs:
-        line = Text(f" {leg.leg}  ", "bold")
+        line = Text().append(f" {leg.leg}  ", "bold")
         for servo in leg.servos:
             line.append_text(_servo(servo, column))
         line.append_text(_age(leg, model.command_age_ms(leg, now_ns), state.watchdog.timeout_ms, live))
@@ -178,7 +178,7 @@ def bar(share: float, columns: int, style: str) -> Text:
     """A bar of so many columns, filled by `share`, 0 to 1, to half a column."""
     halves = round(max(0.0, min(share, 1.0)) * columns * 2)
     full, half = divmod(halves, 2)
-    return Text("━" * full + "╸" * half, style).append("─" * (columns - full - half), "dim")
+    return Text().append("━" * full + "╸" * half, style).append("─" * (columns - full - half), "dim")
 
 
 # ---- numbers, refusals, events
@@ -196,12 +196,15 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
     )
     head = Text("           accepted  refused replaced   frames ", "dim")
     head.append(f"  {spi.errors} SPI error{'' if spi.errors == 1 else 's'}", "bold red" if spi.errors else "dim")
-    head.append(f" ({spi.framing}, {spi.device})", "dim")
-    rate = Text("per second", "dim").append(" ")
+    head.append(f" ({spi.framing}, {'simulated' if state.simulated else spi.device})", "dim")
+    rate = Text().append("per second ", "dim")
     for value in per_second:
         rate.append(f"{'—' if value is None or not live else f'{value:.1f}':>8} ")
-    rate.append(f"  watchdog expired {watchdog.expirations} times", "yellow" if watchdog.expirations else "dim")
-    total = Text("in all", "dim").append("     ")
+    rate.append(
+        f"  watchdog expired {watchdog.expirations} time{'' if watchdog.expirations == 1 else 's'}",
+        "yellow" if watchdog.expirations else "dim",
+    )
+    total = Text().append("in all     ", "dim")
     for count in in_all:
         total.append(f"{count:>8} ")
     total.append(f"  Stop {latency}", "dim")
@@ -209,7 +212,7 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
 
 
 def _refusals(model: Model) -> list[Text]:
-    line = Text("refused    ", "dim")
+    line = Text().append("refused    ", "dim")
     if not model.refused:
         return [line.append("nobody, since this view began", "dim")]
     for source, count in top_refused(model.refused, _MAX_SOURCES):
@@ -225,7 +228,7 @@ def _events(model: Model, width: int, room: int) -> list[Text]:
     for event in list(model.lines)[:room]:
         style = "bold red" if event.bad else "yellow" if event.kind == "command_rejected" else "cyan"
         first, *more = _wrapped(event.text, max(20, width - _EVENT_COLUMNS), 2)
-        head = Text(f"{event.time.astimezone():%H:%M:%S} ", "dim").append(f"{event.kind:16} ", style)
+        head = Text().append(f"{event.time.astimezone():%H:%M:%S} ", "dim").append(f"{event.kind:16} ", style)
         lines.append(head.append(first))
         lines += [Text(" " * _EVENT_COLUMNS + row) for row in more]
     return lines
