@@ -11,6 +11,8 @@ machine; but not when it floods. Each line is answered by one line of JSON:
     ask LEGS…           from now on, 50 times a second, an acknowledged set for one of these legs after the other
     flood LEGS…         from now on, sets for these legs as fast as it can
     sent [COUNT]        once that many of the stream have been sent: see `Sent`
+    deaf LEGS…          from now on, 50 times a second, sets for all of these legs, asking for acknowledgements, while a
+                        subscription that nobody reads keeps Zenoh from reading anything that the gateway sends
     pause [COUNT]       the same, and no more of the stream
     out-of-reach        {} once Zenoh has given the gateway up
     in-reach            {} once it has found the gateway again
@@ -32,7 +34,7 @@ from itertools import cycle
 from typing import Any
 
 import zenoh
-from zenoh.handlers import RingChannel
+from zenoh.handlers import FifoChannel, RingChannel
 
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
@@ -76,7 +78,7 @@ class Laptop:
         self._reach = threading.Condition()
         self._in_reach = False
         session = client.session
-        self._declared = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
+        self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
         self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
 
     def do(self, line: str) -> Any:
@@ -85,7 +87,7 @@ class Laptop:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "stream" | "ask" | "flood":
+            case "stream" | "ask" | "flood" | "deaf":
                 return self._begin(word, rest)
             case "sent" | "pause":
                 return self._report(int(rest[0]) if rest else 0, end=word == "pause")
@@ -109,8 +111,11 @@ class Laptop:
         sends: dict[str, Callable[[], None]] = {
             "stream": lambda: self._publish(rest[0], rest[1:]),
             "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
+            "deaf": lambda: self._ask_unheard(rest),
             "ask": lambda: self._ask(next(turns)),
         }
+        if word == "deaf":
+            self._declared.append(self._client.session.declare_subscriber(STATE, FifoChannel(1)))
         set_nice(FLOOD_NICE if word == "flood" else NICE)
         self._sent = Sent()
         self._paused.clear()
@@ -176,6 +181,12 @@ class Laptop:
             self._sent.accepted += accepted
             self._sent.refused += not accepted
             self._sent.slowest_ms = max(self._sent.slowest_ms, (time.monotonic_ns() - asked_ns) / 1e6)
+
+    def _ask_unheard(self, legs: Sequence[str]) -> None:
+        for leg in legs:
+            payload = json.dumps(leg_payload("set", self._angles()))
+            self._client.session.get(leg_command(int(leg)), payload=payload, handler=RingChannel(1))
+            self._sent.sent += 1
 
     def _angles(self) -> tuple[float, float, float]:
         """Never the same twice in a row."""

@@ -193,6 +193,24 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
     assert not robot.seen(is_command(*LEGS))
 
 
+@pytest.mark.xfail(strict=True, reason="a reply to a laptop that does not read holds the loop for up to 5 s")
+def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(
+    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+) -> None:
+    """Its link is full, since nothing that the gateway sends is read; and it goes on asking for acknowledgements."""
+    with Laptop(network, 0) as deaf:
+        late_ms: list[float] = []
+        deaf.ask("deaf 1 2 3")
+        for _ in range(4):
+            robot.forget()
+            laptops[1].start(*LAST)
+            laptops[1].stream(*LAST)
+            robot.wait_for_commands(*LAST)
+            laptops[1].ask("pause")
+            late_ms += robot.wait_for_stops(*LAST)
+    check_lateness("beside a deaf one", late_ms)
+
+
 def check_lateness(what: str, late_ms: list[float]) -> None:
     median = statistics.median(late_ms)
     print(f"{what}: {len(late_ms)} Stops, late by p50 {median:.2f}, max {max(late_ms):.2f}, min {min(late_ms):.2f} ms")
