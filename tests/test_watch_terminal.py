@@ -57,6 +57,16 @@ def wait_for_state(client: Client, holds: Callable[[GatewayState], bool]) -> Gat
     return state
 
 
+def test_without_tmux_one_line_names_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CI", raising=False)
+    with pytest.raises(pytest.skip.Exception, match=r"^Debian package missing: tmux$"):
+        need_tmux()
+    monkeypatch.setenv("CI", "true")
+    with pytest.raises(pytest.fail.Exception, match=r"^Debian package missing: tmux$"):
+        need_tmux()
+
+
 # ---- what is shown
 
 
@@ -296,6 +306,13 @@ def test_over_tls_an_operator_stops_and_an_observer_hears_that_he_may_not(tmp_pa
 
 
 # ---- the end
+
+
+def test_a_picture_that_cannot_be_drawn_does_not_stand_still(gateway: Gateway, tmp_path: Path) -> None:
+    watch = ["env", "PYTHONIOENCODING=ascii", *COMMAND, "watch", "--connect", gateway.endpoint]
+    with Terminal(tmp_path, watch) as terminal:
+        assert terminal.wait_for_end() == 1
+        assert "hexapod-gateway: this terminal cannot be drawn on ('ascii' codec can't encode" in terminal.words
 
 
 @pytest.mark.parametrize("key", ["q", "C-c"])

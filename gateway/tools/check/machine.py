@@ -12,12 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from gateway.realtime import LOOP_PRIORITY
 from gateway.tools.check.result import Result, failure, ok, warning
 
 UNIT: Final = "hexapod-gateway"
-PRIORITY: Final = 20
-"""What the service unit asks for."""
-
 _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
 _TIMEX_BYTES: Final = 512  # more than struct timex has anywhere; zeros ask and set nothing
 
@@ -89,7 +87,7 @@ def unit_result(properties: Mapping[str, str]) -> Result:
     return ok(name, "is enabled and active")
 
 
-def realtime(priority: int = PRIORITY) -> Result:
+def realtime(priority: int = LOOP_PRIORITY) -> Result:
     """Whether this process may be scheduled before others: on a busy machine that keeps a Stop from being late."""
     name = "real-time"
     if not hasattr(os, "sched_setscheduler"):

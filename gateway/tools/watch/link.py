@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.client import Client
 from gateway.errors import GatewayError
-from gateway.tools.watch.model import Model
+from gateway.tools.watch.model import Model, visible
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState
 
@@ -127,24 +127,28 @@ class Link:
     def _open(self) -> None:
         try:
             client = self._connect()
-        except GatewayError as error:
+            # Before it subscribes: from here on a stop can be sent.
+            self._client = client
+            self._subscribe(client.session)
+        except _ERRORS as error:
+            self._client = None
             with self._lock:
-                self._model.trouble = str(error)
+                self._model.trouble = visible(str(error))
                 if self._model.stop_wanted_ns is not None:
                     self._model.stop_unanswered()
             self._changed()
             return
-        session = client.session
-        for key, kind in ((keys.STATE, GatewayState), (keys.EVENT, Event)):
-            self._listen(session.declare_subscriber(key, zenoh.handlers.RingChannel(_MANY)), self._report_of(kind))
-        alive = session.liveliness().declare_subscriber(keys.ALIVE, zenoh.handlers.RingChannel(_MANY), history=True)
-        self._listen(alive, self._token)
-        self._client = client
         with self._lock:
             stop_wanted = self._model.stop_wanted_ns is not None
         if stop_wanted:
             self._try_stop()
         self._ask_for_state()
+
+    def _subscribe(self, session: zenoh.Session) -> None:
+        for key, kind in ((keys.STATE, GatewayState), (keys.EVENT, Event)):
+            self._listen(session.declare_subscriber(key, zenoh.handlers.RingChannel(_MANY)), self._report_of(kind))
+        alive = session.liveliness().declare_subscriber(keys.ALIVE, zenoh.handlers.RingChannel(_MANY), history=True)
+        self._listen(alive, self._token)
 
     def _listen(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
         """Read a subscriber on a thread of its own, until it is undeclared."""

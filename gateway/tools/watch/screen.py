@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live
 
 from gateway.client import Client
+from gateway.errors import GatewayError
 from gateway.tools.watch.link import Link
 from gateway.tools.watch.model import Model
 from gateway.tools.watch.view import picture
@@ -40,6 +41,7 @@ class Watch:
         self._where = where
         self._news = threading.Event()
         self._ended = threading.Event()
+        self._fault: Exception | None = None
         self._link = Link(connect, self._model, self._lock, self._news.set)
         self._console = Console()
         self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
@@ -51,8 +53,12 @@ class Watch:
         return self._model.stop_wanted_ns is not None
 
     def run(self) -> bool:
-        """Show it until q or a signal; whether everything was let go of in time."""
-        with _keys_at_once(sys.stdin.fileno()), _wake_on_signals() as woken:
+        """Show it until q or a signal; whether everything was let go of in time. Raises GatewayError.
+
+        A picture that stands still must not pass for a robot that does: when drawing fails, the view ends.
+        """
+        with _keys_at_once(sys.stdin.fileno()), _wake_on_signals() as (woken, wake):
+            self._wake = wake
             self._link.start()
             self._drawer.start()
             self._read_keys(sys.stdin.fileno(), woken)
@@ -60,6 +66,10 @@ class Watch:
             self._news.set()
             closed = self._link.close()
             self._drawer.join(DRAWER_END_S)
+        if self._fault is not None:
+            raise GatewayError(
+                f"this terminal cannot be drawn on ({self._fault}); it needs UTF-8, such as LC_ALL=C.UTF-8"
+            ) from self._fault
         return closed and not self._drawer.is_alive()
 
     # ---- keys
@@ -102,6 +112,13 @@ class Watch:
     # ---- drawing
 
     def _draw(self) -> None:
+        try:
+            self._draw_until_the_end()
+        except Exception as error:
+            self._fault = error
+            os.write(self._wake, b".")
+
+    def _draw_until_the_end(self) -> None:
         with self._live:
             while not self._ended.is_set():
                 self._news.clear()
@@ -131,8 +148,8 @@ def _keys_at_once(terminal: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _wake_on_signals() -> Iterator[int]:
-    """A descriptor that becomes readable when a signal asks for the end."""
+def _wake_on_signals() -> Iterator[tuple[int, int]]:
+    """A descriptor that becomes readable when a signal asks for the end, and the one to write to for the same."""
     readable, writable = os.pipe()
 
     def wake(_number: int, _frame: FrameType | None) -> None:
@@ -140,7 +157,7 @@ def _wake_on_signals() -> Iterator[int]:
 
     before = {number: signal.signal(number, wake) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
     try:
-        yield readable
+        yield readable, writable
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
