@@ -256,8 +256,8 @@ class Inbox:
                 self._others.append(_received(item, key, received_ns))
 
     def _keys_to_read(self) -> Collection[str]:
-        """Those whose bell rang. All, where bells may have been lost, and where it was a timer that woke the loop: a Stop
-        whose bell has not been heard yet goes before a frame whose turn has come. To look into all takes 30 µs.
+        """Those whose bell rang. All, where bells may have been lost, and where a timer woke the loop: a Stop whose
+        bell has not been heard yet goes before a frame whose turn has come. To look into all takes 30 µs.
         """
         if self._read_all or not (self._rung or self._look_at):
             return self._rings
