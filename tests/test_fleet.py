@@ -79,9 +79,7 @@ class Fleet:
     def present(self, name: str) -> Client:
         """A client whose robot has come to the router; liveliness says so as it happens, or did."""
         client = self.client(name)
-        here = threading.Event()
-        client.session.liveliness().declare_subscriber(keys.ALIVE, lambda _sample: here.set(), history=True)
-        assert here.wait(20), f"the robot of {name} did not come to the router"
+        arrived(client)
         return client
 
     def raw(self, name: str, **overrides: Any) -> zenoh.Config:
@@ -92,9 +90,12 @@ class Fleet:
         made.insert_json5("connect/timeout_ms", "5000")
         return made
 
-    def gateway_raw(self, robot: str) -> zenoh.Session:
-        """What somebody can do who took over a robot: its certificate, and any key."""
-        return zenoh.open(self.raw(robot))
+
+def arrived(client: Client) -> None:
+    here = threading.Event()
+    subscriber = client.session.liveliness().declare_subscriber(keys.ALIVE, lambda _: here.set(), history=True)
+    assert here.wait(20), "the robot did not come to the router"
+    subscriber.undeclare()
 
 
 @pytest.fixture(scope="module")
@@ -232,6 +233,28 @@ def test_an_operator_of_no_robot_gets_nothing(fleet: Fleet, bert: Client) -> Non
         session.put(f"robot-2/{keys.ESTOP}", b"")
         assert list(session.get(f"robot-2/{keys.STATE}", timeout=5)) == []
     untouched(bert, before)
+
+
+def test_routers_federate(fleet: Fleet, anna: Client, bert: Client) -> None:
+    """Through a second router that dials the first: the own robot, once each, and no other."""
+    port = free_port()
+    with Remote() as second:
+        addresses = {"listen/endpoints": [f"tls/{HOST}:{port}"], "connect/endpoints": [f"tls/{HOST}:{fleet.port}"]}
+        second.open(str(fleet.folder / "router.json5"), addresses)
+        far = Client(f"tls/{HOST}:{port}", zenoh_config=fleet.folder / "anna.json5", source="far", timeout_s=5)
+        with far, zenoh.open(fleet.raw("anna", **{"connect/endpoints": [f"tls/{HOST}:{port}"]})) as stray:
+            arrived(far)
+            heard, before = states(far), far.state().commands.accepted
+            others = bert.state()
+            assert far.start_leg(4, 90, 90, 90).accepted
+            far.publish(keys.leg_command(4), leg_payload("set", (91, 90, 90)))
+            heard.wait(lambda state: state.legs[3].servos[0].angle_deg == 91)
+            assert far.stop().accepted
+            assert far.state().commands.accepted == before + 3
+            stray.put(f"robot-2/{keys.ESTOP}", b"")
+            assert list(stray.get(f"robot-2/{keys.STATE}", timeout=5)) == []
+            untouched(bert, others)
+    assert anna.state().mode is Mode.IDLE
 
 
 def test_robots_and_people_come_back_after_the_router(fleet: Fleet, anna: Client) -> None:

@@ -113,7 +113,9 @@ _ROBOT = """\
   mode: "peer",
   // On the router its keys are @NAME@/hexapod/…; here and to its people they stay hexapod/…
   namespace: "@NAME@",
-  // Nobody dials the robot; it dials the router, and again every 0.1 to 1 s when that is away.
+  // Nobody dials the robot; it dials the router, and again every 0.1 to 1 s when that is away. One endpoint only: a
+  // peer dials all of them, and with two routers at once every command came twice. (A client would dial one after the
+  // other, but does not start while none answers.)
   listen: { endpoints: [] },
   connect: {
     endpoints: @ENDPOINTS@,
@@ -156,8 +158,8 @@ def router_json5(robots: Sequence[str], port: int) -> bytes:
     return text.replace("@POLICIES@", each(_POLICIES)).encode()
 
 
-def robot_json5(name: str, hosts: Sequence[str], port: int) -> bytes:
-    """A gateway's configuration: it dials the router, on each of its hosts, and listens on nothing."""
-    endpoints = json.dumps([endpoint(host, port) for host in hosts])
+def robot_json5(name: str, host: str, port: int) -> bytes:
+    """A gateway's configuration: it dials the router and listens on nothing."""
+    endpoints = json.dumps([endpoint(host, port)])
     text = _ROBOT.replace("@NAME@", name).replace("@ENDPOINTS@", endpoints)
     return text.replace("@SIZE_LIMIT@", str(SIZE_LIMIT)).encode()

@@ -141,13 +141,14 @@ def add_robots(
 ) -> list[Path]:
     """Makes NAME.pem, NAME.key and NAME.json5 for each robot of a fleet, and router.json5 anew; returns the paths.
 
-    The router's certificate is the one that `init` made: its hosts are the router's.
+    The router's certificate is the one that `init` made: its hosts are the router's,
+    and robots dial the first of them.
     """
     now = now or _now()
     _check_days(days)
     ca = _load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
-    hosts, port = authority.hosts_of(gateway), _port(directory / "gateway.json5")
+    host, port = authority.hosts_of(gateway)[0], _port(directory / "gateway.json5")
     _check_free(directory, "router")
     files: dict[Path, Content] = {}
     for name in names:
@@ -159,7 +160,7 @@ def add_robots(
         certificate, key, config = _laptop_files(directory, name)
         files[key] = Content(robot.key_pem(), SECRET)
         files[certificate] = Content(robot.certificate_pem())
-        files[config] = Content(fleet_files.robot_json5(name, hosts, port))
+        files[config] = Content(fleet_files.robot_json5(name, host, port))
     publish(files)
     router = directory / ROUTER_FILE
     replace(router, Content(fleet_files.router_json5(_robots(directory), port)))
