@@ -5,6 +5,7 @@ import pty
 import re
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -344,6 +345,15 @@ def test_without_a_terminal_it_says_so(gateway: Gateway) -> None:
     assert (
         end.stderr
         == "hexapod-gateway: watch needs a terminal; a program reads hexapod/state and hexapod/event instead\n"
+    )
+
+
+def test_where_there_are_no_unix_terminals_it_says_so() -> None:
+    code = "import sys; sys.modules['termios'] = None; sys.argv[1:] = ['watch']; import gateway.cli; gateway.cli.main()"
+    end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=LATE_S)
+    assert (end.returncode, end.stderr) == (
+        2,
+        "hexapod-gateway: watch needs a Unix terminal; on Windows, run it in WSL\n",
     )
 
 

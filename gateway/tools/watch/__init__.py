@@ -4,6 +4,7 @@ Three kinds of threads, so that none holds up another: this one reads keys and n
 (a terminal that is stuck, or a slow line, holds up the drawing alone); the link's speak Zenoh.
 """
 
+import importlib.util
 import json
 import os
 import sys
@@ -13,12 +14,15 @@ from pathlib import Path
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.errors import ConfigError
 from gateway.tools.terminal import hint
-from gateway.tools.watch.screen import Watch
 from gateway.zenoh_setup import client_config
 
 
 def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> None:
     """Show the gateway until somebody presses q. Raises ConfigError; a gateway that is not there is waited for."""
+    if importlib.util.find_spec("termios") is None:
+        raise ConfigError("watch needs a Unix terminal; on Windows, run it in WSL")
+    from gateway.tools.watch.screen import Watch  # noqa: PLC0415 (does not load without termios)
+
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ConfigError("watch needs a terminal; a program reads hexapod/state and hexapod/event instead")
     if connect is None and zenoh_config is None:

@@ -42,6 +42,7 @@ class Watch:
         self._news = threading.Event()
         self._ended = threading.Event()
         self._fault: Exception | None = None
+        self._wake = -1
         self._link = Link(connect, self._model, self._lock, self._news.set)
         self._console = Console()
         self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
