@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway import __version__
+from gateway.answers import Reply
 from gateway.errors import SpiError
 from gateway.events import (
     Announce,
@@ -27,7 +28,7 @@ from gateway.events import (
     TimePassed,
     Transmit,
 )
-from gateway.inbox import Received, Reply, Verb
+from gateway.inbox import Received, Verb
 from gateway.intake import Intent, Rejection, decode, stop_all_of, too_large
 from gateway.metrics import Metrics
 from gateway.outbox import Outbox, wall_clock

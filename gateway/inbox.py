@@ -23,6 +23,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import Handler, RingChannel
 
+from gateway.answers import Answers, Reply
 from gateway.realtime import WAITER_PRIORITY, prefer_thread
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE, CommandKey
@@ -53,7 +54,6 @@ class Verb(StrEnum):
     GET = "get"
 
 
-Reply = Callable[[bytes], None]
 Deal = Callable[[], float | None]
 """What is to be done on the loop with an item. Returns for how long nobody is to wait for the next one, if at all."""
 
@@ -146,6 +146,8 @@ class Inbox:
         self._read_all = False
         self._look_again: asyncio.TimerHandle | None = None
         self._declared: list[Any] = []
+        self._answers = Answers("answers")
+        self._estop_answers = Answers("estop-answers")  # nobody else's answers are waited for
 
         self._rings = {
             key: (self._subscriber(session, key, RING_DEPTH), self._queryable(session, key, RING_DEPTH))
@@ -164,10 +166,12 @@ class Inbox:
             (
                 "state-get",
                 self._queryable(session, STATE, RING_DEPTH),
-                lambda query, _: partial(on_state_query, _replier(query, STATE)),
+                lambda query, _: partial(on_state_query, self._answers.to(query, STATE)),
             ),
         ]
         self._waiters = [Waiter(name, ring, loop, note) for name, ring, note in waits]
+        self._threads = [waiter.thread for waiter in self._waiters]
+        self._threads += [self._answers.thread, self._estop_answers.thread]
 
     def take(self) -> Iterator[Received]:
         """What the rings hold, at most a ring's depth per key: `legs`, then `leg`, then `servo`, then resets.
@@ -194,7 +198,7 @@ class Inbox:
     @property
     def hears(self) -> bool:
         """Whether all waiting threads live; without them no command, and no emergency stop, would be noticed."""
-        return all(waiter.thread.is_alive() for waiter in self._waiters)
+        return all(thread.is_alive() for thread in self._threads)
 
     def close(self) -> None:
         """Undeclare everything, which ends the waiting threads, and join them. Blocks; not for the loop's thread."""
@@ -203,6 +207,8 @@ class Inbox:
                 declared.undeclare()
         for waiter in self._waiters:
             waiter.thread.join()
+        for answers in (self._answers, self._estop_answers):
+            answers.close()
 
     def _subscriber(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Sample]:
         subscriber = session.declare_subscriber(key, RingChannel(depth))
@@ -217,7 +223,7 @@ class Inbox:
     # ---- on the waiting threads
 
     def _estop(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> Deal:
-        self._estops.append(_received(item, ESTOP, received_ns))
+        self._estops.append(_received(item, ESTOP, received_ns, self._estop_answers))
         return self._on_ring
 
     # ---- on the loop
@@ -253,7 +259,10 @@ class Inbox:
             )
             self._rung |= named & self._rings.keys()
             if not named:
-                self._others.append(_received(item, key, received_ns))
+                self._others.append(_received(item, key, received_ns, self._answers))
+                return
+        if isinstance(item, zenoh.Query):
+            self._answers.let_go(item)
 
     def _keys_to_read(self) -> Collection[str]:
         """Those whose bell rang. All, where bells may have been lost, and where a timer woke the loop: a Stop whose
@@ -271,7 +280,7 @@ class Inbox:
                     item = _next_of(ring)
                     if item is None:
                         break
-                    yield _received(item, key, now_ns)
+                    yield _received(item, key, now_ns, self._answers)
         while self._others:
             yield self._others.popleft()
 
@@ -299,11 +308,11 @@ def _next_of(ring: Handler[Any]) -> Any:
         return None
 
 
-def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int) -> Received:
+def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int, answers: Answers) -> Received:
     payload = item.payload
     size = len(payload) if payload is not None else 0
     if isinstance(item, zenoh.Query):
-        verb, reply = Verb.GET, _replier(item, key)
+        verb, reply = Verb.GET, answers.to(item, key)
     else:
         verb, reply = (Verb.DELETE if item.kind == zenoh.SampleKind.DELETE else Verb.PUT), None
     return Received(
@@ -318,16 +327,3 @@ def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int) ->
         received_ns=received_ns,
         reply=reply,
     )
-
-
-def _replier(query: zenoh.Query, key: str) -> Reply:
-    """Answers once, and lets go of the query, for an asker waits as long as anyone holds it."""
-
-    def reply(payload: bytes) -> None:
-        try:
-            with query:
-                query.reply(key, payload, encoding="application/json")
-        except zenoh.ZError as error:
-            logger.warning("a reply on %s could not be sent: %s", key, error)
-
-    return reply

@@ -29,6 +29,8 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     config.insert_json5("listen/exit_on_failure", "true")
     # Shared memory goes around every size limit, and local clients gain nothing by it at this size.
     config.insert_json5("transport/shared_memory/enabled", "false")
+    # Who does not read what it asked for loses its link, and soon: others' answers wait behind its own.
+    config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", "500000")
     exposure.check(config, allow_insecure=settings.allow_insecure)
     return config
 

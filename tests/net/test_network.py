@@ -193,7 +193,6 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
     assert not robot.seen(is_command(*LEGS))
 
 
-@pytest.mark.xfail(strict=True, reason="a reply to a laptop that does not read holds the loop for up to 5 s")
 def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(
     network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
 ) -> None:
