@@ -127,7 +127,8 @@ def check(config: ConfigOption = None) -> None:
 def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Show the robot live in the terminal: legs, servos, rates, refusals, events; SPACE is the emergency stop.
 
-    A gateway that is not there is waited for; q ends it. Exit codes: 0; 1 or 2 without a terminal that can show it, 2 a faulty --zenoh-config.
+    A gateway that is not there is waited for; q ends it. Exit codes: 0; 1 the terminal cannot show it; 2 there is no
+    terminal, or the --zenoh-config is faulty.
     """
     from gateway.tools.watch import watch
 

@@ -53,12 +53,16 @@ def state(
     age_ms: float | None = None,
     watchdog: WatchdogState = WatchdogState.IDLE,
     running: bool = False,
+    started_s: float = 0.0,
 ) -> GatewayState:
-    """A state; what is said of a leg is said of leg 3, and the others never heard anything."""
+    """A state of the gateway that was started at `started_s`, as far as `WALL` goes.
+
+    What is said of a leg is said of leg 3; the others never heard anything.
+    """
     accepted, rejected, coalesced = counts
     return GatewayState(
         mode=mode,
-        time=WALL,
+        time=WALL + timedelta(seconds=started_s + uptime_s),
         uptime_s=uptime_s,
         version="0.1.0",
         protocol="1.0.0",
@@ -149,13 +153,15 @@ def test_an_event_alone_is_a_word_too() -> None:
     assert model.presence(SILENT_AFTER_NS + NS_PER_S) is Presence.LIVE
 
 
-def test_a_gateway_that_was_started_anew_is_noticed() -> None:
+@pytest.mark.parametrize("uptime_s", [100, 0.6])
+def test_a_gateway_that_was_started_anew_is_noticed(uptime_s: float) -> None:
     model = Model()
-    model.heard_state(state(100, counts=(50, 0, 0), frames=70), 0, WALL)
-    model.heard_state(state(0.5, frames=24), NS_PER_S, WALL)
+    model.heard_state(state(uptime_s, counts=(50, 0, 0), frames=6), 0, WALL)
+    model.heard_state(state(0.5, frames=6, started_s=uptime_s + 0.5), NS_PER_S, WALL)
     assert kinds(model) == ["restarted"]
     assert model.rates() == Rates()
-    model.heard_state(state(1.5, counts=(10, 0, 0), frames=34), 2 * NS_PER_S, WALL)
+    model.heard_state(state(1.5, counts=(10, 0, 0), frames=16, started_s=uptime_s + 0.5), 2 * NS_PER_S, WALL)
+    assert kinds(model) == ["restarted"]
     assert model.rates() == Rates(10, 0, 0, 10)
 
 

@@ -10,6 +10,7 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.errors import ConfigError
@@ -17,8 +18,11 @@ from gateway.tools.terminal import hint
 from gateway.zenoh_setup import client_config
 
 
-def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> None:
-    """Show the gateway until somebody presses q. Raises ConfigError; a gateway that is not there is waited for."""
+def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> NoReturn:
+    """Show the gateway until somebody presses q, and end the process; one that is not there is waited for.
+
+    Raises ConfigError before it begins.
+    """
     if importlib.util.find_spec("termios") is None:
         raise ConfigError("watch needs a Unix terminal; on Windows, run it in WSL")
     from gateway.tools.watch.screen import Watch  # noqa: PLC0415 (does not load without termios)
@@ -31,11 +35,13 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
     endpoints = json.loads(config.get_json("connect/endpoints"))
     client = partial(Client, connect, zenoh_config=zenoh_config, source="hexapod-gateway watch", timeout_s=timeout_s)
     view = Watch(client, ", ".join(map(str, endpoints)))
-    clean = view.run()
+    view.run()
     if view.unconfirmed_stop:
         hint("The emergency stop was NOT confirmed: switch the servos' power off.")
-    if not clean:
-        # A thread is still inside Zenoh (a frozen gateway holds its close for ten seconds), or in a stuck terminal.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
+    if view.fault is not None:
+        hint(
+            f"hexapod-gateway: this terminal cannot be drawn on ({view.fault}); it needs UTF-8, such as LC_ALL=C.UTF-8"
+        )
+    # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
+    # frozen gateway), or for ever in a stuck terminal. What had to be let go of has been.
+    os._exit(0 if view.fault is None else 1)

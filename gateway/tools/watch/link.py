@@ -52,13 +52,12 @@ class Link:
         """Begin to connect."""
         self._thread.start()
 
-    def close(self) -> bool:
-        """Let go; whether that came about within `CLOSE_S`."""
+    def close(self) -> None:
+        """Let go, or give up after `CLOSE_S`."""
         self._ended.set()
         closer = threading.Thread(target=self._close, name="close", daemon=True)
         closer.start()
         closer.join(CLOSE_S)
-        return not closer.is_alive()
 
     # ---- keys
 
@@ -202,4 +201,3 @@ class Link:
                 subscriber.undeclare()
             if self._client is not None:
                 self._client.close()
-        self._thread.join()

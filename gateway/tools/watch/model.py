@@ -23,8 +23,8 @@ SILENT_AFTER_NS: Final = 2_000_000_000
 process that ends takes its token with it, and is noticed at once."""
 RATE_WINDOW_S: Final = 2.0
 """Rates are means over so long: at 10 states a second, steady to the eye and still quick to follow."""
-OVERTAKEN_S: Final = 1.0
-"""A state that is older than the last one by less than this is an answer that a published state has overtaken."""
+SAME_START_S: Final = 0.1
+"""Two states of one gateway agree on when it was started, by its own clocks; nothing restarts so quickly."""
 STOP_PATIENCE_NS: Final = 500_000_000
 """A stop takes milliseconds. Whoever waits longer for its confirmation must hear so, and go to the power switch."""
 REMARK_NS: Final = 15 * NS_PER_S
@@ -126,8 +126,8 @@ class Model:
         self._hear(now_ns, wall)
         known = self.state
         if known is not None and state.uptime_s < known.uptime_s:
-            if known.uptime_s - state.uptime_s < OVERTAKEN_S and state.spi.frames >= self._samples[0].frames:
-                return
+            if abs(_started_s(state) - _started_s(known)) < SAME_START_S:
+                return  # an answer that a published state has overtaken
             self._note(wall, "restarted", "the gateway was started anew", bad=True)
             self._samples.clear()
         if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
@@ -317,6 +317,10 @@ class Model:
 
 _BAD: Final = frozenset({Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPING})
 _LEFT_OUT: Final = re.compile(r" \((\d{1,9}) more from this source were left out\)$")
+
+
+def _started_s(state: GatewayState) -> float:
+    return state.time.timestamp() - state.uptime_s
 
 
 def _left_out(detail: str) -> int:
