@@ -1,11 +1,8 @@
-"""What `watch` knows: its model, with the time as an argument, and what it draws of it."""
+"""What `watch` knows: its model, with the time as an argument, and the words for it on the screen."""
 
 from collections import Counter
-from datetime import UTC, datetime, timedelta
 
 import pytest
-from rich.cells import cell_len
-from rich.text import Text
 
 from gateway.refusals import RefusalLimit
 from gateway.tools.watch.model import (
@@ -23,89 +20,10 @@ from gateway.tools.watch.model import (
     Tone,
     top_refused,
 )
-from gateway.tools.watch.view import bar, picture
-from schemas.telemetry import (
-    Ack,
-    CommandCounts,
-    Event,
-    GatewayState,
-    Kind,
-    LegReport,
-    Mode,
-    Reason,
-    ServoReport,
-    SpiReport,
-    StopLatency,
-    WatchdogReport,
-    WatchdogState,
-)
+from schemas.telemetry import Ack, Kind, Mode, Reason, WatchdogState
+from tests.watch_reports import WALL, event, kinds, model_with_state, refused, screen, state
 
-WALL = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4)
-
-
-def state(
-    uptime_s: float = 10.0,
-    mode: Mode = Mode.IDLE,
-    *,
-    counts: tuple[int, int, int] = (0, 0, 0),
-    frames: int = 0,
-    age_ms: float | None = None,
-    watchdog: WatchdogState = WatchdogState.IDLE,
-    running: bool = False,
-    started_s: float = 0.0,
-) -> GatewayState:
-    """A state of the gateway that was started at `started_s`, as far as `WALL` goes.
-
-    What is said of a leg is said of leg 3; the others never heard anything.
-    """
-    accepted, rejected, coalesced = counts
-    return GatewayState(
-        mode=mode,
-        time=WALL + timedelta(seconds=started_s + uptime_s),
-        uptime_s=uptime_s,
-        version="0.1.0",
-        protocol="1.0.0",
-        simulated=True,
-        legs=tuple(
-            LegReport(
-                leg=leg,
-                watchdog=watchdog if leg == 3 else WatchdogState.IDLE,
-                age_ms=age_ms if leg == 3 else None,
-                servos=(
-                    servo(10 * leg + 1, running and leg == 3),
-                    servo(10 * leg + 2, running and leg == 3),
-                    servo(10 * leg + 3, running and leg == 3),
-                ),
-            )
-            for leg in range(1, 7)
-        ),
-        commands=CommandCounts(accepted=accepted, rejected=rejected, coalesced=coalesced),
-        spi=SpiReport(device="simulated controller", framing="plain", frames=frames, errors=0),
-        watchdog=WatchdogReport(
-            timeout_ms=250, expirations=0, stop_latency_us=StopLatency(p50=None, p99=None, max=None)
-        ),
-    )
-
-
-def servo(servo_id: int, running: bool) -> ServoReport:
-    return ServoReport(id=servo_id, running=running, angle_deg=90.0 if running else None)
-
-
-def event(kind: Kind, detail: str = "", source: str | None = None, reason: Reason | None = None) -> Event:
-    return Event(time=WALL, kind=kind, source=source, key=None, reason=reason, detail=detail)
-
-
-def refused(source: str | None, detail: str = "no", reason: Reason = Reason.INVALID) -> Event:
-    return event(Kind.COMMAND_REJECTED, detail, source, reason)
-
-
-def kinds(model: Model) -> list[str]:
-    return [line.kind for line in model.lines]
-
-
-def screen(model: Model, now_ns: int = 0, width: int = 80, height: int = 24) -> str:
-    return picture(model, now_ns, "tcp/robot:7447", width, height).plain
 
 
 # ---- is anybody there?
@@ -425,80 +343,3 @@ def test_what_became_of_the_reset(ack: Ack | None, tone: Tone, text: str) -> Non
     model.reset_answered(ack, 2)
     assert model.remark is not None
     assert (model.remark.tone, model.remark.text[: len(text)]) == (tone, text)
-
-
-# ---- the picture
-
-
-def model_with_state(model: Model) -> Model:
-    model.heard_state(state(), 0, WALL)
-    return model
-
-
-@pytest.mark.parametrize("width", [20, 40, 60, 79, 80, 81, 120, 300])
-@pytest.mark.parametrize("height", [1, 2, 5, 10, 12, 23, 24, 25, 60])
-def test_it_fills_every_terminal_and_no_more(width: int, height: int) -> None:
-    model = Model()
-    heard = state(123456, Mode.ESTOPPED, counts=(10**7, 10**7, 10**7), frames=10**8, running=True, age_ms=1e9)
-    model.heard_state(heard, 0, WALL)
-    for number in range(100):
-        model.heard_event(refused(f"猫 {number} " + "x" * 56, "a long reason, in many words, " * 5), 0, WALL)
-    model.stop_pressed(0)
-    model.stop_unanswered()
-    model.reset_pressed(0)
-    lines = screen(model, NS_PER_MS, width, height).split("\n")
-    assert len(lines) == height
-    assert max(map(cell_len, lines)) <= width
-    assert lines[-1].startswith(" SPACE or e: EMERGENCY STOP"[:width])
-
-
-def test_80_by_24_holds_everything_important() -> None:
-    model = Model()
-    heard = state(3723, Mode.ACTIVE, counts=(1234, 12, 3), frames=5000, running=True, age_ms=45)
-    model.heard_state(heard, 0, WALL)
-    model.heard_event(refused("anna", "servo 41 does not run"), 0, WALL)
-    for text in (
-        " ACTIVE ",
-        "1 leg running",
-        "tcp/robot:7447",
-        "up 1:02:03",
-        "last heard / 250 ms",
-        " 6  ○",
-        "1234",
-        "5000",
-        "0 SPI errors",
-        "anna 1 (invalid)",
-        "command_rejected anna: servo 41 does not run",
-        "EMERGENCY STOP",
-        "r: reset",
-        "q: quit",
-    ):
-        assert text in screen(model), screen(model)
-
-
-@pytest.mark.parametrize("mode", list(Mode))
-def test_each_mode_has_its_word_and_a_style(mode: Mode) -> None:
-    model = Model()
-    model.heard_state(state(mode=mode), 0, WALL)
-    text: Text = picture(model, 0, "here", 80, 24)
-    assert f" {mode.upper().replace('_', ' ')} " in text.plain.splitlines()[0]
-    assert any(span.start == 0 and "on" in str(span.style) for span in text.spans)
-
-
-@pytest.mark.parametrize(
-    ("share", "drawn"),
-    [(-1, "────"), (0, "────"), (0.125, "╸───"), (0.5, "━━──"), (1, "━━━━"), (9, "━━━━")],
-)
-def test_bars(share: float, drawn: str) -> None:
-    assert bar(share, 4, "green").plain == drawn
-
-
-def test_events_are_shown_newest_first_in_local_time() -> None:
-    model = model_with_state(Model())
-    model.heard_event(event(Kind.STARTED, "first"), 0, WALL)
-    model.heard_event(event(Kind.STOPPING, "second"), 0, WALL + timedelta(seconds=1))
-    shown = screen(model).splitlines()
-    local = WALL.astimezone()
-    assert shown.index(f"{local:%H:%M:%S} stopping         second") < shown.index(
-        f"{local:%H:%M:%S} started          first"
-    )
