@@ -30,14 +30,23 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]
     if open_to_anyone and not allow_insecure:
         raise ConfigError(
-            f"{', '.join(open_to_anyone)} would let anyone on the network move the robot: make certificates with "
-            "`hexapod-gateway certs init` and set zenoh.config, or set zenoh.allow_insecure = true"
+            f"{', '.join(open_to_anyone)} would let anyone on the network move the robot: {_way_on(config)}, "
+            "or set zenoh.allow_insecure = true"
         )
     if open_to_anyone:
         logger.warning("zenoh.allow_insecure: anyone who reaches %s can move the robot", ", ".join(open_to_anyone))
     for endpoint in _endpoints(config, "connect"):
-        if not is_local(endpoint) and not _is_tls(endpoint):
-            logger.warning("%s is dialled without TLS: anyone on that way, and behind it, can move the robot", endpoint)
+        if not is_local(endpoint) and not _knows_whom_it_dials(endpoint, config):
+            logger.warning(
+                "%s is dialled without TLS, or without a look at the name in its certificate: anyone on that way, and "
+                "behind it, can move the robot",
+                endpoint,
+            )
+    if _dials_whom_it_finds(config):
+        logger.warning(
+            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials whoever it finds, on whatever "
+            "it listens itself, and they can move the robot"
+        )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
 
@@ -49,7 +58,11 @@ def listen_endpoints(config: zenoh.Config) -> list[str]:
 
 def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
     """Whether somebody on another machine needs neither certificate nor password to use `endpoint`."""
-    return not is_local(endpoint) and not _demands_certificate(endpoint, config) and not _demands_password(config)
+    return not (
+        is_local(endpoint)
+        or _demands_certificate(endpoint, config)
+        or (_demands_password(config) and not _may_be_multicast(endpoint))
+    )
 
 
 def is_local(endpoint: str) -> bool:
@@ -59,16 +72,28 @@ def is_local(endpoint: str) -> bool:
         return True
     if link not in _IP_LINKS:
         return False
-    address = rest.partition("#")[0].partition("?")[0]
-    host = address.rpartition(":")[0].removeprefix("[").removesuffix("]")
-    if host == "localhost":
-        return True
+    ip = _ip(rest)
+    return _host(rest) == "localhost" or (ip is not None and ip.is_loopback)
+
+
+def _host(address: str) -> str:
+    return address.partition("#")[0].partition("?")[0].rpartition(":")[0].removeprefix("[").removesuffix("]")
+
+
+def _ip(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """None for a name: it may mean any address, and tomorrow another one."""
     try:
-        ip = ipaddress.ip_address(host)
-    except ValueError:  # a name may mean any address, and tomorrow another one
-        return False
-    mapped = ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None
-    return (mapped or ip).is_loopback
+        ip = ipaddress.ip_address(_host(address))
+    except ValueError:
+        return None
+    return (ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None) or ip
+
+
+def _may_be_multicast(endpoint: str) -> bool:
+    """A group has no sessions in which Zenoh could ask for a password: it takes what anyone sends there."""
+    link, _, rest = endpoint.partition("/")
+    ip = _ip(rest)
+    return link == "udp" and (ip is None or ip.is_multicast)
 
 
 def _is_tls(endpoint: str) -> bool:
@@ -85,6 +110,26 @@ def _demands_certificate(endpoint: str, config: zenoh.Config) -> bool:
         and "mtls" not in overrides
         and "root_ca" not in overrides
     )
+
+
+def _knows_whom_it_dials(endpoint: str, config: zenoh.Config) -> bool:
+    return (
+        _is_tls(endpoint)
+        and get(config, "transport/link/tls/verify_name_on_connect") is not False
+        and "verify_name" not in endpoint.partition("#")[2]
+    )
+
+
+def _dials_whom_it_finds(config: zenoh.Config) -> bool:
+    links = get(config, "transport/link/protocols")
+    only_tls = bool(links) and _TLS_LINKS.issuperset(links)
+    return not only_tls and any(get(config, f"scouting/{way}/enabled") is True for way in ("multicast", "gossip"))
+
+
+def _way_on(config: zenoh.Config) -> str:
+    if _demands_certificate("tls/", config):
+        return "there are certificates, so write tls/ before the address, and nothing of TLS behind it"
+    return "make certificates with `hexapod-gateway certs init` and set zenoh.config"
 
 
 def _demands_password(config: zenoh.Config) -> bool:

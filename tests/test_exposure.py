@@ -104,6 +104,24 @@ def test_passwords_and_that_an_empty_dictionary_is_none(tmp_path: Path, text: st
     assert refused("tcp/0.0.0.0:7447", **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
 
 
+@pytest.mark.parametrize(
+    ("endpoint", "expected"),
+    [
+        ("udp/224.0.0.225:7447", True),
+        ("udp/224.0.0.225:7447#iface=eth0", True),
+        ("udp/[ff02::1]:7447", True),
+        ("udp/[::ffff:224.0.0.225]:7447", True),
+        ("udp/group.example.com:7447", True),
+        ("udp/192.0.2.7:7447", False),
+        ("udp/[::]:7447", False),
+    ],
+)
+def test_nobody_asks_a_multicast_group_for_a_password(tmp_path: Path, endpoint: str, expected: bool) -> None:
+    users = tmp_path / "users.txt"
+    users.write_text("anna:secret\n")
+    assert refused(endpoint, **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
+
+
 def test_endpoints_by_mode() -> None:
     by_mode = {"listen/endpoints": {"peer": ["tcp/127.0.0.1:1"], "router": ["tcp/0.0.0.0:1"]}}
     exposure.check(config(**by_mode), allow_insecure=False)
@@ -117,6 +135,12 @@ def test_the_refusal_says_how_to_go_on() -> None:
     assert "\n" not in str(error.value)
     for word in ("tcp/0.0.0.0:7447", "certs init", "zenoh.config", "zenoh.allow_insecure"):
         assert word in str(error.value)
+
+
+def test_the_refusal_knows_that_there_are_certificates() -> None:
+    with pytest.raises(ConfigError, match="so write tls/ before the address") as error:
+        exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"], **MTLS}), allow_insecure=False)
+    assert "certs init" not in str(error.value)
 
 
 def test_allow_insecure_is_a_warning_each_time(caplog: pytest.LogCaptureFixture) -> None:
@@ -140,6 +164,40 @@ def test_what_makes_one_wonder_is_said(caplog: pytest.LogCaptureFixture) -> None
     assert "access_control has rules, but is not enabled" in caplog.text
 
 
+NAME_UNCHECKED = {"transport/link/tls/verify_name_on_connect": False}
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "settings", "expected"),
+    [
+        ("tcp/192.0.2.1:7447", {}, True),
+        ("tcp/router.local:7447", MTLS, True),
+        ("tcp/127.0.0.1:7447", {}, False),
+        ("tls/192.0.2.1:7447", MTLS, False),
+        ("quic/192.0.2.1:7447", MTLS, False),
+        ("tls/192.0.2.1:7447", {**MTLS, **NAME_UNCHECKED}, True),
+        ("tls/192.0.2.1:7447#verify_name_on_connect=false", MTLS, True),
+    ],
+)
+def test_whom_it_dials(
+    caplog: pytest.LogCaptureFixture, endpoint: str, settings: dict[str, Any], expected: bool
+) -> None:
+    exposure.check(
+        config(**{"listen/endpoints": [], "connect/endpoints": [endpoint], **settings}), allow_insecure=False
+    )
+    assert ("is dialled without TLS" in caplog.text) is expected
+
+
+@pytest.mark.parametrize("way", ["multicast", "gossip"])
+@pytest.mark.parametrize(("links", "expected"), [(None, True), (["tls", "tcp"], True), (["tls", "quic"], False)])
+def test_dialling_whom_it_finds_is_said(
+    caplog: pytest.LogCaptureFixture, way: str, links: list[str] | None, expected: bool
+) -> None:
+    found = {"listen/endpoints": ["tcp/127.0.0.1:7447"], f"scouting/{way}/enabled": True}
+    exposure.check(config(**found, **{"transport/link/protocols": links}), allow_insecure=False)
+    assert ("dials whoever it finds" in caplog.text) is expected
+
+
 def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
     made = service_config(ZenohSettings())
     assert exposure.listen_endpoints(made) == ["tcp/127.0.0.1:7447"]
@@ -147,9 +205,10 @@ def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
     assert json.loads(made.get_json("scouting/gossip/enabled")) is False
 
 
-def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path) -> None:
+def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "zenoh.json5"
     path.write_text("{ scouting: { multicast: { enabled: true } } }")
     made = service_config(ZenohSettings(config=str(path)))
     assert json.loads(made.get_json("scouting/multicast/enabled")) is True
     assert json.loads(made.get_json("scouting/gossip/enabled")) is False
+    assert "dials whoever it finds" in caplog.text
