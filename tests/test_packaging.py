@@ -80,10 +80,12 @@ def test_it_runs_where_nothing_else_is_installed(python: Path, tmp_path: Path) -
 
 def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) -> None:
     code = (
-        "import sys, schemas.keys, schemas.command, schemas.telemetry\n"
+        "import sys\n"
+        "before = set(sys.modules)\n"
+        "import schemas.keys, schemas.command, schemas.telemetry\n"
         "allowed = {'schemas', 'pydantic', 'pydantic_core', 'annotated_types', 'typing_extensions'}\n"
         "allowed |= {'typing_inspection'}\n"
-        "roots = {name.partition('.')[0] for name in sys.modules if not name.startswith('_')}\n"
+        "roots = {name.partition('.')[0] for name in sys.modules.keys() - before if not name.startswith('_')}\n"
         "print(sorted(roots - allowed - set(sys.stdlib_module_names)))\n"
     )
     said = subprocess.run([python, "-I", "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
