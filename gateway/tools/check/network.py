@@ -8,7 +8,7 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import zenoh
 from pydantic import ValidationError
@@ -74,11 +74,20 @@ def metrics_port(address: str, *, gateway_runs: bool) -> Result:
 
 
 def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
-    """Why nobody could listen there now; None where somebody could."""
+    """Why nobody could listen there now; None where somebody could. Of a name's addresses, none may be taken."""
     if number > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
         return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
     try:
-        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), number, type=kind)[0]
+        found = socket.getaddrinfo(host.strip("[]"), number, type=kind)
+    except OSError as error:
+        return error
+    errors = [_bind(family, kind, address) for family, _, _, _, address in found]
+    taken = [error for error in errors if error is not None and error.errno == errno.EADDRINUSE]
+    return taken[0] if taken else None if None in errors else errors[0]
+
+
+def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -> OSError | None:
+    try:
         with socket.socket(family, kind) as probe:
             if kind is socket.SOCK_STREAM:  # as the listener does: a connection that ended lately is no obstacle
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
