@@ -100,7 +100,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         conductor.announce_start()
-        manager.ready(f"takes commands on {', '.join(settings.zenoh.listen)}")
+        manager.ready("takes commands")
         on_ready()
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
