@@ -5,9 +5,13 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 
 import json
 import os
+import statistics
+import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Self
 
@@ -31,6 +35,7 @@ HOST = "127.0.0.1"
 ROBOTS = ["robot-1", "robot-2", "robot-3"]
 PEOPLE = [("anna", "operator", "robot-1"), ("otto", "observer", "robot-1"), ("bert", "operator", "robot-2")]
 TLS = "transport/link/tls"
+BUFFER_BYTES = 16_384
 
 
 class Fleet:
@@ -57,8 +62,10 @@ class Fleet:
         self._end.close()
 
     def start_router(self) -> None:
-        router = self._router.enter_context(Remote())
-        router.open(str(self.folder / "router.json5"), {"listen/endpoints": [f"tls/{HOST}:{self.port}"]})
+        self.router = self._router.enter_context(Remote())
+        # With small buffers, so that a laptop that does not read is soon full.
+        listen = [f"tls/{HOST}:{self.port}#so_sndbuf={BUFFER_BYTES}"]
+        self.router.open(str(self.folder / "router.json5"), {"listen/endpoints": listen})
 
     def stop_router(self) -> None:
         self._router.close()
@@ -233,6 +240,28 @@ def test_an_operator_of_no_robot_gets_nothing(fleet: Fleet, bert: Client) -> Non
         session.put(f"robot-2/{keys.ESTOP}", b"")
         assert list(session.get(f"robot-2/{keys.STATE}", timeout=5)) == []
     untouched(bert, before)
+
+
+def test_people_who_ask_and_do_not_read_hold_no_other_robots_stop_up(fleet: Fleet, bert: Client) -> None:
+    """The router has two threads that receive from all links: a link that is full is given up before these wait."""
+    endpoint = f"tls/{HOST}:{fleet.port}#so_rcvbuf={BUFFER_BYTES}"
+    options = ["--source", "deaf", "--mark", "90", "--zenoh-config", str(fleet.folder / "anna.json5")]
+    took_ms = []
+    command = [sys.executable, "-m", "tests.net.publisher", endpoint, *options]
+    with ExitStack() as end, ThreadPoolExecutor(1) as pool:
+        deaf = [end.enter_context(closing(Child(command, os.environ))) for _ in range(2)]
+        zids = [json.loads(child.wait_for_line(0, 20))["zid"] for child in deaf]
+        for child in deaf:
+            child.ask("deaf-flood 1 2 3", 10)
+        given_up = [pool.submit(fleet.router.wait_given_up, zid, 15) for zid in zids]
+        while not all(future.done() for future in given_up):
+            asked_s = time.monotonic()
+            assert bert.estop().stop_frames == 6
+            took_ms.append((time.monotonic() - asked_s) * 1000)
+        assert all(future.result() for future in given_up), "they were to be full of answers that they do not read"
+    print(f"{len(took_ms)} emergency stops, p50 {statistics.median(took_ms):.1f} ms, max {max(took_ms):.1f} ms")
+    assert max(took_ms) < 500
+    assert bert.reset().accepted
 
 
 def test_routers_federate(fleet: Fleet, anna: Client, bert: Client) -> None:

@@ -27,7 +27,9 @@ _ROUTER = """\
     shared_memory: { enabled: false },
     link: {
       protocols: ["tls"],
-      tx: { lease: 1000 },
+      // Who asks and does not read loses the link after 20 ms. With Zenoh's own 5 s, one such laptop held up everything
+      // that the router receives, and all robots' links with it.
+      tx: { lease: 1000, queue: { congestion_control: { block: { wait_before_close: 20000 } } } },
       tls: {
         root_ca_certificate: "ca.pem",
         listen_certificate: "gateway.pem",

@@ -1,10 +1,11 @@
 """A laptop: streams setpoints to a gateway, and does what lines on its standard input say.
 
-    python -m tests.net.publisher ENDPOINT --source NAME --mark DEGREES
+    python -m tests.net.publisher ENDPOINT --source NAME --mark DEGREES [--zenoh-config FILE]
 
 All its setpoints have that mark as the angle of joint 2, so that a frame shows whose it is. It also subscribes to all
-that the gateway reports. A laptop would have processors of its own, so where it may, it comes before the rest of this
-machine; but not when it floods. Each line is answered by one line of JSON:
+that the gateway reports. Its first line is {"zid": …}, when it is connected. A laptop would have processors of its own,
+so where it may, it comes before the rest of this machine; but not when it floods. Each line is answered by one line of
+JSON:
 
     start LEGS…         energise these legs, acknowledged: {"accepted": [bool, …]}
     stream OP LEGS…     from now on, 50 times a second, fire and forget: `set` or `start` for each of these legs
@@ -13,6 +14,7 @@ machine; but not when it floods. Each line is answered by one line of JSON:
     sent [COUNT]        once that many of the stream have been sent: see `Sent`
     deaf LEGS…          from now on, 50 times a second, sets for all of these legs, asking for acknowledgements, while a
                         subscription that nobody reads keeps Zenoh from reading anything that the gateway sends
+    deaf-flood LEGS…    the same, 6000 times a second for each of these legs
     pause [COUNT]       the same, and no more of the stream
     out-of-reach        {} once Zenoh has given the gateway up
     in-reach            {} once it has found the gateway again
@@ -31,6 +33,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -41,6 +44,9 @@ from gateway.errors import ZenohError
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
 PERIOD_S = 0.02
+PERIODS_S = {"flood": 0.0, "deaf-flood": 0.005}
+FLOOD = 30
+"""How often in each such period."""
 ANSWER_S = 10
 """Also how long it may take until the gateway has come up."""
 BOUND_S = 15
@@ -87,7 +93,7 @@ class Laptop:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "stream" | "ask" | "flood" | "deaf":
+            case "stream" | "ask" | "flood" | "deaf" | "deaf-flood":
                 return self._begin(word, rest)
             case "sent" | "pause":
                 return self._report(int(rest[0]) if rest else 0, end=word == "pause")
@@ -112,14 +118,15 @@ class Laptop:
             "stream": lambda: self._publish(rest[0], rest[1:]),
             "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
             "deaf": lambda: self._ask_unheard(rest),
+            "deaf-flood": lambda: self._ask_unheard([*rest] * FLOOD),
             "ask": lambda: self._ask(next(turns)),
         }
-        if word == "deaf":
+        if word in ("deaf", "deaf-flood"):
             self._declared.append(self._client.session.declare_subscriber(STATE, FifoChannel(1)))
-        set_nice(FLOOD_NICE if word == "flood" else NICE)
+        set_nice(FLOOD_NICE if word in PERIODS_S else NICE)
         self._sent = Sent()
         self._paused.clear()
-        self._thread = threading.Thread(target=self._run, args=(sends[word], 0 if word == "flood" else PERIOD_S))
+        self._thread = threading.Thread(target=self._run, args=(sends[word], PERIODS_S.get(word, PERIOD_S)))
         self._thread.start()
         return {}
 
@@ -185,7 +192,7 @@ class Laptop:
     def _ask_unheard(self, legs: Sequence[str]) -> None:
         for leg in legs:
             payload = json.dumps(leg_payload("set", self._angles()))
-            self._client.session.get(leg_command(int(leg)), payload=payload, handler=RingChannel(1))
+            self._client.session.get(leg_command(int(leg)), payload=payload, handler=RingChannel(1), timeout=1.0)
             self._sent.sent += 1
 
     def _angles(self) -> tuple[float, float, float]:
@@ -206,11 +213,14 @@ def main() -> None:
     parser.add_argument("endpoint")
     parser.add_argument("--source", required=True)
     parser.add_argument("--mark", type=float, required=True)
+    parser.add_argument("--zenoh-config", type=Path)
     arguments = parser.parse_args()
     set_nice(NICE)
-    with Client(arguments.endpoint, source=arguments.source, timeout_s=ANSWER_S) as client:
+    with Client(
+        arguments.endpoint, zenoh_config=arguments.zenoh_config, source=arguments.source, timeout_s=ANSWER_S
+    ) as client:
         laptop = Laptop(client, arguments.source, arguments.mark)
-        print("{}", flush=True)
+        print(json.dumps({"zid": str(client.session.zid())}), flush=True)
         for line in sys.stdin:
             try:
                 answer = laptop.do(line)
