@@ -17,14 +17,18 @@ from tests.hil.bed import SpiTestbed
 
 REPOSITORY = Path(__file__).parents[2]
 NAME = "hexapod-gateway"
-INSTALLER = f"{REPOSITORY}/deploy/install.sh"  # the box sees the repository where it is
+INSTALLER = f"{SHARED_INSIDE}/deploy/install.sh"
 CONFIGURATION = f"/etc/{NAME}/gateway.toml"
 DROP_IN = f"/run/systemd/system/{NAME}.service.d"
 STOPS = {stop_leg(leg).to_bytes() for leg in LEGS}
 
 
 def share(box: Box, folder: Path) -> str:
-    """Copy a folder to where the box sees it; its path inside."""
+    """Copy a folder to where the box sees it, and the installer with it; its path inside.
+
+    The repository itself may lie in /tmp, which the box has for itself.
+    """
+    shutil.copytree(REPOSITORY / "deploy", box.shared / "deploy", dirs_exist_ok=True)
     shutil.copytree(folder, box.shared / folder.name, dirs_exist_ok=True)
     return str(SHARED_INSIDE / folder.name)
 

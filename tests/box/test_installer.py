@@ -8,7 +8,7 @@ import pytest
 
 from gateway import certs, settings
 from gateway.settings import LimitSettings, ServoLimits, Settings
-from tests.box.box import Box, Unit
+from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.box.robot import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
 
 pytestmark = pytest.mark.systemd
@@ -40,7 +40,7 @@ class Machine:
 
     def simulate(self) -> None:
         """The simulated controller in place of SPI, as deploy/systemd/simulated.conf says."""
-        self.box.run("install", "-Dm644", f"{REPOSITORY}/deploy/systemd/simulated.conf", DROP_IN)
+        self.box.run("install", "-Dm644", f"{SHARED_INSIDE}/deploy/systemd/simulated.conf", DROP_IN)
         self.box.run("systemctl", "daemon-reload")
 
     def traces(self) -> list[str]:
