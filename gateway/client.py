@@ -82,8 +82,8 @@ class Client:
     def stop(self, leg: int | None = None) -> Ack:
         """De-energise one leg, or all six."""
         if leg is not None:
-            return self.ask(keys.leg_command(leg), leg_payload("stop"))
-        return self.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg_payload("stop") for number in LEGS}})
+            return self.ask(keys.leg_command(leg), leg_payload("stop"), again=True)
+        return self.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg_payload("stop") for number in LEGS}}, again=True)
 
     def servo(self, servo_id: int, op: str, angle_deg: float | None = None) -> Ack:
         """Start, set or stop one servo (11 to 63)."""
@@ -91,16 +91,21 @@ class Client:
 
     def estop(self) -> Ack:
         """Engage the emergency stop; the answer says how many Stop frames were written, and how soon."""
-        return self.ask(keys.ESTOP, {}, priority=zenoh.Priority.REAL_TIME)
+        return self.ask(keys.ESTOP, {}, again=True, priority=zenoh.Priority.REAL_TIME)
 
     def reset(self) -> Ack:
         """Leave the emergency stop; nothing moves until it is started again."""
         return self.ask(keys.RESET, {})
 
-    def ask(self, key: str, payload: Mapping[str, Any], *, priority: zenoh.Priority | None = None) -> Ack:
-        """Send one acknowledged command. Raises ZenohError when nobody answers in time."""
-        text = self._payload(key, payload)
-        return Ack.model_validate_json(self._get(key, text, priority=priority))
+    def ask(
+        self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
+    ) -> Ack:
+        """Send one acknowledged command. Raises ZenohError when nobody answers in time.
+
+        `again`: where the link is lost meanwhile, ask again until `timeout_s` is over. Only for what may safely happen
+        twice, a Stop: a reset or a start that is asked again could undo what someone else stopped in between.
+        """
+        return Ack.model_validate_json(self._get(key, self._payload(key, payload), again=again, priority=priority))
 
     # ---- commands, fire and forget
 
@@ -112,7 +117,7 @@ class Client:
 
     def state(self) -> GatewayState:
         """The gateway's state now. Raises ZenohError when nobody answers in time."""
-        return GatewayState.model_validate_json(self._get(keys.STATE, None))
+        return GatewayState.model_validate_json(self._get(keys.STATE, None, again=True))
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call back (on a thread of Zenoh's) for each published state, until the returned subscriber is undeclared."""
@@ -133,20 +138,27 @@ class Client:
         named = {} if self._source is None else {"source": self._source}
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})
 
-    def _get(self, key: str, payload: str | None, *, priority: zenoh.Priority | None = None) -> str:
-        replies = self.session.get(
-            key,
-            payload=payload,
-            encoding=None if payload is None else _JSON,
-            timeout=self._timeout_s,
-            priority=priority,
-        )
-        for reply in replies:
-            if reply.ok is not None:
-                return reply.ok.payload.to_string()
-        raise ZenohError(f"no gateway answered within {self._timeout_s:g} s; is it running, and may you command it?")
+    def _get(self, key: str, payload: str | None, *, again: bool, priority: zenoh.Priority | None = None) -> str:
+        end_s = time.monotonic() + self._timeout_s
+        while (left_s := end_s - time.monotonic()) > 0:
+            for reply in self.session.get(
+                key,
+                payload=payload,
+                encoding=None if payload is None else _JSON,
+                timeout=left_s,
+                priority=priority,
+            ):
+                if reply.ok is not None:
+                    return reply.ok.payload.to_string()
+            if not again:  # Zenoh ends a query at once where there is no link, and where one is lost
+                break
+            time.sleep(min(_AGAIN_S, max(0.0, end_s - time.monotonic())))
+        waited = f"within {self._timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
+        raise ZenohError(f"no gateway answered {waited}; is it running, and may you command it?")
 
 
+_AGAIN_S: Final = 0.05
+"""A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_setup`)."""
 _JSON: Final = "application/json"
 
 

@@ -2,6 +2,7 @@
 
 import doctest
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
 from schemas import keys
-from schemas.telemetry import Event, GatewayState, Mode
+from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.gateway_process import Gateway, free_port
 
 
@@ -63,11 +64,33 @@ def test_nobody_there_is_one_sentence() -> None:
     assert "orchestrator.rs" not in str(error.value)
 
 
-def test_an_answer_that_does_not_come_is_one_sentence(tmp_path: Path) -> None:
+def test_a_command_whose_link_is_lost_is_one_sentence(tmp_path: Path) -> None:
     with Gateway(tmp_path) as gateway, gateway.client() as client:
         gateway.child.kill()
-        with pytest.raises(ZenohError, match="no gateway answered within 5 s"):
+        with pytest.raises(ZenohError, match="no gateway answered and the link may have been lost; "):
             client.start_leg(3, 1, 2, 3)
+
+
+def test_a_stop_that_nobody_answers_is_one_sentence(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, timeout_s=0.5) as client:
+        gateway.child.kill()
+        with pytest.raises(ZenohError, match=r"no gateway answered within 0\.5 s; "):
+            client.stop()
+
+
+@pytest.mark.parametrize("stop", [Client.estop, Client.stop])
+def test_a_stop_whose_link_is_lost_is_asked_again(tmp_path: Path, stop: Callable[[Client], Ack]) -> None:
+    """The gateway is killed, and another one comes up while the client waits."""
+    settings = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with Gateway(tmp_path, settings) as gateway, Client(gateway.endpoint, timeout_s=20) as client:
+        client.state()
+        gateway.child.kill()
+        answers: list[Ack] = []
+        asking = threading.Thread(target=lambda: answers.append(stop(client)))
+        asking.start()
+        with Gateway(tmp_path, settings):
+            asking.join(20)
+            assert [answer.accepted for answer in answers] == [True]
 
 
 def test_a_leg_has_three_angles() -> None:

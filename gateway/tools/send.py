@@ -59,7 +59,7 @@ def send_stop(connect: Connection) -> int:
 def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
     """Send an acknowledged command, repeat it for `hold_s`, and say what became of it. Returns the exit code."""
     with connect() as client:
-        code = _report(client.ask(key, payload), "accepted")
+        code = _report(client.ask(key, payload, again=not moves), "accepted")
         end = time.monotonic() + hold_s
         while code == 0 and time.monotonic() < end:
             time.sleep(HOLD_PERIOD_S)
