@@ -87,7 +87,7 @@ class Client:
 
     def servo(self, servo_id: int, op: str, angle_deg: float | None = None) -> Ack:
         """Start, set or stop one servo (11 to 63)."""
-        return self.ask(keys.servo_command(servo_id), servo_payload(op, angle_deg))
+        return self.ask(keys.servo_command(servo_id), servo_payload(op, angle_deg), again=op == "stop")
 
     def estop(self) -> Ack:
         """Engage the emergency stop; the answer says how many Stop frames were written, and how soon."""
