@@ -82,6 +82,12 @@ class Leg:
         return any(servo.will_run and not servo.running for servo in self.servos)
 
     @property
+    def at_rest(self) -> bool:
+        """Whether no servo of it runs."""
+        first, second, third = self.servos
+        return not (first.running or second.running or third.running)
+
+    @property
     def watched(self) -> bool:
         first, second, third = self.servos
         return first.will_run or second.will_run or third.will_run
@@ -238,7 +244,7 @@ class Legs:
             if not self._queue.admits(leg.number, now_ns):
                 return []
             self._queue.started(leg.number, now_ns)
-        leg.turn.take(now_ns)
+        leg.turn.take(now_ns, at_rest=leg.at_rest)
         frame = OneServo(waiting[0][0].servo_id, waiting[0][1].op) if len(waiting) == 1 else _whole_leg(leg)
         effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
         for servo, target in waiting:

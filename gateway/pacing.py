@@ -2,11 +2,8 @@
 
 A leg has turns, one period apart. A command that finds its turn open goes out at once and takes the turn; one that
 comes sooner waits, and only the newest target of each servo is kept. Missed turns are skipped, never made up in a
-burst:
-
-- late by less than a period (the publisher's jitter): the next turn stays on the grid, so that a stream at just the
-  limit's rate does not fall behind by its own worst jitter;
-- late by more: the grid starts again at this frame.
+burst, and the turns after them stay on their grid, so that a stream at just the limit's rate does not fall behind by
+its own worst jitter or stall. The grid starts again only with the first frame for a leg at rest.
 
 Two frames are never less than half a period apart.
 
@@ -57,10 +54,14 @@ class Turn:
         early_ns = 0 if something_waits else self.period_ns // EARLY_SHARE
         return now_ns >= max(self.next_ns - early_ns, self.last_ns + self.period_ns // 2)
 
-    def take(self, now_ns: int) -> None:
-        """A frame goes out now: skip what was missed and set the next turn."""
-        on_grid = now_ns - self.next_ns < self.period_ns
-        turn_ns = self.next_ns if on_grid else now_ns
+    def take(self, now_ns: int, *, at_rest: bool) -> None:
+        """A frame goes out now, perhaps the first for a leg at rest: skip what was missed and set the next turn.
+
+        Were the grid to start again after each missed turn, it would often be just ahead of the stream that goes on,
+        and every later setpoint would wait for nearly a period.
+        """
+        missed = max(0, (now_ns - self.next_ns) // self.period_ns)
+        turn_ns = now_ns if at_rest and missed else self.next_ns + missed * self.period_ns
         self.next_ns = max(turn_ns + self.period_ns, now_ns + self.period_ns // 2)
         self.last_ns = now_ns
 

@@ -108,6 +108,14 @@ def copied(supervisor: Supervisor) -> Supervisor:
     return other
 
 
+def _next_turn(leg: Leg, now_ns: int) -> int:
+    """When the next turn opens. What matters of one that was missed is its place on the grid, and none at rest."""
+    next_ns = leg.turn.next_ns - now_ns
+    if leg.at_rest:
+        return max(next_ns, -leg.turn.period_ns)
+    return next_ns if next_ns > 0 else -(-next_ns % leg.turn.period_ns)
+
+
 def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
     """What of a state can still matter, relative to now; `rank` numbers the commands under way by age.
 
@@ -130,7 +138,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 if leg.heard_ns is not None and leg.watched
                 else None,
                 leg.expired,
-                max(leg.turn.next_ns - now_ns, -leg.turn.period_ns),  # a period late, and the grid begins anew
+                _next_turn(leg, now_ns),
                 max(leg.turn.last_ns - now_ns, -leg.turn.period_ns // 2),  # half a period after a frame, all is open
                 tuple(
                     (

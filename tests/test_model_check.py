@@ -86,8 +86,8 @@ class ForgetsOthersStops(Servo):
 class EagerTurn(Turn):
     """Missed turns are made up in a burst."""
 
-    def take(self, now_ns: int) -> None:
-        del now_ns
+    def take(self, now_ns: int, *, at_rest: bool) -> None:
+        del now_ns, at_rest
         self.next_ns += self.period_ns
 
 

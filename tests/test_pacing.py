@@ -32,14 +32,17 @@ def test_the_newest_target_counts_and_a_waiting_start_stays_a_start(
 
 
 def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
-    """When frames go out, if commands come at these times and whoever waits is looked at in every nanosecond."""
+    """When frames go out, if commands come at these times and whoever waits is looked at in every nanosecond.
+
+    The first is for a leg at rest.
+    """
     turn = Turn(period_ns)
     sent: list[int] = []
     waits = False
     for now_ns in range(arrivals_ns[0], arrivals_ns[-1] + 3 * period_ns):
         arrived = now_ns in arrivals_ns
         if (waits or arrived) and turn.is_open(now_ns, something_waits=waits):
-            turn.take(now_ns)
+            turn.take(now_ns, at_rest=not sent)
             sent.append(now_ns)
             waits = False
         else:
@@ -67,8 +70,31 @@ def test_a_stream_at_the_rate_does_not_stay_late_because_its_first_frame_was() -
 
 
 def test_missed_turns_are_skipped() -> None:
-    """Nothing for ten periods, then four in a row: no burst."""
-    assert sent_at(100, [1000, 2050, 2051, 2052, 2053]) == [1000, 2050, 2150]
+    """Nothing for ten periods, then four in a row: no burst, and the turns stay where they were."""
+    assert sent_at(100, [1000, 2020, 2021, 2022, 2023]) == [1000, 2020, 2100]
+
+
+def test_at_rest_the_turns_start_again_with_the_first_frame() -> None:
+    turn = Turn(100, next_ns=1000, last_ns=900)
+    turn.take(2050, at_rest=True)
+    assert not turn.is_open(2149, something_waits=True)
+    assert turn.is_open(2150, something_waits=True)
+
+
+def test_a_leg_stopped_and_started_again_within_its_turn_has_no_more_turns_by_that() -> None:
+    turn = Turn(100, next_ns=1100, last_ns=1000)
+    turn.take(1060, at_rest=True)
+    assert not turn.is_open(1199, something_waits=True)
+
+
+@pytest.mark.parametrize("late_ns", range(0, 790, 7))
+def test_a_stream_at_the_rate_goes_on_in_time_after_a_stall(late_ns: int) -> None:
+    """One is late, and what was due meanwhile comes with it, as from a socket. Two periods later all is well."""
+    due = range(1000, 3000, 100)
+    stalled = [max(time_ns, 1200 + late_ns) if time_ns >= 1200 else time_ns for time_ns in due]
+    on_time = [time_ns for time_ns in due if time_ns >= 1200 + late_ns + 200]
+    sent = sent_at(100, stalled)
+    assert [time_ns for time_ns in sent if time_ns >= on_time[0]] == on_time
 
 
 def test_after_a_late_frame_the_next_waits_half_a_period_at_least() -> None:
