@@ -156,7 +156,7 @@ def _too_many_fields(payload: bytes) -> Rejection:
 
 def _fields(target: Target, intent: Intent) -> int:
     """How many fields a payload with this content has at least."""
-    moves = sum(op.op is not Op.STOP for _, op in intent.targets)
+    moves = len([op for _, op in intent.targets if op is not STOP])
     around = {Target.LEG: 1, Target.LEGS: 1 + 2 * len(intent.targets) // len(JOINTS)}.get(target, 0)
     optional = (intent.source is not None) + (intent.sent_ms is not None)
     return len(intent.targets) + moves + around + optional

@@ -160,7 +160,9 @@ class Legs:
             deadline = leg.deadline_ns(self._rules.timeout_ns)
             if deadline is not None:
                 due.append(deadline)
-            due.extend(servo.repeat_ns for servo in leg.servos if servo.repeats_left)
+            for servo in leg.servos:
+                if servo.repeats_left:
+                    due.append(servo.repeat_ns)
             if leg.waits:
                 turn_ns = self._queue.turn_ns(leg.number, leg.turn.next_ns)
                 if turn_ns is not None:

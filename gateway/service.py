@@ -177,7 +177,8 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
     """Publish the state `telemetry.state_hz` times a second (changes of mode are published as they happen)."""
     while settings.telemetry.state_hz:
         await asyncio.sleep(1 / settings.telemetry.state_hz)
-        outbox.publish(STATE, conductor.state())
+        if outbox.anyone_listens(STATE):
+            outbox.publish(STATE, conductor.state())
 
 
 async def _beat(manager: Manager, conductor: Conductor, inbox: Inbox, end: _End) -> None:

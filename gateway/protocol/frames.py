@@ -108,7 +108,8 @@ class OneLeg:
             raise FrameError(f"the leg is {self.leg!r}; it is 1 to 6")
         if type(self.commands) is not tuple or len(self.commands) != len(JOINTS):
             raise FrameError(f"the commands are {self.commands!r}; they are a tuple of three, for joints 1, 2 and 3")
-        if any(type(command) is not ServoOp for command in self.commands):
+        first, second, third = self.commands
+        if not type(first) is type(second) is type(third) is ServoOp:
             raise FrameError(f"the commands are {self.commands!r}; each is a ServoOp")
 
     @property
@@ -119,11 +120,13 @@ class OneLeg:
     @property
     def is_stop(self) -> bool:
         """Whether all that the frame does is to de-energise."""
-        return all(command.op is Op.STOP for command in self.commands)
+        first, second, third = self.commands
+        return first.op is second.op is third.op is Op.STOP
 
     def to_bytes(self) -> bytes:
         """The 14 bytes of the frame."""
-        records = (byte for servo_id, command in self.servos for byte in _record(servo_id, command))
+        (id_1, id_2, id_3), (first, second, third) = servo_ids_of(self.leg), self.commands
+        records = (*_record(id_1, first), *_record(id_2, second), *_record(id_3, third))
         return bytes((_ONE_LEG_LEN, _ONE_LEG_TYPE, *records))
 
     @classmethod

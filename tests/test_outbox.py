@@ -1,0 +1,30 @@
+"""The right edge knows whether anybody listens."""
+
+from contextlib import closing
+
+from zenoh.handlers import FifoChannel, RingChannel
+
+from gateway.outbox import ZenohOutbox
+from gateway.settings import ZenohSettings
+from gateway.zenoh_setup import client_config, open_session, service_config
+from schemas.keys import STATE
+from tests.gateway_process import free_port
+
+
+def test_it_knows_whether_anyone_listens() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    outbox = ZenohOutbox()
+    assert not outbox.anyone_listens(STATE)
+    with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
+        outbox.open(session)
+        assert not outbox.anyone_listens(STATE)
+        publisher = session.declare_publisher(STATE)
+        changes = publisher.declare_matching_listener(FifoChannel(8))
+        with closing(open_session(client_config(endpoint))) as laptop:
+            for key in (STATE, "hexapod/**"):
+                subscriber = laptop.declare_subscriber(key, RingChannel(1))
+                assert changes.recv().matching
+                assert outbox.anyone_listens(STATE)
+                subscriber.undeclare()
+                assert not changes.recv().matching
+                assert not outbox.anyone_listens(STATE)
