@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -59,6 +60,11 @@ def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
     without = ("setpriv", "--bounding-set=-sys_nice", "--")
     program = "prefer_process(); print(prefer_thread(7), os.getpriority(os.PRIO_PROCESS, 0))"
     assert run(program, "prlimit", "--rtprio=0:0", "--nice=0:0", "--", *without).split() == ["False", "0"]
+
+
+def test_the_service_unit_allows_what_the_process_takes() -> None:
+    unit = (Path(__file__).parents[1] / "deploy/systemd/hexapod-gateway.service").read_text()
+    assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={NICE}\n" in unit
 
 
 def test_what_has_settled_is_collected_no_more() -> None:
