@@ -11,7 +11,7 @@ from prometheus_client.registry import Collector
 
 from gateway.conductor import Conductor
 from gateway.errors import ConfigError
-from gateway.metrics import BOUNDS_US, Latency
+from gateway.latency import BOUNDS_US, Latency
 from gateway.realtime import PAGE_PRIORITY, prefer_thread
 from schemas.telemetry import Cause, Mode, Reason
 

@@ -8,7 +8,15 @@ from gateway.protocol import VERSION
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from gateway.supervisor import Supervisor
-from schemas.telemetry import CommandCounts, GatewayState, LegReport, ServoReport, SpiReport, WatchdogReport
+from schemas.telemetry import (
+    CommandCounts,
+    GatewayState,
+    LegReport,
+    ServoReport,
+    SpiReport,
+    StopLatency,
+    WatchdogReport,
+)
 
 
 def report(
@@ -22,6 +30,7 @@ def report(
     simulated: bool,
 ) -> GatewayState:
     """The state at `now_ns`."""
+    p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
     return GatewayState(
         mode=supervisor.mode,
         time=wall_clock(),
@@ -42,7 +51,7 @@ def report(
         watchdog=WatchdogReport(
             timeout_ms=settings.watchdog.timeout_ms,
             expirations=supervisor.expirations,
-            stop_latency_us=metrics.watchdog_stops.report(),
+            stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
         ),
     )
 

@@ -8,9 +8,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
-from gateway.metrics import KEPT, Latency, percentile
+from gateway.latency import KEPT, Latency, percentile
 from schemas import keys
-from schemas.telemetry import StopLatency
 from tests.gateway_process import Gateway, free_port
 from tests.robot import leg, started_and_quiet
 
@@ -32,11 +31,11 @@ def test_percentile(values: list[float], share: float, expected: float) -> None:
 
 def test_a_latency_keeps_the_worst_of_all_and_the_percentiles_of_the_last() -> None:
     latency = Latency()
-    assert latency.report() == StopLatency(p50=None, p99=None, max=None)
+    assert (*latency.p50_p99_us(), latency.max_us) == (None, None, None)
     latency.record(9_000_000)
     for _ in range(KEPT):
         latency.record(100_000)
-    assert latency.report() == StopLatency(p50=100, p99=100, max=9000)
+    assert (*latency.p50_p99_us(), latency.max_us) == (100, 100, 9000)
     assert sum(latency.buckets) == KEPT + 1
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from gateway.errors import SpiError
-from gateway.metrics import Latency
+from gateway.latency import Latency
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import Framing
 from gateway.settings import SpiSettings

@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from gateway import certs
 
@@ -163,6 +161,9 @@ def renew(
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
 def show(directory: Directory) -> None:
     """Show who has what: name, role, expiry, days left, serial number. Tab-separated when not on a terminal."""
+    from rich.console import Console
+    from rich.table import Table
+
     now = dt.datetime.now(dt.UTC)
     head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL")
     rows = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from gateway.metrics import percentile
+from gateway.latency import percentile
 from tests.child import Child
 from tests.hil.bed import PROGRAM, SYSTEM_PYTHON
 

@@ -1,0 +1,45 @@
+"""How long something took: percentiles of the last times, a histogram of all, and the worst. Plain numbers.
+
+Here and not with the other metrics, since `stop-servos` needs it too, and must not wait for what only reports need.
+"""
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+KEPT: Final = 1000
+"""Latencies kept for the percentiles: the last thousand."""
+BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000)
+"""Upper ends of the histogram's buckets: from one transfer (45 µs) to a robot that has noticed."""
+
+
+def percentile(ordered: Sequence[float], share: float) -> float:
+    """The smallest value that at least `share` of the (sorted, non-empty) values do not exceed."""
+    return ordered[max(0, -(-int(share * 1000) * len(ordered) // 1000) - 1)]
+
+
+@dataclass(slots=True)
+class Latency:
+    """Latencies in microseconds: the last ones for percentiles, all of them as a histogram, and the worst."""
+
+    recent_us: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    buckets: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_US) + 1))
+    sum_us: float = 0.0
+    max_us: float | None = None
+
+    def record(self, latency_ns: int) -> None:
+        """Take one latency."""
+        latency_us = latency_ns / 1000
+        self.recent_us.append(latency_us)
+        self.buckets[bisect_left(BOUNDS_US, latency_us)] += 1
+        self.sum_us += latency_us
+        self.max_us = latency_us if self.max_us is None else max(self.max_us, latency_us)
+
+    def p50_p99_us(self) -> tuple[float, float] | tuple[None, None]:
+        """Percentiles of the last latencies; None before the first."""
+        if not self.recent_us:
+            return None, None
+        ordered = sorted(self.recent_us)
+        return percentile(ordered, 0.5), percentile(ordered, 0.99)
