@@ -102,8 +102,9 @@ class Client:
     ) -> Ack:
         """Send one acknowledged command. Raises ZenohError when nobody answers in time.
 
-        `again`: where the link is lost meanwhile, ask again until `timeout_s` is over. Only for what may safely happen
-        twice, a Stop: a reset or a start that is asked again could undo what someone else stopped in between.
+        `again`: where the link is lost meanwhile, or no answer comes, ask again until `timeout_s` is over. Only for
+        what may safely happen twice, a Stop: a reset or a start that is asked again could undo what someone else
+        stopped in between.
         """
         return Ack.model_validate_json(self._get(key, self._payload(key, payload), again=again, priority=priority))
 
@@ -145,7 +146,7 @@ class Client:
                 key,
                 payload=payload,
                 encoding=None if payload is None else _JSON,
-                timeout=left_s,
+                timeout=min(left_s, _ATTEMPT_S) if again else left_s,
                 priority=priority,
             ):
                 if reply.ok is not None:
@@ -159,6 +160,8 @@ class Client:
 
 _AGAIN_S: Final = 0.05
 """A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_setup`)."""
+_ATTEMPT_S: Final = 1.0
+"""So long one attempt waits, since a link that is dead without a word answers nobody; a Stop takes milliseconds."""
 _JSON: Final = "application/json"
 
 
