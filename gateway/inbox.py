@@ -2,8 +2,8 @@
 
 Zenoh delivers on threads of its own. A callback per message would cost Python time for each, so that a flood of one key
 would delay everything else by seconds. Here each key has a ring in Rust that keeps its newest messages, and one thread
-waits on a subscriber that hears them all: the doorbell. It rings once, waits until the loop has taken what the rings
-hold, and only then listens again, so that work per tick is bounded, and a message that is overwritten costs nothing.
+waits on a subscriber that hears them all: the doorbell. It rings once, and again only when the loop has taken what the
+rings hold, so that work per tick is bounded, and a message that is overwritten costs nothing.
 
 The emergency stop has rings and waiting threads of its own, which no flood of other keys can touch.
 """
@@ -37,7 +37,7 @@ LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 thread that may be interrupted in between). So a bell whose key had nothing is followed by some more looks."""
 
 FLOOD_PAUSE_S: Final = 0.001
-"""How long nobody listens to a doorbell after a tick that found it full. Without it, ticks follow one another without a
+"""How long a doorbell does not ring after a tick that found it full. Without it, ticks follow one another without a
 pause, and take the processor from the threads of Zenoh's that receive: what is in their sockets then grows old. A
 flooded leg's frames, p99, on a busy machine: 171 and 181 ms without the pause, 25 and 50 ms with it."""
 
@@ -83,9 +83,10 @@ class Received:
 
 
 class Waiter:
-    """A thread that waits for a ring's next item, notes it, and waits until the loop has dealt with it.
+    """A thread that waits for a ring's next item, notes it, and gives it to the loop once that has dealt with the last.
 
-    `note` runs on the thread and says what is to be done on the loop.
+    `note` runs on the thread and says what is to be done on the loop. While all is calm the loop is done long before,
+    and the thread sleeps once for each item, not twice.
     """
 
     def __init__(
@@ -98,8 +99,7 @@ class Waiter:
         self._ring = ring
         self._loop = loop
         self._note = note
-        self._dealt = threading.Lock()  # held while the loop has not dealt with the item; an Event takes twice as long
-        self._dealt.acquire()
+        self._dealt = threading.Lock()  # held while the loop has not dealt with an item; an Event takes twice as long
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
 
@@ -110,9 +110,9 @@ class Waiter:
             while True:
                 # Nothing of the item is kept here: a query that is still referenced keeps its asker waiting.
                 deal = self._note(self._ring.recv(), time.monotonic_ns())
+                self._dealt.acquire()
                 self._loop.call_soon_threadsafe(self._on_loop, deal)
                 del deal
-                self._dealt.acquire()
 
     def _on_loop(self, deal: Deal) -> None:
         pause_s = None
@@ -236,8 +236,8 @@ class Inbox:
             for waiting in range(OTHER_DEPTH):
                 more = _next_of(bell)
                 if more is None:
-                    # One of a full bell is with its thread, and may have been taken out after another was lost.
-                    self._read_all = self._read_all or waiting >= OTHER_DEPTH - 1
+                    # Of a full bell two may have been taken out after another was lost: this one, and its thread's.
+                    self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2
                     break
                 self._note(more, received_ns)
             else:

@@ -1,8 +1,10 @@
 """The right edge knows whether anybody listens."""
 
+import queue
 from contextlib import closing
+from typing import Any
 
-from zenoh.handlers import FifoChannel, RingChannel
+from zenoh.handlers import RingChannel
 
 from gateway.outbox import ZenohOutbox
 from gateway.settings import ZenohSettings
@@ -18,13 +20,15 @@ def test_it_knows_whether_anyone_listens() -> None:
     with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
         outbox.open(session)
         assert not outbox.anyone_listens(STATE)
+        changes: queue.SimpleQueue[Any] = queue.SimpleQueue()
         publisher = session.declare_publisher(STATE)
-        changes = publisher.declare_matching_listener(FifoChannel(8))
+        listener = publisher.declare_matching_listener(changes.put)
         with closing(open_session(client_config(endpoint))) as laptop:
             for key in (STATE, "hexapod/**"):
                 subscriber = laptop.declare_subscriber(key, RingChannel(1))
-                assert changes.recv().matching
+                assert changes.get(timeout=10).matching
                 assert outbox.anyone_listens(STATE)
                 subscriber.undeclare()
-                assert not changes.recv().matching
+                assert not changes.get(timeout=10).matching
                 assert not outbox.anyone_listens(STATE)
+        listener.undeclare()

@@ -1,0 +1,89 @@
+"""The doorbell: no message stays in its ring because its bell was lost, or because the loop was busy meanwhile.
+
+In one process, so that the loop can be held just while messages come in: a session's own messages take the same rings.
+"""
+
+import asyncio
+import itertools
+from collections.abc import AsyncIterator
+from contextlib import closing
+
+import pytest
+import zenoh
+
+from gateway.answers import Reply
+from gateway.inbox import OTHER_DEPTH, Inbox
+from gateway.settings import ZenohSettings
+from gateway.zenoh_setup import open_session, service_config
+from schemas.keys import COMMAND_KEYS, ESTOP
+from tests.gateway_process import free_port
+
+KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
+PATIENCE_S = 5.0
+
+
+class Taker:
+    """Takes whatever the inbox has, whenever it rings."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.taken: list[str] = []
+        self.ticks = 0
+        self._changed = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        self.inbox = Inbox(session, loop, on_ring=self._tick, on_state_query=self._answer)
+
+    def _tick(self) -> None:
+        self.ticks += 1
+        self.taken += [received.key for received in self.inbox.take()]
+        self._changed.set()
+
+    def _answer(self, reply: Reply) -> None:
+        reply(b"{}")
+
+    async def wait_for(self, *wanted: str) -> None:
+        """Until all these keys have been taken; forgets them."""
+        async with asyncio.timeout(PATIENCE_S):
+            while not set(wanted) <= set(self.taken):
+                self._changed.clear()
+                await self._changed.wait()
+        self.taken.clear()
+
+
+@pytest.fixture
+async def session() -> AsyncIterator[zenoh.Session]:
+    settings = ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))
+    with closing(open_session(service_config(settings))) as opened:
+        yield opened
+
+
+@pytest.fixture
+async def taker(session: zenoh.Session) -> AsyncIterator[Taker]:
+    taker = Taker(session)
+    yield taker
+    await asyncio.to_thread(taker.inbox.close)
+
+
+async def test_more_messages_than_a_bell_holds_are_all_taken(session: zenoh.Session, taker: Taker) -> None:
+    """More keys than the doorbell's ring is deep, while the loop is held: the first bells are lost."""
+    for first in range(40):
+        order = KEYS[first % len(KEYS) :] + KEYS[: first % len(KEYS)]
+        for key in order:
+            session.put(key, b"{}")
+        await taker.wait_for(*KEYS)
+
+
+@pytest.mark.parametrize("count", range(OTHER_DEPTH - 4, OTHER_DEPTH + 8))
+async def test_no_bell_that_the_thread_holds_is_lost(session: zenoh.Session, taker: Taker, count: int) -> None:
+    """About as many as the bell is deep: some are with its thread, and some may have been lost before."""
+    wanted = KEYS[:count]
+    for _ in range(40):
+        for key in wanted:
+            session.put(key, b"{}")
+        await taker.wait_for(*wanted)
+
+
+async def test_one_message_takes_one_tick(session: zenoh.Session, taker: Taker) -> None:
+    for number, key in enumerate(itertools.islice(itertools.cycle(KEYS), 60), start=1):
+        session.put(key, b"{}")
+        await taker.wait_for(key)
+        assert taker.ticks <= 2 * number, "a second look is rare, and ends"
