@@ -70,6 +70,7 @@ def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDev
 def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = lambda: None) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     realtime.prefer_process()
+    realtime.share_heaps()
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
         runner.run(_run(settings, simulated=simulated, on_ready=on_ready))

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from gateway.realtime import LOOP_PRIORITY, NICE, PAGE_PRIORITY, WAITER_PRIORITY
+from gateway.realtime import HEAPS, LOOP_PRIORITY, NICE, PAGE_PRIORITY, WAITER_PRIORITY
 from tests.gateway_process import Gateway
 
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
 
 
-def run(program: str, *prefix: str) -> str:
+def run(program: str, *prefix: str, stderr: int | None = None) -> str:
     """What a program prints that has imported our module in a process of its own."""
     command = [
         *prefix,
@@ -21,7 +21,7 @@ def run(program: str, *prefix: str) -> str:
         "-c",
         f"from gateway.realtime import *\nimport gc, os, sys, threading\n{program}",
     ]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(command, stdout=subprocess.PIPE, stderr=stderr, text=True, check=True).stdout.strip()
 
 
 def test_the_loop_comes_before_those_who_wait_and_they_before_the_metrics_page() -> None:
@@ -65,6 +65,21 @@ def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
 def test_the_service_unit_allows_what_the_process_takes() -> None:
     unit = (Path(__file__).parents[1] / "deploy/systemd/hexapod-gateway.service").read_text()
     assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={NICE}\n" in unit
+
+
+@pytest.mark.parametrize(("call", "heaps"), [("share_heaps()", range(1, HEAPS + 1)), ("pass", range(HEAPS + 1, 17))])
+def test_all_threads_allocate_from_few_heaps(call: str, heaps: range) -> None:
+    program = f"""
+{call}
+import ctypes
+met = threading.Barrier(9)
+threads = [threading.Thread(target=lambda: (bytearray(10_000), met.wait())) for _ in range(8)]
+for thread in threads:
+    thread.start()
+met.wait()
+ctypes.CDLL(None).malloc_stats()
+"""
+    assert run(program, stderr=subprocess.STDOUT).count("Arena ") in heaps
 
 
 def test_what_has_settled_is_collected_no_more() -> None:
