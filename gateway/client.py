@@ -16,6 +16,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
@@ -140,20 +141,34 @@ class Client:
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})
 
     def _get(self, key: str, payload: str | None, *, again: bool, priority: zenoh.Priority | None = None) -> str:
+        heard: SimpleQueue[zenoh.Reply | None] = SimpleQueue()  # None: one of the attempts has ended
         end_s = time.monotonic() + self._timeout_s
+        under_way = 0
         while (left_s := end_s - time.monotonic()) > 0:
-            for reply in self.session.get(
+            self.session.get(
                 key,
+                zenoh.handlers.Callback(heard.put, lambda: heard.put(None)),
                 payload=payload,
                 encoding=None if payload is None else _JSON,
-                timeout=min(left_s, _ATTEMPT_S) if again else left_s,
+                timeout=left_s,
                 priority=priority,
-            ):
-                if reply.ok is not None:
+                consolidation=zenoh.ConsolidationMode.NONE,  # else an answer waits here until its query has ended
+            )
+            under_way += 1
+            ask_again_s = time.monotonic() + _ATTEMPT_S if again else end_s
+            while under_way and (wait_s := min(ask_again_s, end_s) - time.monotonic()) > 0:
+                try:
+                    reply = heard.get(timeout=wait_s)
+                except Empty:
+                    break
+                if reply is None:
+                    under_way -= 1
+                elif reply.ok is not None:
                     return reply.ok.payload.to_string()
-            if not again:  # Zenoh ends a query at once where there is no link, and where one is lost
+            if not again:
                 break
-            time.sleep(min(_AGAIN_S, max(0.0, end_s - time.monotonic())))
+            if not under_way:  # Zenoh ends a query at once where there is no link, and where one is lost
+                time.sleep(min(_AGAIN_S, max(0.0, end_s - time.monotonic())))
         waited = f"within {self._timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
         raise ZenohError(f"no gateway answered {waited}; is it running, and may you command it?")
 
@@ -161,7 +176,10 @@ class Client:
 _AGAIN_S: Final = 0.05
 """A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_setup`)."""
 _ATTEMPT_S: Final = 1.0
-"""So long one attempt waits, since a link that is dead without a word answers nobody; a Stop takes milliseconds."""
+"""After so long without an answer a Stop is asked for once more: a link that is dead without a word answers nobody.
+
+The answer to an earlier attempt counts as well: on a slow bus six Stops take longer than this.
+"""
 _JSON: Final = "application/json"
 
 

@@ -1,11 +1,13 @@
 """The client that laptops use: its example runs as it stands, and its errors are sentences."""
 
 import doctest
+import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
@@ -91,6 +93,26 @@ def test_a_stop_whose_link_is_lost_is_asked_again(tmp_path: Path, stop: Callable
         with Gateway(tmp_path, settings):
             asking.join(20)
             assert [answer.accepted for answer in answers] == [True]
+
+
+@pytest.mark.parametrize("answered", [0, 1])
+def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(answered: int) -> None:
+    """A gateway on a slow bus answers the first attempt late; one whose link died without a word only the second."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    asked: list[zenoh.Query] = []
+
+    def on_query(query: zenoh.Query) -> None:
+        asked.append(query)
+        if len(asked) == 2:
+            asked[answered].reply(keys.ESTOP, Ack(accepted=True, stop_frames=6).model_dump_json())
+
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session, Client(endpoint, timeout_s=20) as client:
+        session.declare_queryable(keys.ESTOP, on_query)
+        assert client.estop().stop_frames == 6
+    assert len(asked) == 2
 
 
 def test_a_leg_has_three_angles() -> None:
