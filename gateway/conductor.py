@@ -7,8 +7,7 @@ import asyncio
 import itertools
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from gateway import __version__
 from gateway.answers import Reply
@@ -53,8 +52,7 @@ MAX_KEY: Final = 100
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class _Order:
+class _Order(NamedTuple):
     """A command that the supervisor knows by its number, as far as it must be answered."""
 
     key: str

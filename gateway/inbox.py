@@ -15,10 +15,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import zenoh
 from zenoh.handlers import Handler, RingChannel
@@ -58,8 +57,7 @@ Deal = Callable[[], float | None]
 """What is to be done on the loop with an item. Returns for how long nobody is to wait for the next one, if at all."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(NamedTuple):
     """One message as it came. `size` is the payload's; a payload that is too large is not copied out of Zenoh.
 
     `key` is the command key that it is for, `expression` what the sender wrote (a wildcard, or an unknown key).
@@ -181,7 +179,7 @@ class Inbox:
         message (its thread notes it by itself), so that nothing that waits comes before it.
         """
         taken: set[str] = set()
-        for received in list(self._take_commands(self._keys_to_read())):
+        for received in self._take_commands():
             while self._estops:
                 yield self._estops.popleft()
             taken.add(received.key)
@@ -233,15 +231,11 @@ class Inbox:
         self._note(item, received_ns)
         del item
         for bell in self._bells:
-            for waiting in range(OTHER_DEPTH):
-                more = _next_of(bell)
-                if more is None:
-                    # Of a full bell two may have been taken out after another was lost: this one, and its thread's.
-                    self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2
-                    break
+            waiting = _newest_of(bell, OTHER_DEPTH)
+            for more in waiting:
                 self._note(more, received_ns)
-            else:
-                self._read_all = True
+            # Of a full bell two may have been taken out after another was lost: this one, and its thread's.
+            self._read_all = self._read_all or len(waiting) >= OTHER_DEPTH - 2
         flooded = self._read_all
         self._on_ring()
         return FLOOD_PAUSE_S if flooded else None
@@ -272,17 +266,17 @@ class Inbox:
             return self._rings
         return sorted(self._rung | self._look_at, key=_PLACES.__getitem__)
 
-    def _take_commands(self, command_keys: Collection[str]) -> Iterator[Received]:
+    def _take_commands(self) -> list[Received]:
         now_ns = time.monotonic_ns()
-        for key in command_keys:
-            for ring in self._rings[key]:
-                for _ in range(RING_DEPTH):
-                    item = _next_of(ring)
-                    if item is None:
-                        break
-                    yield _received(item, key, now_ns, self._answers)
-        while self._others:
-            yield self._others.popleft()
+        found = [
+            _received(item, key, now_ns, self._answers)
+            for key in self._keys_to_read()
+            for ring in self._rings[key]
+            for item in _newest_of(ring, RING_DEPTH)
+        ]
+        found.extend(self._others)
+        self._others.clear()
+        return found
 
     def _look(self, attempt: int) -> None:
         if self._look_again is not None:
@@ -300,12 +294,13 @@ class Inbox:
             self._missed = set()  # it was taken with another of its key, before its own bell was heard
 
 
-def _next_of(ring: Handler[Any]) -> Any:
-    """What waits in a ring, if anything. While the inbox closes, the loop still turns and may find its rings gone."""
-    try:
-        return ring.try_recv()
-    except zenoh.ZError:
-        return None
+def _newest_of(ring: Handler[Any], depth: int) -> list[Any]:
+    """What waits in a ring of this depth, oldest first; what comes meanwhile is left for the next time."""
+    found: list[Any] = []
+    with suppress(zenoh.ZError):  # while the inbox closes, the loop still turns and may find its rings gone
+        while len(found) < depth and (item := ring.try_recv()) is not None:
+            found.append(item)
+    return found
 
 
 def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int, answers: Answers) -> Received:

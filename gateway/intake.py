@@ -4,7 +4,7 @@ import json
 import math
 import re
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 from pydantic_core import from_json
@@ -32,8 +32,7 @@ _OPS: Final = {"start": Op.START, "set": Op.SET}
 _SERVO_OPS: Final = ("start", "set", "stop")
 
 
-@dataclass(frozen=True, slots=True)
-class Intent:
+class Intent(NamedTuple):
     """What a good command asks for: an operation for each servo that it names (none for a reset)."""
 
     targets: Targets = ()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from gateway.events import Command, Effect, Refused, Settled, Transmit
 from gateway.pacing import NS_PER_MS, NS_PER_S, StartQueue, Turn, Waiting, merged
-from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, leg_of, servo_ids_of, stop_leg
+from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Reason, WatchdogState
 
@@ -33,6 +33,7 @@ class Servo:
     """One servo as last written; `angle_cdeg` is None while it does not run, for then nobody knows where it hangs."""
 
     servo_id: int
+    leg: int
     angle_cdeg: int | None = None
     waiting: Waiting | None = None
     repeats_left: int = 0
@@ -56,10 +57,6 @@ class Servo:
         self.stopped_by = earlier | {by}
         self.stopped_ns = instant_ns
 
-    def stopped_by_another(self, channel: str, instant_ns: int) -> bool:
-        """Whether somebody else than `channel` stopped it in this very instant."""
-        return self.stopped_ns == instant_ns and not self.stopped_by <= {channel}
-
 
 @dataclass(slots=True)
 class Leg:
@@ -79,13 +76,18 @@ class Leg:
     @property
     def waits_to_start(self) -> bool:
         """Whether its next frame would energise a servo."""
-        return any(servo.will_run and not servo.running for servo in self.servos)
+        first, second, third = self.servos
+        return (
+            (first.angle_cdeg is None and first.will_run)
+            or (second.angle_cdeg is None and second.will_run)
+            or (third.angle_cdeg is None and third.will_run)
+        )
 
     @property
     def at_rest(self) -> bool:
         """Whether no servo of it runs."""
         first, second, third = self.servos
-        return not (first.running or second.running or third.running)
+        return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None
 
     @property
     def watched(self) -> bool:
@@ -113,14 +115,14 @@ class _Order:
 
 def _whole_leg(leg: Leg) -> OneLeg:
     """All three servos in one frame; one that nothing waits for is told what it does already."""
-    first, second, third = (
+    first, second, third = [
         servo.waiting.op
         if servo.waiting is not None
         else STOP
         if servo.angle_cdeg is None
         else ServoOp(Op.SET, servo.angle_cdeg)
         for servo in leg.servos
-    )
+    ]
     return OneLeg(leg.number, (first, second, third))
 
 
@@ -133,7 +135,7 @@ def _stops(leg: Leg, servos: list[Servo], cause: Cause) -> list[Effect]:
 
 def _servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
     first, second, third = servo_ids_of(leg)
-    return Servo(first), Servo(second), Servo(third)
+    return Servo(first, leg), Servo(second, leg), Servo(third, leg)
 
 
 class Legs:
@@ -156,14 +158,16 @@ class Legs:
     def due_ns(self) -> int | None:
         """When a deadline, a repeat or a turn comes next."""
         due: list[int] = []
-        for leg in self:
-            deadline = leg.deadline_ns(self._rules.timeout_ns)
-            if deadline is not None:
-                due.append(deadline)
+        for leg in self.by_number.values():
+            waits = False
             for servo in leg.servos:
                 if servo.repeats_left:
                     due.append(servo.repeat_ns)
-            if leg.waits:
+                waits = waits or servo.waiting is not None
+            deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
+            if deadline_ns is not None:
+                due.append(deadline_ns)
+            if waits:
                 turn_ns = self._queue.turn_ns(leg.number, leg.turn.next_ns)
                 if turn_ns is not None:
                     due.append(turn_ns)
@@ -183,17 +187,18 @@ class Legs:
         """Carry out an accepted command."""
         by_leg: dict[int, list[tuple[Servo, ServoOp]]] = {}
         for servo_id, op in command.targets:
-            by_leg.setdefault(leg_of(servo_id), []).append((self.servos[servo_id], op))
+            servo = self.servos[servo_id]
+            by_leg.setdefault(servo.leg, []).append((servo, op))
         self._orders[command.order] = _Order(len(command.targets))
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
             leg.heard_ns = now_ns
-            if all(op.op is Op.STOP for _, op in targets):
-                stops.append((leg, [servo for servo, _ in targets]))
-            else:
+            if any(op.op is not Op.STOP for _, op in targets):
                 effects += self._move(leg, targets, command, now_ns)
+            else:
+                stops.append((leg, [servo for servo, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
         if stops:  # they may have ended what its own starts queued behind
@@ -216,7 +221,7 @@ class Legs:
         something_waited = leg.waits
         effects: list[Effect] = []
         for servo, op in targets:
-            newest = merged(servo.waiting.op if servo.waiting else None, op)
+            newest = op if servo.waiting is None else merged(servo.waiting.op, op)
             effects += self._replace(servo, Waiting(newest, command.order))
             if op.op is Op.STOP:
                 servo.note_stop(command.channel, self.instant_ns)

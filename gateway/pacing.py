@@ -11,7 +11,7 @@ Stop frames know no turns and never pass through here.
 """
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 from gateway.protocol.frames import Op, ServoOp
 
@@ -26,17 +26,16 @@ of the benchmark's rounds, with half a period 0.6 to 0.9 ms in all of them. A le
 has something waiting, so it never gains by this."""
 
 
-@dataclass(frozen=True, slots=True)
-class Waiting:
+class Waiting(NamedTuple):
     """A servo's newest target, and the command (by its order number) that set it."""
 
     op: ServoOp
     order: int
 
 
-def merged(older: ServoOp | None, newer: ServoOp) -> ServoOp:
+def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
     """The newest target; a start that waits keeps being a start when only its angle changes."""
-    if older is not None and older.op is Op.START and newer.op is Op.SET:
+    if older.op is Op.START and newer.op is Op.SET:
         return ServoOp(Op.START, newer.angle_cdeg)
     return newer
 

@@ -42,7 +42,7 @@ from gateway.events import (
 )
 from gateway.legs import Legs, Rules
 from gateway.pacing import NS_PER_MS
-from gateway.protocol.frames import Op, ServoOp
+from gateway.protocol.frames import Op
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
@@ -98,6 +98,12 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
 _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
+_REFUSING: Final = {
+    Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
+    Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
+    Mode.STOPPING: (Reason.STOPPING, _STOPPING),
+}
+"""The modes in which every command that comes is refused, and why."""
 
 
 class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
@@ -115,19 +121,10 @@ class Supervisor:
         self._latched_ns: int | None = None
         self._ended = False
         self.expirations = 0
+        self.mode = Mode.STARTING
+        """What the gateway as a whole is doing."""
         self.due_ns: int | None = None
         """When `TimePassed` is next needed; None: not before something else happens."""
-
-    @property
-    def mode(self) -> Mode:
-        """What the gateway as a whole is doing; the first that applies."""
-        if self._ended:
-            return Mode.STOPPING
-        if not self._bus_ok:
-            return Mode.BUS_FAULT if self._opened else Mode.STARTING
-        if self._latched_ns is not None:
-            return Mode.ESTOPPED
-        return Mode.ACTIVE if any(servo.running for servo in self.legs.servos.values()) else Mode.IDLE
 
     def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
         """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it.
@@ -135,9 +132,8 @@ class Supervisor:
         Events with the same `instant_ns` (their own time, if not given) were collected together, and nobody knows in
         which order they were sent; to deal with them takes time, and deadlines do not wait for that.
         """
-        mode = self.mode
-        if type(event) not in TRANSITIONS[mode]:
-            raise IllegalEvent(f"{type(event).__name__} while {mode}")
+        if type(event) not in TRANSITIONS[self.mode]:
+            raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
         self.legs.instant_ns = now_ns if instant_ns is None else instant_ns
         match event:
             case Command() | Reset() | TimePassed():
@@ -151,8 +147,19 @@ class Supervisor:
                 effects = self._bus_failed(event)
             case ShutDown():
                 effects = self._shut_down(now_ns)
+        self.mode = self._mode_now()
         self.due_ns = self.legs.due_ns() if self._bus_ok else None
         return sorted(effects, key=_after_stops)
+
+    def _mode_now(self) -> Mode:
+        """The first that applies."""
+        if self._ended:
+            return Mode.STOPPING
+        if not self._bus_ok:
+            return Mode.BUS_FAULT if self._opened else Mode.STARTING
+        if self._latched_ns is not None:
+            return Mode.ESTOPPED
+        return Mode.IDLE if all(leg.at_rest for leg in self.legs) else Mode.ACTIVE
 
     def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
         """Take an event between the deadlines that it is too late for and the turns that it may still change."""
@@ -173,44 +180,28 @@ class Supervisor:
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
         refusal = self._refusal(command)
         if refusal is not None:
-            return [refusal]
+            return [Refused(command.order, *refusal)]
         return self.legs.apply(command, now_ns)
 
-    def _refusal(self, command: Command) -> Refused | None:
+    def _refusal(self, command: Command) -> tuple[Reason, str] | None:
         """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
-
-        def refused(reason: Reason, detail: str) -> Refused:
-            return Refused(command.order, reason, detail)
-
-        if self._ended:
-            return refused(Reason.STOPPING, _STOPPING)
-        if not self._bus_ok:
-            return refused(Reason.BUS_FAULT, _BUS_FAULT)
-        if self._latched_ns is not None:
-            return refused(Reason.ESTOPPED, _ESTOPPED)
+        if self.mode in _REFUSING:
+            return _REFUSING[self.mode]
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
-        for check in (self._outside_limits, self._stopped):
-            for servo_id, op in moves:
-                refusal = check(servo_id, op, command.channel)
-                if refusal is not None:
-                    return refused(*refusal)
-        return None
-
-    def _outside_limits(self, servo_id: int, op: ServoOp, _channel: str) -> tuple[Reason, str] | None:
-        limits = self._rules.joint_limits_cdeg.get(servo_id)
-        if limits is None or limits[0] <= op.angle_cdeg <= limits[1]:
-            return None
-        low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
-        return Reason.JOINT_LIMIT, f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
-
-    def _stopped(self, servo_id: int, op: ServoOp, channel: str) -> tuple[Reason, str] | None:
-        servo = self.legs.servos[servo_id]
-        if servo.stopped_by_another(channel, self.legs.instant_ns):
-            # Which of the two is older is not known, and an older Start must not overtake a Stop.
-            by = ", ".join(sorted(servo.stopped_by))
-            return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
-        if op.op is Op.SET and not servo.will_run:
-            return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
+        for servo_id, op in moves:
+            limits = self._rules.joint_limits_cdeg.get(servo_id)
+            if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
+                low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
+                detail = f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
+                return Reason.JOINT_LIMIT, detail
+        for servo_id, op in moves:
+            servo = self.legs.servos[servo_id]
+            if servo.stopped_ns == self.legs.instant_ns and not servo.stopped_by <= {command.channel}:
+                # Which of the two is older is not known, and an older Start must not overtake a Stop.
+                by = ", ".join(sorted(servo.stopped_by))
+                return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
+            if op.op is Op.SET and not servo.will_run:
+                return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:

@@ -59,21 +59,31 @@ class Report:
 
 def _getter(kind: type, *expected: str) -> "attrgetter[tuple[Any, ...]]":
     """Reads all fields. A field that is not `expected` may matter to what states are equal: then say so below."""
-    names = tuple(f.name for f in fields(kind))
+    names = getattr(kind, "_fields", None) or tuple(f.name for f in fields(kind))
     if names != expected:
         raise TypeError(f"{kind.__name__} has the fields {names}; the model checker knows {expected}")
     return attrgetter(*names)
 
 
 _servo_fields = _getter(
-    Servo, "servo_id", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
+    Servo, "servo_id", "leg", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
 )
 _leg_fields = _getter(Leg, "number", "servos", "turn", "heard_ns", "expired")
 _turn_fields = _getter(Turn, "period_ns", "next_ns", "last_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _order_fields = _getter(_Order, "targets", "coalesced")
 _getter(Waiting, "op", "order")
-_SUPERVISOR_FIELDS: Final = {"_rules", "legs", "_opened", "_bus_ok", "_latched_ns", "_ended", "expirations", "due_ns"}
+_SUPERVISOR_FIELDS: Final = {
+    "_rules",
+    "legs",
+    "_opened",
+    "_bus_ok",
+    "_latched_ns",
+    "_ended",
+    "expirations",
+    "mode",
+    "due_ns",
+}
 _LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_orders", "_queue", "instant_ns"}
 
 
@@ -125,6 +135,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
     queue = legs._queue
     due_ns = supervisor.due_ns
     return (
+        supervisor.mode,
         supervisor._opened,
         supervisor._bus_ok,
         supervisor._ended,

@@ -110,7 +110,7 @@ def with_parts(*, leg: type[Leg] = Leg, servo: type[Servo] = Servo, turn: type[T
         def __init__(self, rules: Rules) -> None:
             super().__init__(rules)
             for number in self.legs.by_number:
-                first, second, third = (servo(s.servo_id) for s in self.legs.by_number[number].servos)
+                first, second, third = (servo(s.servo_id, number) for s in self.legs.by_number[number].servos)
                 self.legs.by_number[number] = leg(number, (first, second, third), turn(rules.period_ns))
 
     return Planted
@@ -125,6 +125,12 @@ def with_legs(legs: type[Legs]) -> type[Supervisor]:
             self.legs = legs(rules)
 
     return Planted
+
+
+@pytest.mark.parametrize("make", [with_parts(), with_legs(Legs)])
+def test_parts_without_a_bug_keep_every_promise(make: Callable[[Rules], Supervisor]) -> None:
+    """Else the bugs planted below might be found for the planting alone."""
+    check(ONE_SERVO, make)
 
 
 class StopsTakeTurns(Legs):

@@ -16,7 +16,6 @@ SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)
 @pytest.mark.parametrize(
     ("older", "newer", "expected"),
     [
-        (None, SET_45, SET_45),
         (SET_90, SET_45, SET_45),
         (START_90, START_45, START_45),
         (START_90, SET_45, START_45),
@@ -26,7 +25,7 @@ SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)
     ],
 )
 def test_the_newest_target_counts_and_a_waiting_start_stays_a_start(
-    older: ServoOp | None, newer: ServoOp, expected: ServoOp
+    older: ServoOp, newer: ServoOp, expected: ServoOp
 ) -> None:
     assert merged(older, newer) == expected
 

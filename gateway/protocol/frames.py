@@ -87,7 +87,8 @@ class OneServo:
 
     def to_bytes(self) -> bytes:
         """The 6 bytes of the frame."""
-        return bytes((_ONE_SERVO_LEN, _ONE_SERVO_TYPE, *_record(self.servo_id, self.command)))
+        whole_deg, hundredths = divmod(self.command.angle_cdeg, 100)
+        return bytes((_ONE_SERVO_LEN, _ONE_SERVO_TYPE, self.servo_id, self.command.op, whole_deg, hundredths))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -125,9 +126,10 @@ class OneLeg:
 
     def to_bytes(self) -> bytes:
         """The 14 bytes of the frame."""
-        (id_1, id_2, id_3), (first, second, third) = servo_ids_of(self.leg), self.commands
-        records = (*_record(id_1, first), *_record(id_2, second), *_record(id_3, third))
-        return bytes((_ONE_LEG_LEN, _ONE_LEG_TYPE, *records))
+        data = [_ONE_LEG_LEN, _ONE_LEG_TYPE]
+        for servo_id, command in zip(servo_ids_of(self.leg), self.commands, strict=True):
+            data += (servo_id, command.op, *divmod(command.angle_cdeg, 100))
+        return bytes(data)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -181,10 +183,6 @@ def decode(data: bytes) -> Frame:
 
 
 _SERVO_ID_RULE: Final = "a servo id is leg 1-6 then joint 1-3, such as 13"
-
-
-def _record(servo_id: int, command: ServoOp) -> tuple[int, int, int, int]:
-    return servo_id, command.op, *divmod(command.angle_cdeg, 100)
 
 
 def _found(data: bytes, index: int) -> str:

@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from typing import Final
 
 from gateway.errors import SpiError
 from gateway.latency import Latency
@@ -11,6 +12,9 @@ from gateway.protocol.framing import Framing
 from gateway.settings import SpiSettings
 from gateway.spi import SpiDevice
 from gateway.spi.guard import GuardedDevice
+
+_AT_ONCE: Final = nullcontext()
+"""In place of a turn, where a frame is one transfer, which nothing comes into."""
 
 
 class Bus:
@@ -78,13 +82,13 @@ class Bus:
             self._device = None
         self._in_step = False
 
+    def _turn(self) -> AbstractContextManager[None]:
+        return _AT_ONCE if self._framing is Framing.PLAIN else self._device_turn()
+
     @contextmanager
-    def _turn(self) -> Iterator[None]:
+    def _device_turn(self) -> Iterator[None]:
         if self._device is None:
             raise SpiError("the SPI device is closed")
-        if self._framing is Framing.PLAIN:  # a frame is one transfer, which nothing comes into
-            yield
-            return
         with self._device.turn():
             if self._beside:
                 self._pause(self._frame_gap_ns / 1e9)

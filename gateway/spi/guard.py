@@ -15,7 +15,8 @@ from schemas.robot import LEGS, SERVO_IDS
 _ANNOUNCEMENTS: Final = frozenset((bytes((6,)), bytes((14,))))  # the two lengths that a frame can have
 
 _IDS_OF_LEGS: Final = frozenset(servo_ids_of(leg) for leg in LEGS)
-_MOVES: Final = (Op.START, Op.SET)
+_STOP: Final = int(Op.STOP)
+_MOVES: Final = frozenset((int(Op.START), int(Op.SET)))
 
 
 class IllegalTransferError(RuntimeError):
@@ -78,10 +79,14 @@ def _is_frame(data: bytes) -> bool:
         known = ids in _IDS_OF_LEGS
     else:
         known = data[:2] == b"\x06\x02" and len(data) == 6 and data[2] in SERVO_IDS
-    return known and all(_is_op(*data[index : index + 3]) for index in range(3, len(data), 4))
-
-
-def _is_op(op: int, whole_deg: int, hundredths: int) -> bool:
-    if op == Op.STOP:
-        return whole_deg == hundredths == 0
-    return op in _MOVES and hundredths <= 99 and whole_deg <= (179 if hundredths else 180)
+    if not known:
+        return False
+    for index in range(3, len(data), 4):
+        op, whole_deg, hundredths = data[index : index + 3]
+        if op in _MOVES:
+            legal = hundredths <= 99 and whole_deg <= (179 if hundredths else 180)
+        else:
+            legal = op == _STOP and whole_deg == hundredths == 0
+        if not legal:
+            return False
+    return True

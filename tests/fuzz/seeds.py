@@ -38,7 +38,8 @@ def seeds(target: str) -> list[bytes]:
     if target == "intake":
         index_of = {known: KEYS.index(parsed) for known, parsed in keys.COMMAND_KEYS.items()}
         good = [bytes((index_of[key], 0)) + json.dumps(payload).encode() for key, payload in PAYLOADS]
-        return [*good, bytes((0, 0)) + b" " * MAX_PAYLOAD_BYTES, bytes((0, 3)), bytes((index_of[keys.RESET], 1))]
+        sizes = [bytes((0, 0)) + b" " * size for size in (MAX_PAYLOAD_BYTES, MAX_PAYLOAD_BYTES + 1)]
+        return [*good, *sizes, bytes((0, 3)), bytes((index_of[keys.RESET], 1))]
     frames = [bytes.fromhex(vector["bytes"]) for vector in VECTORS["legal"] + VECTORS["illegal"]]
     if target == "decode":
         return [b"\0" + frame for frame in frames] + [b"\1" + frame.hex(" ").encode() for frame in frames]
