@@ -297,9 +297,11 @@ class Inbox:
 def _newest_of(ring: Handler[Any], depth: int) -> list[Any]:
     """What waits in a ring of this depth, oldest first; what comes meanwhile is left for the next time."""
     found: list[Any] = []
-    with suppress(zenoh.ZError):  # while the inbox closes, the loop still turns and may find its rings gone
+    try:
         while len(found) < depth and (item := ring.try_recv()) is not None:
             found.append(item)
+    except zenoh.ZError:  # while the inbox closes, the loop still turns and may find its rings gone
+        pass
     return found
 
 
