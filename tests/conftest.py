@@ -1,12 +1,19 @@
-"""What all tests share: Hypothesis's patience, and the event loop (`virtual_time`: it leaps to its next timer)."""
+"""What all tests share: Hypothesis's patience, the event loop (`virtual_time`: it leaps to its next timer), and the
+model check, which begins early."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from multiprocessing import get_context
+from multiprocessing.pool import AsyncResult
+from pathlib import Path
 
 import async_solipsism
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
+
+from tests.model_check import CONFIGURATIONS, Report, check
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(
@@ -23,3 +30,21 @@ def pytest_asyncio_loop_factories(
     if item.get_closest_marker("virtual_time"):
         return {"virtual": async_solipsism.EventLoop}
     return {"real": asyncio.new_event_loop}
+
+
+@pytest.fixture(scope="session")
+def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
+    """The model check's searches by configuration, on all processors; the last have most states, and so begin first."""
+    with get_context("spawn").Pool(initializer=os.nice, initargs=(19,)) as pool:
+        yield {each.name: pool.apply_async(check, (each,)) for each in reversed(CONFIGURATIONS)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _search_ahead(request: pytest.FixtureRequest) -> None:
+    """Begin the searches, where they are wanted: two minutes of a processor, which most tests leave idle.
+
+    Not beside tests with hardware, network or systemd, which have folders of their own and run before all others.
+    """
+    wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
+    if wanted and request.path.parent == Path(__file__).parent:
+        request.getfixturevalue("searches")
