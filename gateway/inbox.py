@@ -231,7 +231,7 @@ class Inbox:
         self._note(item, received_ns)
         del item
         for bell in self._bells:
-            waiting = _newest_of(bell, OTHER_DEPTH)
+            waiting = _waiting_in(bell, OTHER_DEPTH)
             for more in waiting:
                 self._note(more, received_ns)
             # Of a full bell two may have been taken out after another was lost: this one, and its thread's.
@@ -272,7 +272,7 @@ class Inbox:
             _received(item, key, now_ns, self._answers)
             for key in self._keys_to_read()
             for ring in self._rings[key]
-            for item in _newest_of(ring, RING_DEPTH)
+            for item in _waiting_in(ring, RING_DEPTH)
         ]
         found.extend(self._others)
         self._others.clear()
@@ -294,7 +294,7 @@ class Inbox:
             self._missed = set()  # it was taken with another of its key, before its own bell was heard
 
 
-def _newest_of(ring: Handler[Any], depth: int) -> list[Any]:
+def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:
     """What waits in a ring of this depth, oldest first; what comes meanwhile is left for the next time."""
     found: list[Any] = []
     try:
