@@ -158,16 +158,14 @@ class Legs:
     def due_ns(self) -> int | None:
         """When a deadline, a repeat or a turn comes next."""
         due: list[int] = []
-        for leg in self.by_number.values():
-            waits = False
-            for servo in leg.servos:
-                if servo.repeats_left:
-                    due.append(servo.repeat_ns)
-                waits = waits or servo.waiting is not None
+        for leg in self:
             deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
             if deadline_ns is not None:
                 due.append(deadline_ns)
-            if waits:
+            for servo in leg.servos:
+                if servo.repeats_left:
+                    due.append(servo.repeat_ns)
+            if leg.waits:
                 turn_ns = self._queue.turn_ns(leg.number, leg.turn.next_ns)
                 if turn_ns is not None:
                     due.append(turn_ns)

@@ -216,10 +216,8 @@ class Supervisor:
         return effects
 
     def _reset(self, event: Reset) -> list[Effect]:
-        if self._ended:
-            return [Refused(event.order, Reason.STOPPING, _STOPPING)]
-        if not self._bus_ok:
-            return [Refused(event.order, Reason.BUS_FAULT, _BUS_FAULT)]
+        if self.mode in _REFUSING and self.mode is not Mode.ESTOPPED:
+            return [Refused(event.order, *_REFUSING[self.mode])]
         if self._latched_ns == self.legs.instant_ns:
             return [Refused(event.order, Reason.ESTOPPED, "the emergency stop was engaged in the same instant")]
         if self._latched_ns is None:
