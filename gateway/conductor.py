@@ -302,15 +302,29 @@ class Conductor:
             self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
         left_out = self._refusals.admit(source, self._clock())
         if left_out is not None:
-            self._tell(Kind.COMMAND_REJECTED, detail + left_out, source, key, reason)
+            self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out)
 
     def _reply(self, reply: Reply, ack: Ack) -> None:
         reply(ack.model_dump_json().encode())
 
-    def _tell(self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None) -> None:
+    def _tell(
+        self,
+        kind: Kind,
+        detail: str,
+        source: str | None,
+        key: str | None,
+        reason: Reason | None,
+        left_out: int = 0,
+    ) -> None:
         level = logging.WARNING if kind in _WARNINGS else logging.INFO
-        logger.log(level, detail, extra={"kind": kind, "source": source, "key": key, "reason": reason})
-        event = telemetry.Event(time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail)
+        logger.log(
+            level,
+            detail,
+            extra={"kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None},
+        )
+        event = telemetry.Event(
+            time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out
+        )
         self.outbox.publish(keys.EVENT, event)
 
     def _tell_frame(self, transmit: Transmit, monotonic_ns: int) -> None:

@@ -22,8 +22,8 @@ class RefusalLimit:
     def __init__(self) -> None:
         self._sources: dict[str | None, _Source] = {}
 
-    def admit(self, source: str | None, now_ns: int) -> str | None:
-        """What to add to the detail of this refusal ("" or a count of those left out); None: leave it out as well."""
+    def admit(self, source: str | None, now_ns: int) -> int | None:
+        """How many of this source were left out before this one, which is told; None: leave it out as well."""
         if source not in self._sources and len(self._sources) >= SOURCES:
             self._forget(now_ns)
             if len(self._sources) >= SOURCES:
@@ -34,7 +34,7 @@ class RefusalLimit:
             return None
         known.told_ns.append(now_ns)
         left_out, known.left_out = known.left_out, 0
-        return f" ({left_out} more from this source were left out)" if left_out else ""
+        return left_out
 
     def _forget(self, now_ns: int) -> None:
         old = [source for source, known in self._sources.items() if now_ns - known.told_ns[-1] >= WINDOW_NS]

@@ -9,9 +9,12 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Report(BaseModel):
-    """Frozen, and closed like everything on Zenoh; built by the gateway, parsed by whoever listens."""
+    """Frozen, and open: fields are only ever added, and a reader ignores those that it does not know.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    An older reader that rejected them would show NOT STOPPED after a stop that worked.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 class Reason(StrEnum):
@@ -72,11 +75,20 @@ class WatchdogState(StrEnum):
     EXPIRED = "expired"
 
 
+OrText = Field(union_mode="left_to_right")
+"""For a value that later versions may add to: one that is not known here is read as text, never an error."""
+AnyReason = Annotated[Reason | str, OrText]
+AnyMode = Annotated[Mode | str, OrText]
+AnyKind = Annotated[Kind | str, OrText]
+AnyCause = Annotated[Cause | str, OrText]
+AnyWatchdogState = Annotated[WatchdogState | str, OrText]
+
+
 class Ack(Report):
     """The reply to an acknowledged command; fields that say nothing are left out of the JSON."""
 
     accepted: bool
-    reason: Reason | None = None
+    reason: AnyReason | None = None
     detail: str | None = None
     coalesced: Literal[True] | None = None
     stop_frames: Count | None = None
@@ -99,7 +111,7 @@ class LegReport(Report):
     """One leg; `age_ms` is the time since an accepted command named it, null before the first."""
 
     leg: int
-    watchdog: WatchdogState
+    watchdog: AnyWatchdogState
     age_ms: float | None
     servos: tuple[ServoReport, ServoReport, ServoReport]
 
@@ -140,7 +152,7 @@ class WatchdogReport(Report):
 class GatewayState(Report):
     """The payload of `hexapod/state`."""
 
-    mode: Mode
+    mode: AnyMode
     time: AwareDatetime
     uptime_s: float
     version: str
@@ -156,11 +168,12 @@ class Event(Report):
     """The payload of `hexapod/event`."""
 
     time: AwareDatetime
-    kind: Kind
+    kind: AnyKind
     source: str | None
     key: str | None
-    reason: Reason | None
+    reason: AnyReason | None
     detail: str
+    left_out: Count = 0
 
 
 class FrameRecord(Report):
@@ -169,4 +182,4 @@ class FrameRecord(Report):
     time: AwareDatetime
     monotonic_ns: int
     bytes: str
-    cause: Cause
+    cause: AnyCause

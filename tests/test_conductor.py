@@ -272,7 +272,8 @@ async def test_refusals_are_told_ten_times_a_second_and_source_and_counted_in_fu
     assert len([event for event in robot.events() if event.source == "other"]) == 1
     await asyncio.sleep(1)
     robot.put(LEG_3, b"{", source="noisy")
-    assert "90 more" in robot.events()[-1].detail
+    assert robot.events()[-1].left_out == 90
+    assert "90" not in robot.events()[-1].detail
     assert robot.conductor.state().commands.rejected == 102
 
 

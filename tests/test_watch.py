@@ -170,10 +170,10 @@ def test_refusals_are_counted_by_source_with_those_left_out() -> None:
         now_ns = number * 10 * NS_PER_MS
         left_out = limit.admit("anna", now_ns)
         if left_out is not None:
-            model.heard_event(refused("anna", f"servo 11 does not run{left_out}"), now_ns, WALL)
+            model.heard_event(refused("anna", left_out=left_out), now_ns, WALL)
     waiting = limit.admit("anna", 20 * NS_PER_S)
     assert waiting is not None
-    model.heard_event(refused("anna", f"servo 11 does not run{waiting}", Reason.SERVO_STOPPED), 20 * NS_PER_S, WALL)
+    model.heard_event(refused("anna", reason=Reason.SERVO_STOPPED, left_out=waiting), 20 * NS_PER_S, WALL)
     model.heard_event(refused("bob"), 20 * NS_PER_S, WALL)
     assert model.refused == {"anna": 1001, "bob": 1}
     assert model.reasons["anna"] is Reason.SERVO_STOPPED

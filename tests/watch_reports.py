@@ -70,12 +70,14 @@ def servo(servo_id: int, running: bool) -> ServoReport:
     return ServoReport(id=servo_id, running=running, angle_deg=90.0 if running else None)
 
 
-def event(kind: Kind, detail: str = "", source: str | None = None, reason: Reason | None = None) -> Event:
-    return Event(time=WALL, kind=kind, source=source, key=None, reason=reason, detail=detail)
+def event(
+    kind: Kind, detail: str = "", source: str | None = None, reason: Reason | None = None, left_out: int = 0
+) -> Event:
+    return Event(time=WALL, kind=kind, source=source, key=None, reason=reason, detail=detail, left_out=left_out)
 
 
-def refused(source: str | None, detail: str = "no", reason: Reason = Reason.INVALID) -> Event:
-    return event(Kind.COMMAND_REJECTED, detail, source, reason)
+def refused(source: str | None, detail: str = "no", reason: Reason = Reason.INVALID, left_out: int = 0) -> Event:
+    return event(Kind.COMMAND_REJECTED, detail, source, reason, left_out)
 
 
 def kinds(model: Model) -> list[str]:

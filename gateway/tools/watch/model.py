@@ -4,7 +4,6 @@ Three questions it answers with care, since people stand beside the robot: how o
 has my emergency stop been taken?
 """
 
-import re
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from enum import Enum, StrEnum, auto
 from typing import Final
 
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode, Reason
+from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
 
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
@@ -103,7 +102,7 @@ class Model:
     remark: Remark | None = None
     refused: Counter[str] = field(default_factory=Counter)
     """Commands refused since we watch, by source, with those that the gateway left out of its events."""
-    reasons: dict[str, Reason] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
     """The latest reason, by source."""
     lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_EVENTS))
     """Newest first."""
@@ -153,13 +152,13 @@ class Model:
         text = visible(event.detail)
         if event.kind is Kind.COMMAND_REJECTED:
             known = source if source in self.refused or len(self.refused) < SOURCES else OTHERS
-            self.refused[known] += 1 + _left_out(event.detail)
+            self.refused[known] += 1 + event.left_out
             if event.reason is not None:
                 self.reasons[known] = event.reason
             text = f"{source}: {text}"
         elif event.source is not None:
             text = f"{text} ({source})"
-        self.lines.appendleft(Line(event.time, event.kind, text, event.kind in _BAD))
+        self.lines.appendleft(Line(event.time, visible(event.kind), text, event.kind in _BAD))
 
     def heard_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
         """The gateway's liveliness token came or went; it goes within milliseconds when the process ends."""
@@ -316,17 +315,10 @@ class Model:
 
 
 _BAD: Final = frozenset({Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPING})
-_LEFT_OUT: Final = re.compile(r" \((\d{1,9}) more from this source were left out\)$")
 
 
 def _started_s(state: GatewayState) -> float:
     return state.time.timestamp() - state.uptime_s
-
-
-def _left_out(detail: str) -> int:
-    """How many refusals the gateway's limit kept back before this one (gateway/refusals.py words it)."""
-    found = _LEFT_OUT.search(detail)
-    return int(found[1]) if found else 0
 
 
 def visible(text: str) -> str:

@@ -9,10 +9,10 @@ from typing import Final
 from rich.cells import cell_len
 from rich.text import Text
 
-from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_refused
+from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_refused, visible
 from schemas.telemetry import GatewayState, LegReport, Mode, ServoReport, WatchdogState
 
-_MODES: Final = {
+_MODES: Final[dict[str, str]] = {
     Mode.STARTING: "bold black on yellow",
     Mode.IDLE: "bold white on blue",
     Mode.ACTIVE: "bold black on green",
@@ -57,11 +57,11 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
     if presence is Presence.WAITING:
         line.append(" WAITING ", _ASK).append(f"  for a gateway on {where}")
         return line
-    mode = "?" if state is None else state.mode.upper().replace("_", " ")
+    mode = "?" if state is None else visible(state.mode).upper().replace("_", " ")
     if presence is Presence.SILENT:
         line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", _ALARM).append(f"  was {mode}")
     else:
-        line.append(f" {mode} ", "bold" if state is None else _MODES[state.mode])
+        line.append(f" {mode} ", "bold" if state is None else _MODES.get(state.mode, "bold"))
     if state is not None:
         running = model.running_legs()
         legs = f"{running} leg{'' if running == 1 else 's'} running"

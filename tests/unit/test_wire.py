@@ -1,0 +1,60 @@
+"""What goes out stays readable: the payloads of every earlier version, and those of later ones."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
+
+WIRE = Path(__file__).parents[1] / "data" / "wire"
+MODELS: dict[str, type[BaseModel]] = {"ack": Ack, "state": GatewayState, "event": Event, "frame": FrameRecord}
+RECORDED = [
+    pytest.param(path.stem, line, id=f"{path.parent.name}-{path.stem}-{number}")
+    for path in sorted(WIRE.glob("*/*.jsonl"))
+    for number, line in enumerate(path.read_text().splitlines())
+]
+
+
+def from_the_future(value: Any) -> Any:
+    """The same with a new field in every object, and every word that a list of known ones has changed."""
+    if isinstance(value, list):
+        return [from_the_future(inner) for inner in value]
+    if not isinstance(value, dict):
+        return value
+    words = {name: f"new_{text}" for name, text in value.items() if name in _WORDS and isinstance(text, str)}
+    return {name: from_the_future(inner) for name, inner in value.items()} | words | {"tomorrow": {"more": [1]}}
+
+
+def contains(whole: Any, part: Any) -> bool:
+    """Whether everything in `part` stands in `whole` too."""
+    if isinstance(part, dict):
+        return all(name in whole and contains(whole[name], inner) for name, inner in part.items())
+    if isinstance(part, list):
+        return len(whole) == len(part) and all(map(contains, whole, part))
+    return bool(whole == part)
+
+
+_WORDS = ("kind", "mode", "reason", "cause", "watchdog")
+
+
+def test_every_kind_of_payload_has_been_recorded() -> None:
+    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0"}
+    assert {path.stem for path in WIRE.glob("1.0/*.jsonl")} == set(MODELS)
+
+
+@pytest.mark.parametrize(("name", "line"), RECORDED)
+def test_what_earlier_versions_sent_is_read_whole(name: str, line: str) -> None:
+    read = MODELS[name].model_validate_json(line)
+    assert contains(json.loads(read.model_dump_json()), json.loads(line))
+
+
+@pytest.mark.parametrize(("name", "line"), RECORDED)
+def test_what_later_versions_may_send_is_read_and_new_words_stay_text(name: str, line: str) -> None:
+    later = from_the_future(json.loads(line))
+    read = json.loads(MODELS[name].model_validate_json(json.dumps(later)).model_dump_json())
+    for word in _WORDS:
+        if isinstance(later.get(word), str):
+            assert read[word] == later[word]
