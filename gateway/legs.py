@@ -1,15 +1,15 @@
 """What the supervisor keeps of each leg and servo, and how a leg's commands become frames: pure, time as an argument.
 
 The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
-for their leg's turn, what one frame says for three servos, which Stops are still to be repeated, and which commands are
-thereby done.
+for their leg's rate slot, what one frame says for three servos, which Stops are still to be repeated, and which
+commands are thereby done.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from gateway.events import Command, Effect, Refused, Settled, Transmit
-from gateway.pacing import NS_PER_MS, NS_PER_S, StartQueue, Turn, Waiting, merged
+from gateway.pacing import NS_PER_MS, NS_PER_S, RateSlots, StartQueue, Waiting, merged
 from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Reason, WatchdogState
@@ -60,11 +60,11 @@ class Servo:
 
 @dataclass(slots=True)
 class Leg:
-    """One leg: its servos, its turns, and when it was last heard."""
+    """One leg: its servos, its rate slots, and when it was last heard."""
 
     number: int
     servos: tuple[Servo, Servo, Servo]
-    turn: Turn
+    slots: RateSlots
     heard_ns: int | None = None
     expired: bool = False
 
@@ -143,7 +143,7 @@ class Legs:
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self.by_number = {number: Leg(number, _servos_of(number), Turn(rules.period_ns)) for number in LEGS}
+        self.by_number = {number: Leg(number, _servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
         self._orders: dict[int, _Order] = {}
         self.instant_ns = 0
@@ -156,7 +156,7 @@ class Legs:
     # ---- time
 
     def due_ns(self) -> int | None:
-        """When a deadline, a repeat or a turn comes next."""
+        """When a deadline, a repeat or a rate slot comes next."""
         due: list[int] = []
         for leg in self:
             deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
@@ -166,18 +166,18 @@ class Legs:
                 if servo.repeats_left:
                     due.append(servo.repeat_ns)
             if leg.waits:
-                turn_ns = self._queue.turn_ns(leg.number, leg.turn.next_ns)
-                if turn_ns is not None:
-                    due.append(turn_ns)
+                slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
+                if slot_ns is not None:
+                    due.append(slot_ns)
         return min(due, default=None)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """The repeated Stops that are due."""
         return [effect for leg in self for effect in self._repeat(leg, now_ns)]
 
-    def take_turns(self, now_ns: int) -> list[Effect]:
-        """The frames of the legs that waited until now."""
-        return [effect for leg in self for effect in self._send(leg, now_ns, something_waited=True)]
+    def take_slots(self, now_ns: int) -> list[Effect]:
+        """The frames of the legs whose rate slot has come."""
+        return [effect for leg in self for effect in self._send(leg, now_ns)]
 
     # ---- commands
 
@@ -200,7 +200,7 @@ class Legs:
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
         if stops:  # they may have ended what its own starts queued behind
-            effects += self.take_turns(now_ns)
+            effects += self.take_slots(now_ns)
         return effects
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
@@ -215,17 +215,16 @@ class Legs:
         return effects + self._empty_queue(command.order)
 
     def _move(self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int) -> list[Effect]:
-        """A command that starts or sets (and may stop some servos as well): it waits for the leg's turn."""
-        something_waited = leg.waits
+        """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
         effects: list[Effect] = []
         for servo, op in targets:
             newest = op if servo.waiting is None else merged(servo.waiting.op, op)
             effects += self._replace(servo, Waiting(newest, command.order))
             if op.op is Op.STOP:
                 servo.note_stop(command.channel, self.instant_ns)
-        effects += self._send(leg, now_ns, something_waited=something_waited)
+        effects += self._send(leg, now_ns)
         for servo, _ in targets:
-            # The leg's turn has not come. Its moves wait; its Stops do not.
+            # The leg's rate slot has not come. Its moves wait; its Stops do not.
             if servo.waiting is not None and servo.waiting.op.op is Op.STOP:
                 servo.waiting = None
                 # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
@@ -235,7 +234,7 @@ class Legs:
                 effects += self._target_done(command.order)
         return effects
 
-    def _send(self, leg: Leg, now_ns: int, *, something_waited: bool) -> list[Effect]:
+    def _send(self, leg: Leg, now_ns: int) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
         waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
         energises = leg.waits_to_start
@@ -243,13 +242,13 @@ class Legs:
             self._queue.join(leg.number)
         else:
             self._queue.leave(leg.number)
-        if not waiting or not leg.turn.is_open(now_ns, something_waits=something_waited):
+        if not waiting or not leg.slots.is_open(now_ns):
             return []
         if energises:
             if not self._queue.admits(leg.number, now_ns):
                 return []
             self._queue.started(leg.number, now_ns)
-        leg.turn.take(now_ns, at_rest=leg.at_rest)
+        leg.slots.take(now_ns)
         frame = OneServo(waiting[0][0].servo_id, waiting[0][1].op) if len(waiting) == 1 else _whole_leg(leg)
         effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
         for servo, target in waiting:
@@ -291,7 +290,7 @@ class Legs:
         """
         servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
         waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting.order != own]
-        return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before its turn to be started")
+        return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
 
     # ---- commands under way
 

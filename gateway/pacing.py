@@ -1,13 +1,14 @@
-"""When a leg may send next, and what it will send then: pure, in nanoseconds of the monotonic clock.
+"""When a leg may send next, and what it will send then: pure, in integer nanoseconds of the monotonic clock.
 
-A leg has turns, one period apart. A command that finds its turn open goes out at once and takes the turn; one that
-comes sooner waits, and only the newest target of each servo is kept. Missed turns are skipped, never made up in a
-burst, and the turns after them stay on their grid, so that a stream at just the limit's rate does not fall behind by
-its own worst jitter or stall. The grid starts again only with the first frame for a leg at rest.
+A leg gets one rate slot per period. A command that finds a slot goes out at once and uses it up; one that comes sooner
+is pending until there is a slot, and only the newest target of each servo is kept. A slot that nobody used is kept for
+later, but never more than `BUCKET` of them (a token bucket): a stream at just the limit's rate comes now early, now
+late, and with spare slots it passes as it is. Older slots are skipped.
 
-Two frames are never less than half a period apart.
+Kept slots are no burst: two frames of a leg are never less than a quarter of its period apart. So at most rate + 3
+frames go out in any second, and exactly the rate in the long run.
 
-Stop frames know no turns and never pass through here.
+Stop frames need no slot and never pass through here.
 """
 
 from dataclasses import dataclass, field
@@ -18,12 +19,11 @@ from gateway.protocol.frames import Op, ServoOp
 NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000
 
-EARLY_SHARE: Final = 2
-"""A turn opens half a period early for a leg with nothing waiting. A stream at just the limit's rate sets the grid with
-its first frame, and if that one was late by some milliseconds, then every later one comes too early by as much, and
-would wait for as long as the stream lasts: with a tenth of a period here, publish → transfer was 3 to 13 ms in a third
-of the benchmark's rounds, with half a period 0.6 to 0.9 ms in all of them. A leg that is sent more than its rate always
-has something waiting, so it never gains by this."""
+BUCKET: Final = 3
+"""At 50 Hz, Wi-Fi delivers a setpoint up to 15 ms early or late: 30 ms from one to the next, which is one and a half
+periods. Three slots take up two periods, since the frame itself uses one."""
+SPACING_SHARE: Final = 4
+"""Two frames of a leg are at least a period, divided by this, apart."""
 
 
 class Waiting(NamedTuple):
@@ -41,28 +41,24 @@ def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
 
 
 @dataclass(slots=True)
-class Turn:
-    """The turns of one leg."""
+class RateSlots:
+    """The rate slots of one leg. Before the first frame, the bucket is full."""
 
     period_ns: int
+    oldest_ns: int = -BUCKET * NS_PER_S  # the longest period is 1 s, and the clock begins at 0
+    """Since when there is the oldest slot that is kept, or from when there will be one."""
     next_ns: int = 0
-    last_ns: int = -NS_PER_S  # half of the longest period and more, before anything
+    """When the next frame may go out."""
 
-    def is_open(self, now_ns: int, *, something_waits: bool) -> bool:
+    def is_open(self, now_ns: int) -> bool:
         """Whether a frame may go out now."""
-        early_ns = 0 if something_waits else self.period_ns // EARLY_SHARE
-        return now_ns >= max(self.next_ns - early_ns, self.last_ns + self.period_ns // 2)
+        return now_ns >= self.next_ns
 
-    def take(self, now_ns: int, *, at_rest: bool) -> None:
-        """A frame goes out now, perhaps the first for a leg at rest: skip what was missed and set the next turn.
-
-        Were the grid to start again after each missed turn, it would often be just ahead of the stream that goes on,
-        and every later setpoint would wait for nearly a period.
-        """
-        missed = max(0, (now_ns - self.next_ns) // self.period_ns)
-        turn_ns = now_ns if at_rest and missed else self.next_ns + missed * self.period_ns
-        self.next_ns = max(turn_ns + self.period_ns, now_ns + self.period_ns // 2)
-        self.last_ns = now_ns
+    def take(self, now_ns: int) -> None:
+        """A frame goes out now and uses up the oldest slot that the bucket still holds."""
+        self.oldest_ns = max(self.oldest_ns, now_ns - (BUCKET - 1) * self.period_ns) + self.period_ns
+        spacing_ns = -(-self.period_ns // SPACING_SHARE)  # rounded up: never closer
+        self.next_ns = max(self.oldest_ns, now_ns + spacing_ns)
 
 
 @dataclass(slots=True)
@@ -95,8 +91,8 @@ class StartQueue:
         if leg in self.legs:
             self.legs.remove(leg)
 
-    def turn_ns(self, leg: int, leg_turn_ns: int) -> int | None:
-        """When to look at a waiting leg again; None: the leg before it in the queue comes first."""
+    def due_ns(self, leg: int, slot_ns: int) -> int | None:
+        """When to look again at a leg whose slot comes at `slot_ns`; None: another leg is before it in the queue."""
         if leg not in self.legs:
-            return leg_turn_ns
-        return max(leg_turn_ns, self.next_ns) if self.legs[0] == leg else None
+            return slot_ns
+        return max(slot_ns, self.next_ns) if self.legs[0] == leg else None

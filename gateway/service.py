@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from math import ceil
 from typing import Any
 
 import zenoh
@@ -50,7 +51,7 @@ def rules(settings: Settings) -> Rules:
         whole_robot=settings.watchdog.scope == "robot",
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
-        period_ns=round(NS_PER_S / settings.limits.leg_rate_hz),
+        period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
         start_pause_ns=round(settings.limits.start_stagger_ms * NS_PER_MS),
         joint_limits_cdeg={
             int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))

@@ -8,8 +8,8 @@ The rules, by number of the contract's *Behaviour*:
  1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
  2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is
     refused, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
- 3. Starts and Sets wait for their leg's turn (`pacing`), newest target per servo. A Stop waits for nothing, and in what
-    one step wants sent, all Stops come first.
+ 3. Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for nothing, and
+    in what one step wants sent, all Stops come first.
  4. A leg that runs, or waits to be started, and is named by no accepted command for the timeout, is stopped.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
     Every Stop is repeated, until its servo is started again.
@@ -162,7 +162,7 @@ class Supervisor:
         return Mode.IDLE if all(leg.at_rest for leg in self.legs) else Mode.ACTIVE
 
     def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
-        """Take an event between the deadlines that it is too late for and the turns that it may still change."""
+        """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
         due = self.due_ns is not None and now_ns >= self.due_ns
         effects = self._expire(now_ns) if due else []
         match event:
@@ -172,7 +172,7 @@ class Supervisor:
                 effects += self._reset(event)
         if due:
             effects += self.legs.repeat_stops(now_ns)
-            effects += self.legs.take_turns(now_ns)
+            effects += self.legs.take_slots(now_ns)
         return effects
 
     # ---- events
@@ -262,7 +262,7 @@ class Supervisor:
         first = min(silent.values())
         due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
         expired = [leg for leg in self.legs if leg.number in due and leg.watched]
-        detail = "the command waited for its turn longer than the watchdog allows"
+        detail = "the command was pending longer than the watchdog allows"
         effects = self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
         for leg in expired:
             leg.expired = True

@@ -58,14 +58,16 @@ class ServoHistory:
 
 @dataclass(slots=True)
 class LegHistory:
-    """One leg: when an accepted command named it, and when a frame last moved it."""
+    """One leg: when an accepted command named it, when a frame last moved it, and what its token bucket held then."""
 
     heard_ns: int | None = None
     moved_ns: int | None = None
+    bucket_ns: int = 0
+    """After the frame; a rate slot is a period."""
 
     def clone(self) -> Self:
         """A copy."""
-        return type(self)(self.heard_ns, self.moved_ns)
+        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns)
 
 
 _SERVO_FIELDS: "attrgetter[tuple[Any, ...]]" = attrgetter(*(f.name for f in fields(ServoHistory)))

@@ -6,7 +6,8 @@ Breadth first from a supervisor that has just been made: in every state, every e
 tried at every distance in time that the configuration has: at once (the same instant), a tick later, and so late that
 several deadlines are jumped over. Two states are one if nothing in them differs relative to now, so the clock does not
 make them infinite, and the search ends when no step leads to a new one: no depth limits it. What is small is the robot
-(one or two legs, a few commands, one or two angles) and the resolution of time (a tick is half of a leg's period).
+(one or two legs, a few commands, one or two angles) and the resolution of time (a tick is half a leg's period, or a
+quarter of it).
 """
 
 import time
@@ -18,7 +19,7 @@ from typing import Any, Final
 
 from gateway.events import BusFailed, BusOpened, Command, EmergencyStop, Event, Reset, ShutDown, TimePassed
 from gateway.legs import Leg, Legs, Rules, Servo, _Order
-from gateway.pacing import StartQueue, Turn, Waiting
+from gateway.pacing import RateSlots, StartQueue, Waiting
 from gateway.protocol.frames import STOP, Op, ServoOp
 from gateway.supervisor import TRANSITIONS, Supervisor
 from schemas.telemetry import Mode
@@ -26,7 +27,7 @@ from tests.history import Violation, demand
 from tests.oracle import Oracle
 
 TICK: Final = 10
-"""Nanoseconds, in a world where a leg's period is two ticks; its half, the early share, is one."""
+"""Nanoseconds, in a world where a leg's period is two ticks, or four, of which a quarter is one."""
 
 Targets = tuple[tuple[int, ServoOp], ...]
 
@@ -68,8 +69,8 @@ def _getter(kind: type, *expected: str) -> "attrgetter[tuple[Any, ...]]":
 _servo_fields = _getter(
     Servo, "servo_id", "leg", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
 )
-_leg_fields = _getter(Leg, "number", "servos", "turn", "heard_ns", "expired")
-_turn_fields = _getter(Turn, "period_ns", "next_ns", "last_ns")
+_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired")
+_slots_fields = _getter(RateSlots, "period_ns", "oldest_ns", "next_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _order_fields = _getter(_Order, "targets", "coalesced")
 _getter(Waiting, "op", "order")
@@ -109,21 +110,13 @@ def copied(supervisor: Supervisor) -> Supervisor:
     by_number: dict[int, Leg] = {}
     for number, leg in supervisor.legs.by_number.items():
         first, second, third = (type(servo)(*_servo_fields(servo)) for servo in leg.servos)
-        turn = type(leg.turn)(*_turn_fields(leg.turn))
-        by_number[number] = type(leg)(number, (first, second, third), turn, leg.heard_ns, leg.expired)
+        slots = type(leg.slots)(*_slots_fields(leg.slots))
+        by_number[number] = type(leg)(number, (first, second, third), slots, leg.heard_ns, leg.expired)
     _with_legs(legs, by_number)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     legs._orders = {number: _Order(*_order_fields(order)) for number, order in supervisor.legs._orders.items()}
     return other
-
-
-def _next_turn(leg: Leg, now_ns: int) -> int:
-    """When the next turn opens. What matters of one that was missed is its place on the grid, and none at rest."""
-    next_ns = leg.turn.next_ns - now_ns
-    if leg.at_rest:
-        return max(next_ns, -leg.turn.period_ns)
-    return next_ns if next_ns > 0 else -(-next_ns % leg.turn.period_ns)
 
 
 def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -149,8 +142,8 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 if leg.heard_ns is not None and leg.watched
                 else None,
                 leg.expired,
-                _next_turn(leg, now_ns),
-                max(leg.turn.last_ns - now_ns, -leg.turn.period_ns // 2),  # half a period after a frame, all is open
+                max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
+                max(leg.slots.next_ns - now_ns, 0),
                 tuple(
                     (
                         servo.angle_cdeg,
@@ -297,12 +290,24 @@ CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
     Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS, ends=False),
     Configuration(
-        "a turn later than the watchdog", _rules(timeout_ns=2 * TICK, period_ns=3 * TICK), (1,), _WHOLE_LEG, _WAITS[1:]
+        "one leg, frames a quarter of a period apart",
+        _rules(timeout_ns=6 * TICK, period_ns=4 * TICK, repeats=0),
+        (1,),
+        (("servo", _each(START, 11)), ("servo", _each(SET, 11)), ("servo", _each(STOP, 11))),
+        (*_WAITS, 4 * TICK),
+        ends=False,
+    ),
+    Configuration(
+        "a rate slot later than the watchdog",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK),
+        (1,),
+        _WHOLE_LEG,
+        _WAITS[1:],
     ),
     Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS[1:], _WAITS[1:], ends=False),
     Configuration("two legs, repeated Stops", _rules(), (1, 2), _TWO_LEGS[:4], _WAITS[1:], ends=False),
     Configuration(
-        "two legs, turns later than the watchdog",
+        "two legs, rate slots later than the watchdog",
         _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, repeats=0),
         (1, 2),
         (("legs", _each(START, 11, 21, 22)), ("servo", _each(START, 21)), ("servo", _each(STOP, 11))),

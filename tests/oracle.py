@@ -68,7 +68,8 @@ class Oracle:
                 min(now_ns - leg.heard_ns, self.rules.timeout_ns)
                 if leg.heard_ns is not None and self._watched(number)
                 else None,
-                None if leg.moved_ns is None else min(now_ns - leg.moved_ns, self._longest_turn_ns),
+                self._bucket_ns(leg, now_ns),
+                max(0, self._slot_ns(leg) - now_ns),
             )
             for number, leg in self.legs.items()
         )
@@ -278,9 +279,7 @@ class Oracle:
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
             demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
-            least_ns = self.rules.period_ns // 2
-            demand(leg.moved_ns is None or now_ns - leg.moved_ns >= least_ns, "missed turns are not made up in a burst")
-            leg.moved_ns = now_ns
+            self._rated(leg, now_ns)
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]
             if op.op is Op.STOP:
@@ -317,14 +316,27 @@ class Oracle:
     def _owe(self, servo: ServoHistory, now_ns: int) -> None:
         servo.owed, servo.owed_ns = self.rules.repeats, now_ns + self.rules.repeat_interval_ns
 
-    def _turn_ns(self, leg: LegHistory) -> int:
-        """When a frame for this leg need not wait any more."""
-        return 0 if leg.moved_ns is None else leg.moved_ns + self._longest_turn_ns
+    # ---- the rate: a token bucket, as the contract says it
 
-    @property
-    def _longest_turn_ns(self) -> int:
-        """A period, and the half of one that the frame before may have been early."""
-        return self.rules.period_ns + self.rules.period_ns // 2
+    def _rated(self, leg: LegHistory, now_ns: int) -> None:
+        """A frame moves this leg."""
+        held_ns = self._bucket_ns(leg, now_ns)
+        demand(held_ns >= self.rules.period_ns, "no frame without a rate slot")
+        apart = leg.moved_ns is None or 4 * (now_ns - leg.moved_ns) >= self.rules.period_ns
+        demand(apart, "two frames of a leg are a quarter of its period apart: no burst")
+        leg.moved_ns, leg.bucket_ns = now_ns, held_ns - self.rules.period_ns
+
+    def _bucket_ns(self, leg: LegHistory, now_ns: int) -> int:
+        """What the bucket holds now: it fills by a slot in a period, up to three."""
+        full_ns = 3 * self.rules.period_ns
+        return full_ns if leg.moved_ns is None else min(full_ns, leg.bucket_ns + now_ns - leg.moved_ns)
+
+    def _slot_ns(self, leg: LegHistory) -> int:
+        """From when a frame for this leg need not wait any more."""
+        if leg.moved_ns is None:
+            return 0
+        quarter_ns = -(-self.rules.period_ns // 4)
+        return leg.moved_ns + max(quarter_ns, self.rules.period_ns - leg.bucket_ns)
 
     def _head_of_queue(self, now_ns: int) -> list[int]:
         """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
@@ -333,9 +345,9 @@ class Oracle:
         if not self.queue or not self.rules.start_pause_ns:
             return []
         pause_ns = 0 if self.energised_leg is None else self.energised_ns + self.rules.start_pause_ns
-        turn_ns = max(self._turn_ns(self.legs[self.queue[0]]), pause_ns)
-        demand(now_ns < turn_ns, f"leg {self.queue[0]} is energised when its turn in the queue comes")
-        return [turn_ns]
+        slot_ns = max(self._slot_ns(self.legs[self.queue[0]]), pause_ns)
+        demand(now_ns < slot_ns, f"leg {self.queue[0]} is energised when it is the first in the queue")
+        return [slot_ns]
 
     # ---- answers, and what holds after every step
 
@@ -357,9 +369,9 @@ class Oracle:
                 demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
                 latest.append(deadline_ns)
             if any(servo.want is not None for servo in servos) and not self.rules.start_pause_ns:
-                turn_ns = self._turn_ns(leg)
-                demand(now_ns < turn_ns, "what waits is sent when the turn comes")
-                latest.append(turn_ns)
+                slot_ns = self._slot_ns(leg)
+                demand(now_ns < slot_ns, "what is pending is sent when the rate slot comes")
+                latest.append(slot_ns)
             for servo in servos:
                 if servo.owed:
                     demand(now_ns < servo.owed_ns, "a Stop is repeated in time")

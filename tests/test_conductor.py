@@ -94,7 +94,7 @@ async def test_what_comes_too_soon_waits_and_the_newest_target_goes_out_as_a_sta
     assert [ack.coalesced for ack in first + second] == [True, None]
 
 
-async def test_a_stream_above_the_rate_is_thinned_and_never_made_up() -> None:
+async def test_a_stream_above_the_rate_is_thinned_and_nothing_is_made_up() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, leg("start", 0, 0, 0))
     begun_ms = robot.now_ns() / 1e6
@@ -102,9 +102,9 @@ async def test_a_stream_above_the_rate_is_thinned_and_never_made_up() -> None:
         robot.put(LEG_3, leg("set", count / 10, 0, 0))
         await asyncio.sleep(1 / 300)
     frames = robot.frames
-    assert len(frames) == 50
-    gaps = [later - earlier for (earlier, _), (later, _) in pairwise(frames)]
-    assert min(gaps) == pytest.approx(20)
+    gaps_ms = [later - earlier for (earlier, _), (later, _) in pairwise(frames)]
+    assert gaps_ms[:3] == pytest.approx([5, 5, 10]), "what the bucket held"
+    assert gaps_ms[3:] == pytest.approx([20] * 48)
     # What goes out is the newest of its moment (or the one before, where both fall on the same millisecond).
     for at_ms, frame in frames[1:]:
         newest = int((at_ms - begun_ms) * 0.3 + 1e-3)
@@ -115,14 +115,14 @@ async def test_a_stream_at_the_rate_passes_unthinned_although_it_jitters() -> No
     robot = await started_and_quiet()
     robot.put(LEG_3, leg("start", 0, 0, 0))
     for count in range(100):
-        await asyncio.sleep(0.0185 if count % 2 else 0.0215)
+        await asyncio.sleep(0.005 if count % 2 else 0.035)
         robot.put(LEG_3, leg("set", count, 0, 0))
     await asyncio.sleep(0.02)
     assert len(robot.frames) == 101
     assert robot.conductor.metrics.coalesced == 0
 
 
-async def test_a_stop_waits_for_no_turn_and_nothing_older_follows_it() -> None:
+async def test_a_stop_waits_for_no_rate_slot_and_nothing_older_follows_it() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, leg("start", 10, 10, 10))
     await asyncio.sleep(0.001)

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.events import Command, Effect, EmergencyStop, Event, Refused, Reset, TimePassed
 from gateway.legs import Leg, Legs, Rules, Servo
-from gateway.pacing import StartQueue, Turn
+from gateway.pacing import RateSlots, StartQueue
 from gateway.supervisor import Supervisor
 from schemas.telemetry import Cause, Reason
 from tests.history import Violation
@@ -18,8 +18,9 @@ from tests.model_check import CONFIGURATIONS, Configuration, Key, Report, State,
 BY_NAME = {configuration.name: configuration for configuration in CONFIGURATIONS}
 ONE_SERVO = BY_NAME["one servo, two channels"]
 ONE_LEG = BY_NAME["one leg, commands for all of it and for a servo"]
-SLOW = BY_NAME["a turn later than the watchdog"]
-TWO_SLOW_LEGS = BY_NAME["two legs, turns later than the watchdog"]
+QUARTER = BY_NAME["one leg, frames a quarter of a period apart"]
+SLOW = BY_NAME["a rate slot later than the watchdog"]
+TWO_SLOW_LEGS = BY_NAME["two legs, rate slots later than the watchdog"]
 WHOLE_ROBOT = BY_NAME["two legs, one silent leg stops both"]
 STAGGERED = BY_NAME["two legs, started one after the other"]
 
@@ -86,15 +87,32 @@ class ForgetsOthersStops(Servo):
         self.stopped_by, self.stopped_ns = frozenset((by,)), now_ns
 
 
-class EagerTurn(Turn):
-    """Missed turns are made up in a burst."""
+class NeverSkips(RateSlots):
+    """Every missed slot is made up."""
 
-    def take(self, now_ns: int, *, at_rest: bool) -> None:
-        del now_ns, at_rest
-        self.next_ns += self.period_ns
+    def take(self, now_ns: int) -> None:
+        self.oldest_ns += self.period_ns
+        self.next_ns = max(self.oldest_ns, now_ns + self.period_ns // 4)
 
 
-def with_parts(*, leg: type[Leg] = Leg, servo: type[Servo] = Servo, turn: type[Turn] = Turn) -> type[Supervisor]:
+class Bursts(RateSlots):
+    """What the bucket holds may go out in one instant."""
+
+    def take(self, now_ns: int) -> None:
+        super().take(now_ns)
+        self.next_ns = self.oldest_ns
+
+
+class NoBucket(RateSlots):
+    """A stream at the limit waits for its own jitter."""
+
+    def take(self, now_ns: int) -> None:
+        self.next_ns = now_ns + self.period_ns
+
+
+def with_parts(
+    *, leg: type[Leg] = Leg, servo: type[Servo] = Servo, slots: type[RateSlots] = RateSlots
+) -> type[Supervisor]:
     """A supervisor whose legs are made of other parts."""
 
     class Planted(Supervisor):
@@ -102,7 +120,7 @@ def with_parts(*, leg: type[Leg] = Leg, servo: type[Servo] = Servo, turn: type[T
             super().__init__(rules)
             for number in self.legs.by_number:
                 first, second, third = (servo(s.servo_id, number) for s in self.legs.by_number[number].servos)
-                self.legs.by_number[number] = leg(number, (first, second, third), turn(rules.period_ns))
+                self.legs.by_number[number] = leg(number, (first, second, third), slots(rules.period_ns))
 
     return Planted
 
@@ -123,11 +141,11 @@ def test_parts_without_a_bug_keep_every_promise() -> None:
     check(ONE_SERVO, with_parts())
 
 
-class StopsTakeTurns(Legs):
-    """A Stop on command waits for the leg's turn."""
+class StopsTakeSlots(Legs):
+    """A Stop on command waits for the leg's rate slot."""
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
-        if not leg.turn.is_open(now_ns, something_waits=True):
+        if not leg.slots.is_open(now_ns):
             return []
         return super()._stop_on_command(leg, servos, command, now_ns)
 
@@ -135,9 +153,9 @@ class StopsTakeTurns(Legs):
 class RepeatsAfterStart(Legs):
     """Repeats still to come are kept when the servo is started again."""
 
-    def _send(self, leg: Leg, now_ns: int, *, something_waited: bool) -> list[Effect]:
+    def _send(self, leg: Leg, now_ns: int) -> list[Effect]:
         kept = [(servo, servo.repeats_left) for servo in leg.servos]
-        effects = super()._send(leg, now_ns, something_waited=something_waited)
+        effects = super()._send(leg, now_ns)
         for servo, repeats in kept:
             servo.repeats_left = repeats
         return effects
@@ -214,11 +232,11 @@ class OversleepsTheWatchdog(Supervisor):
         return effects
 
 
-class EmergencyStopAfterTurns(Supervisor):
-    """An emergency stop comes after the frames whose turn it is."""
+class EmergencyStopAfterSlots(Supervisor):
+    """An emergency stop comes after the frames whose rate slot has come."""
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        moves = self.legs.take_turns(now_ns) if self._bus_ok else []
+        moves = self.legs.take_slots(now_ns) if self._bus_ok else []
         return moves + super()._emergency_stop(event, now_ns)
 
 
@@ -268,8 +286,11 @@ class AllAtOnce(Legs):
         (SLOW, with_parts(leg=WatchdogWithoutWaitingStarts), "not heard for the timeout"),
         (ONE_SERVO, with_parts(servo=SetStarts), "refused for servo_stopped"),
         (ONE_SERVO, with_parts(servo=ForgetsOthersStops), "refused for servo_stopped"),
-        (ONE_SERVO, with_parts(turn=EagerTurn), "burst"),
-        (ONE_SERVO, with_legs(StopsTakeTurns), "is sent at once"),
+        (ONE_SERVO, with_parts(slots=NeverSkips), "no frame without a rate slot"),
+        (ONE_SERVO, with_parts(slots=Bursts), "no burst"),
+        (QUARTER, with_parts(slots=Bursts), "no burst"),
+        (ONE_SERVO, with_parts(slots=NoBucket), "sent when the rate slot comes|wakes up in time"),
+        (ONE_SERVO, with_legs(StopsTakeSlots), "is sent at once"),
         (ONE_SERVO, with_legs(RepeatsAfterStart), "wake up|repeated any more"),
         (ONE_SERVO, with_legs(OlderStartSurvivesStop), "every command is answered|nobody asked"),
         (TWO_SLOW_LEGS, with_legs(RefusedInPart), "every command is answered|nobody asked|wakes up in time"),
@@ -277,7 +298,7 @@ class AllAtOnce(Legs):
         (ONE_LEG, LateCommandsCount, "not heard for the timeout"),
         (ONE_LEG, RefusedCommandsFeed, "wakes up in time|not heard for the timeout"),
         (ONE_SERVO, OversleepsTheWatchdog, "wakes up in time"),
-        (ONE_SERVO, EmergencyStopAfterTurns, "a Stop to each leg and nothing else"),
+        (ONE_SERVO, EmergencyStopAfterSlots, "a Stop to each leg and nothing else"),
         (ONE_SERVO, ResetInTheSameInstant, "a reset refused for estopped"),
         (ONE_LEG, RecoversWithoutStops, "a Stop to each leg"),
         (WHOLE_ROBOT, OneSilentLegOnly, "not heard for the timeout"),

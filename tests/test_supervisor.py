@@ -95,16 +95,32 @@ def test_an_angle_outside_a_joints_limits_refuses_the_whole_command() -> None:
 # ---- 3, the rate limit
 
 
-def test_what_comes_sooner_waits_and_only_the_newest_is_sent() -> None:
+def without_slots() -> Steps:
+    """Leg 1 runs and has used up all its rate slots; the next comes at 120 ms."""
     robot = Steps()
     robot.command(100, leg(1, "start 90"))
-    assert robot.command(105, leg(1, "set 80")) == []
+    for at_ms in (105, 110):
+        assert robot.command(at_ms, leg(1, "set 90"))[0] == "command 1 set 90"
+    return robot
+
+
+def test_what_comes_sooner_waits_and_only_the_newest_is_sent() -> None:
+    robot = without_slots()
+    assert robot.command(112, leg(1, "set 80")) == []
     assert robot.due_ms == 120
-    assert robot.command(110, leg(1, "set 70")) == ["settled 2 coalesced"]
-    assert robot.command(115, leg(1, "set 60")) == ["settled 3 coalesced"]
+    assert robot.command(115, leg(1, "set 70")) == ["settled 4 coalesced"]
+    assert robot.command(117, leg(1, "set 60")) == ["settled 5 coalesced"]
     assert robot.time(119) == []
-    assert robot.time(120) == ["command 1 set 60", "settled 4"]
+    assert robot.time(120) == ["command 1 set 60", "settled 6"]
     assert robot.time(140) == []
+
+
+def test_three_slots_are_kept_for_a_stream_that_jitters() -> None:
+    robot = Steps()
+    robot.command(100, leg(1, "start 90"))
+    assert robot.command(101, leg(1, "set 80")) == []
+    assert robot.due_ms == 105
+    assert robot.command(106, leg(1, "set 70")) == ["settled 2 coalesced", "command 1 set 70", "settled 3"]
 
 
 def test_the_newest_of_each_servo_is_sent_in_one_frame() -> None:
@@ -131,16 +147,16 @@ def test_a_waiting_start_stays_a_start() -> None:
     assert robot.time(120) == ["command 1 set 10 | start 20 | start 30", "settled 3"]
 
 
-def test_each_leg_has_turns_of_its_own() -> None:
+def test_each_leg_has_rate_slots_of_its_own() -> None:
     robot = Steps()
     robot.command(100, leg(1, "start 90"))
     assert robot.command(101, leg(2, "start 90")) == ["command 2 start 90", "settled 2"]
     assert robot.command(102, legs("123", "start 80")) == ["command 3 start 80"]
-    assert robot.time(120) == ["command 1 start 80"]
-    assert robot.time(121) == ["command 2 start 80", "settled 3"]
+    assert robot.time(105) == ["command 1 start 80"]
+    assert robot.time(106) == ["command 2 start 80", "settled 3"]
 
 
-def test_a_command_that_finds_its_turn_open_is_sent_with_what_waited() -> None:
+def test_a_command_that_finds_a_rate_slot_is_sent_with_what_waited() -> None:
     """Nobody woke the supervisor in time: the newer target goes out, not first the older one."""
     robot = Steps()
     robot.command(100, leg(1, "start 90"))
@@ -148,19 +164,21 @@ def test_a_command_that_finds_its_turn_open_is_sent_with_what_waited() -> None:
     assert robot.command(125, leg(1, "set 20")) == ["settled 2 coalesced", "command 1 set 20", "settled 3"]
 
 
-def test_missed_turns_are_not_made_up() -> None:
-    robot = Steps()
-    robot.command(100, leg(1, "start 90"))
-    assert robot.command(200, leg(1, "set 10"))[0] == "command 1 set 10"
-    assert robot.command(201, leg(1, "set 20")) == []
-    assert robot.due_ms == 220
+def test_slots_that_nobody_used_are_skipped() -> None:
+    """Five periods of silence: three slots, a quarter of a period apart, and then one a period."""
+    robot = without_slots()
+    sent_ms = []
+    for at_ms in range(200, 300):
+        if "command 1 set 10" in robot.command(at_ms, leg(1, "set 10")):
+            sent_ms.append(at_ms)
+    assert sent_ms == [200, 205, 210, 220, 240, 260, 280]
 
 
 def test_the_period_is_a_setting() -> None:
     robot = Steps(Rules(repeats=0, period_ns=100 * NS_PER_MS))
     robot.command(100, leg(1, "start 90"))
-    robot.command(130, leg(1, "set 80"))
-    assert robot.due_ms == 200
+    robot.command(110, leg(1, "set 80"))
+    assert robot.due_ms == 125
 
 
 # ---- Stops never wait

@@ -150,11 +150,11 @@ def test_a_set_keeps_the_start_that_waits_although_a_stop_for_another_leg_comes_
 
 
 def test_a_start_goes_out_at_once_where_the_stop_that_comes_with_it_ends_the_queue_before_it() -> None:
-    robot = staggered(5)
+    robot = staggered(4)
     robot.command(100, leg(1, "start 90"))
     robot.command(101, leg(1, "stop"))
-    robot.command(106, legs("12", "start 90"), "legs")
-    told = robot.command(107, leg(1, "stop") + leg(2, "start 80"), "legs")
+    robot.command(104, legs("12", "start 90"), "legs")
+    told = robot.command(104.5, leg(1, "stop") + leg(2, "start 80"), "legs")
     assert told == ["command 1 stop", "settled 3 coalesced", "command 2 start 80", "settled 4"]
 
 

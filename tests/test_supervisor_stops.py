@@ -63,7 +63,7 @@ def test_other_legs_do_not_feed_it() -> None:
 
 
 def test_a_command_that_is_held_back_by_the_rate_feeds_it() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=260 * NS_PER_MS))
+    robot = Steps(Rules(repeats=0, period_ns=1040 * NS_PER_MS))
     robot.command(100, leg(1, "start 90"))
     robot.command(200, leg(1, "set 80"))
     assert robot.time(350) == []
@@ -93,7 +93,7 @@ def test_a_command_that_is_late_does_not_save_its_leg(late: str) -> None:
 
 
 def test_a_start_that_waits_too_long_is_never_sent() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=1000 * NS_PER_MS))
+    robot = Steps(Rules(repeats=0, period_ns=4000 * NS_PER_MS))
     robot.command(100, leg(1, "start 90"))
     robot.command(110, leg(1, "stop"))
     assert robot.command(120, leg(1, "start 90")) == []
@@ -103,7 +103,7 @@ def test_a_start_that_waits_too_long_is_never_sent() -> None:
 
 
 def test_a_refused_command_takes_no_effect_on_its_other_legs() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=1000 * NS_PER_MS))
+    robot = Steps(Rules(repeats=0, period_ns=4000 * NS_PER_MS))
     robot.command(100, legs("12", "start 90"), "legs")
     robot.command(110, legs("12", "stop"), "legs")
     robot.command(120, legs("12", "start 90"), "legs")
@@ -119,7 +119,7 @@ def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
     robot = Steps(Rules(repeats=0, whole_robot=True))
     robot.command(100, leg(1, "start 90"))
     robot.command(200, leg(2, "start 90"))
-    robot.command(205, leg(2, "set 80"))
+    robot.command(204, leg(2, "set 80"))
     assert robot.time(350) == [*all_stopped("watchdog"), "refused 3 stale", "announce watchdog_expired"]
     assert watchdog_of(robot) == [EXPIRED, EXPIRED, IDLE, IDLE, IDLE, IDLE]
     assert robot.supervisor.expirations == 1
@@ -129,7 +129,7 @@ def test_waking_up_after_many_deadlines_stops_and_sends_nothing_else() -> None:
     robot = Steps(Rules(repeats=2))
     robot.command(100, legs("123", "start 90"))
     robot.command(104, leg(2, "stop"))
-    robot.command(105, leg(1, "set 80"))
+    robot.command(104, leg(1, "set 80"))
     assert robot.time(9000) == [
         "watchdog 1 stop",
         "watchdog 3 stop",
@@ -166,8 +166,8 @@ def test_repeats_end_when_the_servo_is_started_again() -> None:
     assert robot.time(60) == all_stopped("repeat")[1:]
 
 
-def test_repeats_go_on_while_a_start_waits_for_its_turn() -> None:
-    robot = Steps(Rules(repeats=5, repeat_interval_ns=5 * NS_PER_MS))
+def test_repeats_go_on_while_a_start_waits_for_its_rate_slot() -> None:
+    robot = Steps(Rules(repeats=5, repeat_interval_ns=5 * NS_PER_MS, period_ns=80 * NS_PER_MS))
     robot.command(100, leg(1, "start 90"))
     robot.command(101, leg(1, "stop"))
     assert robot.command(102, leg(1, "start 80")) == []
@@ -197,7 +197,7 @@ def test_the_emergency_stop_stops_all_and_latches() -> None:
     assert robot.time(1000) == []
 
 
-def test_it_comes_before_frames_whose_turn_has_come() -> None:
+def test_it_comes_before_frames_whose_rate_slot_has_come() -> None:
     robot = Steps()
     robot.command(100, legs("12", "start 90"))
     robot.command(101, legs("12", "stop"))
