@@ -112,17 +112,19 @@ class Conductor:
         self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands", None, None, None)
         self._tell_mode()
 
-    def shut_down(self) -> None:
-        """Refuse all commands from now on, and stop all six legs."""
+    def shut_down(self) -> bool:
+        """Refuse all commands from now on, and stop all six legs: whether all six Stops were written."""
         if self._reopen_timer is not None:
             self._reopen_timer.cancel()
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
-        self._step(ShutDown())
+        stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)
         self._arm()
+        return stop_frames >= len(LEGS)
 
     def close(self) -> None:
-        """Release the bus and the timers."""
+        """Release the bus and the timers; no message is taken any more."""
+        self.take = tuple
         for timer in (self._timer, self._reopen_timer):
             if timer is not None:
                 timer.cancel()

@@ -16,18 +16,19 @@ import zenoh
 
 from gateway import exposition, realtime
 from gateway.conductor import Conductor
-from gateway.errors import GatewayError, SpiError
+from gateway.errors import GatewayError
 from gateway.inbox import Inbox
 from gateway.legs import Rules
 from gateway.notify import Manager
 from gateway.outbox import ZenohOutbox
 from gateway.pacing import NS_PER_MS, NS_PER_S
-from gateway.protocol.frames import centidegrees, stop_leg
-from gateway.settings import Settings
+from gateway.protocol.frames import centidegrees
+from gateway.settings import Settings, WatchdogSettings
 from gateway.spi import SpiDevice
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
 from gateway.spi.simulator import SimulatedController
+from gateway.stop import MOST_PAUSE_MS, stop_once
 from gateway.supervisor import Supervisor
 from gateway.zenoh_setup import open_session, service_config
 from schemas.keys import STATE
@@ -115,9 +116,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         for task in tasks:
             task.cancel()
         deadline = loop.time() + END_S
-        _stop_the_robot(conductor, bus)
-        with suppress(TimeoutError):
-            await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
+        await _stop_the_robot(conductor, bus, settings.watchdog)
         conductor.close()
         await _within(deadline - loop.time(), end.exit_code, inbox.close, session.close)
     finally:
@@ -164,15 +163,39 @@ class _End:
         self.because(f"a mistake in the gateway ended it: {error or context['message']}")
 
 
-def _stop_the_robot(conductor: Conductor, bus: Bus) -> None:
+async def _stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSettings) -> None:
+    """Stop all six legs and repeat it for REPEATS_S at most; past the conductor where that did not write all six."""
+    deadline = asyncio.get_running_loop().time() + REPEATS_S
     try:
-        conductor.shut_down()
+        stopped = conductor.shut_down()
     except Exception:
-        # Whatever went wrong there, six frames can still be written past it.
-        logger.exception("the orderly end failed")
-        for leg in LEGS:
-            with suppress(SpiError):
-                bus.write(stop_leg(leg))
+        logger.exception("the orderly end failed; writing the Stops past it")
+        stopped = False
+    if stopped:
+        with suppress(TimeoutError):
+            await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
+    else:
+        _last_attempt(bus, watchdog, deadline)
+
+
+def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
+    """All six legs again and again: a fault of a moment, or of one leg's frame, must not leave the others moving.
+
+    It holds the loop: nobody knows what else would be done there, and these Stops are the last that is to be written.
+    """
+    unstopped, rounds_left, opened = set(LEGS), 1 + watchdog.repeats, True
+    while True:
+        stopped, fault = stop_once(bus, opened=opened)
+        unstopped -= stopped
+        opened = fault is None
+        rounds_left -= opened
+        if not rounds_left or time.monotonic() > deadline:
+            break
+        time.sleep(min(watchdog.repeat_interval_ms, MOST_PAUSE_MS) / 1000)
+    if unstopped:
+        logger.critical("no Stop could be written to legs %s: %s", ", ".join(map(str, sorted(unstopped))), fault)
+    else:
+        logger.warning("all six legs got their Stop at the last attempt")
 
 
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:

@@ -3,7 +3,6 @@
 import time
 from typing import Final
 
-from gateway.errors import SpiError
 from gateway.protocol.frames import stop_leg
 from gateway.settings import Settings
 from gateway.spi.bus import Bus, bus_for
@@ -29,14 +28,14 @@ def stop_servos(settings: Settings) -> None:
 
     bus = bus_for(settings.spi, open_device, beside=True)
     unstopped = set(LEGS)
-    fault: SpiError | None = None
+    fault: Exception | None = None
     for repeat in range(1 + settings.watchdog.repeats + MORE_ROUNDS):
         if repeat > settings.watchdog.repeats and not unstopped:
             break
         if repeat:
             pause_ms = settings.watchdog.repeat_interval_ms
             time.sleep((pause_ms if repeat <= settings.watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
-        stopped, fault_now = _stop_once(bus)
+        stopped, fault_now = stop_once(bus)
         unstopped -= stopped
         fault = fault_now or fault
     bus.close()
@@ -44,21 +43,22 @@ def stop_servos(settings: Settings) -> None:
         raise fault
 
 
-def _stop_once(bus: Bus) -> tuple[set[int], SpiError | None]:
-    """One Stop for each leg, on a device opened for it: the legs whose Stop was written, and what failed last.
+def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:
+    """One Stop for each leg: the legs whose Stop was written, and what failed last.
 
-    Opening writes the preamble, which brings a controller in step that something else put out of it.
+    The device is opened for it, unless it is `opened` already, and after each failure: opening writes the preamble,
+    which synchronises a controller that something else put out of step. Whatever one leg meets, a mistake of our own
+    too, the others are tried: this is the last attempt to stop the robot.
     """
     stopped: set[int] = set()
-    fault: SpiError | None = None
-    in_step = False
+    fault: Exception | None = None
     for leg in LEGS:
         try:
-            if not in_step:
+            if not opened:
                 bus.open()
-            in_step = True
+            opened = True
             bus.write(stop_leg(leg))
             stopped.add(leg)
-        except SpiError as error:  # the next leg's Stop may still get through
-            fault, in_step = error, False
+        except Exception as error:
+            fault, opened = error, False
     return stopped, fault

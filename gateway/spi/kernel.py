@@ -35,6 +35,8 @@ class KernelDevice:
         self._path = path
         self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_BESIDE_S
         self._spi = spidev.SpiDev()
+        # Whatever it raises is a fault of the device: spidev has raised SystemError and TypeError where a kernel did
+        # what it had not expected, and the gateway must go on to its Stops.
         try:
             self._spi.open_path(path)
             if exclusive:
@@ -43,16 +45,16 @@ class KernelDevice:
             self._spi.bits_per_word = 8
             self._spi.lsbfirst = False
             self._spi.max_speed_hz = speed_hz
-        except OSError as error:
+        except Exception as error:
             self.close()
             raise SpiError(_why_not_opened(path, error)) from error
 
     def transfer(self, data: bytes) -> None:
-        """Write `data` in one transaction. Raises SpiError."""
+        """Write `data` in one transaction. Raises SpiError, whatever spidev raises (SystemError if it was short)."""
         try:
             self._spi.writebytes2(data)
-        except OSError as error:
-            raise SpiError(f"{self._path}: the transfer failed: {error.strerror or error}") from error
+        except Exception as error:
+            raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
 
     @contextmanager
     def turn(self) -> Iterator[None]:
@@ -95,14 +97,21 @@ class KernelDevice:
 
     def close(self) -> None:
         """Release the device."""
-        self._spi.close()
+        with suppress(Exception):  # nothing is left to be done about it
+            self._spi.close()
 
 
-def _why_not_opened(path: str, error: OSError) -> str:
+def _cause_of(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+def _why_not_opened(path: str, error: Exception) -> str:
     if isinstance(error, BlockingIOError):
         return f"{path} is held by another gateway; stop that one first"
     if isinstance(error, PermissionError):
         return f"{path} may not be opened by this user; add the user to the device's group (spi), or try --sim"
     if not Path(path).exists():
         return f"{path} does not exist; switch SPI on (dtparam=spi=on), or try --sim for a simulated controller"
-    return f"{path} cannot be opened: {error.strerror or error}; --sim runs with a simulated controller"
+    return f"{path} cannot be opened: {_cause_of(error)}; --sim runs with a simulated controller"

@@ -250,6 +250,10 @@ class SpiTestbed:
         """The next `count` transfers answer `errno`; with None, all of them until `heal`."""
         self._command("fail", code=errno, count=count)
 
+    def shorten(self, count: int | None = None) -> None:
+        """The next `count` transfers are short: half of the bytes reach the wire, and spidev is told so."""
+        self._command("fail", code=-1, count=count)
+
     def heal(self) -> None:
         """No more errors and delays."""
         self._command("heal")

@@ -47,8 +47,8 @@ def main() -> None:
         name, *arguments = json.loads(line)
         try:
             answer: dict[str, object] = {"ok": perform(spi, name, arguments)}
-        except OSError as error:
-            answer = {"errno": error.errno, "type": type(error).__name__}
+        except (OSError, SystemError) as error:  # SystemError: spidev's answer to a short write
+            answer = {"errno": getattr(error, "errno", None), "type": type(error).__name__}
         print(json.dumps(answer), flush=True)
 
 

@@ -37,6 +37,7 @@ NODE = "spidev0.0"
 PRELOAD = "libumockdev-preload.so.0"
 DEFAULT_SPEED_HZ = 125_000_000  # what the Pi's device tree gives spidev0.0
 BUFSIZ = 4096  # spidev's module parameter, its default
+SHORT = -1  # in place of an errno: half of the bytes are taken, and the caller is told so
 # From linux/spi/spi.h: CPHA, CPOL, CS_HIGH, 3WIRE, NO_CS: all that spi-bcm2835 supports.
 SUPPORTED_MODE_BITS = 0x01 | 0x02 | 0x04 | 0x10 | 0x40
 LSB_FIRST = 0x08
@@ -86,7 +87,7 @@ class SpiController:
         self._held: list[Callable[[int], None]] = []
 
     def fail(self, code: int, count: int | None) -> None:
-        """The next `count` transfers answer `code`; with None, all until `heal`."""
+        """The next `count` transfers answer `code`, an errno or SHORT; with None, all until `heal`."""
         with self._lock:
             self._fail_errno, self._fail_left = code, count
 
@@ -149,15 +150,12 @@ class SpiController:
         return True
 
     def handle_write(self, _base: object, client: Any) -> bool:
-        now_ns = time.monotonic_ns()
-        data = bytes(client.get_arg().retrieve())
-        self._transfer(now_ns, client, "write", [(data, 0, 0, 0, 0)])
+        self._transfer(time.monotonic_ns(), client, "write", [(bytes(client.get_arg().retrieve()), 0, 0, 0, 0)])
         return True
 
     def handle_read(self, _base: object, client: Any) -> bool:
         now_ns = time.monotonic_ns()
-        argument = client.get_arg()
-        zeros = bytes(len(argument.retrieve()))
+        zeros = bytes(len((argument := client.get_arg()).retrieve()))
         argument.update(0, zeros)
         self._transfer(now_ns, client, "read", [(zeros, 0, 0, 0, 0)])
         return True
@@ -174,10 +172,12 @@ class SpiController:
         self._transfer(now_ns, client, "message", segments)
 
     def _transfer(self, now_ns: int, client: Any, kind: str, segments: list[tuple[bytes, int, int, int, int]]) -> None:
-        length = sum(len(segment[0]) for segment in segments)
         with self._lock:
             opening = self._opening(now_ns, client)
-            code = self._verdict(client, length)
+            code = self._verdict(client, sum(len(segment[0]) for segment in segments))
+            if code == SHORT:
+                code, segments = 0, [(data[: len(data) // 2], *rest) for data, *rest in segments]
+            length = sum(len(segment[0]) for segment in segments)
             self._emit(
                 {
                     "t": now_ns,

@@ -22,7 +22,19 @@ from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.gateway_process import COMMAND, Gateway, write_settings
 from tests.heard import Heard, events, states
 from tests.hil.bed import Opened, SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Wire, opening_of, settings_for, start, transfers_of
+from tests.hil.wire import (
+    LATE_S,
+    QUIET,
+    SET_3,
+    START_3,
+    STOPS,
+    Replay,
+    Wire,
+    opening_of,
+    settings_for,
+    start,
+    transfers_of,
+)
 
 pytestmark = pytest.mark.hil
 
@@ -154,6 +166,19 @@ def test_only_the_body_of_an_announced_frame_fails(tmp_path: Path, spi_testbed: 
         at.goes_on()
 
 
+def test_a_short_write_is_a_fault_like_any_other(tmp_path: Path, wire: Wire) -> None:
+    """spidev raises SystemError then, which is no OSError: the service must not end of it."""
+    with scene(tmp_path, wire) as at:
+        wire.bed.shorten(count=1)
+        at.touch()
+        half = transfers_of(wire.framing, SET_3)[0]
+        wire.expect_transfers([half[: len(half) // 2]])
+        at.recovered()
+        assert "SystemError" in next(event.detail for event in at.heard.all if event.kind is Kind.BUS_FAULT)
+        at.goes_on()
+        assert at.gateway.child.returncode is None
+
+
 # ---- the device goes and comes back
 
 
@@ -251,6 +276,22 @@ def test_an_end_as_the_device_comes_back_still_stops(tmp_path: Path, wire: Wire)
         delivered = [each.data for each in wire.skip() if each.delivered]
         stops = transfers_of(wire.framing, *STOPS)
         assert delivered[-len(stops) :] == stops
+
+
+@pytest.mark.parametrize("short", [False, True], ids=["EIO", "short writes"])
+def test_the_last_attempt_outlasts_a_fault_that_begins_with_it(tmp_path: Path, wire: Wire, short: bool) -> None:
+    """Each leg meets the fault by itself, and again: as long as there is time, all six are tried."""
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        wire.bed.shorten(count=20) if short else wire.bed.fail(count=20)
+        gateway.child.terminate()
+        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
+        assert "at the last attempt" in gateway.child.stderr
+        replay = Replay(wire.framing)
+        replay.play(wire.bed.transfers)
+        assert replay.energised_for_good() == frozenset()
+        assert [each.data.hex() for each in wire.skip() if len(each.data) == 14][-6:] == STOPS
 
 
 # ---- slow transfers

@@ -146,6 +146,15 @@ def test_as_many_transfers_fail_as_told(spi_testbed: SpiTestbed, peer: Peer, met
     assert spi_testbed.delivered == [b"\x03"]
 
 
+def test_a_short_write_reaches_the_wire_by_half_and_makes_spidev_raise_systemerror(
+    spi_testbed: SpiTestbed, peer: Peer
+) -> None:
+    spi_testbed.shorten(count=1)
+    assert peer.call("writebytes2", "01020304") == {"errno": None, "type": "SystemError"}
+    assert peer.call("writebytes2", "05") == {"ok": None}
+    assert spi_testbed.delivered == [b"\x01\x02", b"\x05"]
+
+
 def test_all_transfers_fail_until_healed(spi_testbed: SpiTestbed, peer: Peer) -> None:
     spi_testbed.fail()
     assert [peer.call("writebytes2", "01") for _ in range(20)] == [failed(errno.EIO)] * 20
