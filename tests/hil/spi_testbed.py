@@ -176,7 +176,7 @@ class SpiController:
             opening = self._opening(now_ns, client)
             code = self._verdict(client, sum(len(segment[0]) for segment in segments))
             if code == SHORT:
-                code, segments = 0, [(data[: len(data) // 2], *rest) for data, *rest in segments]
+                code, segments = 0, [(data[: len(data) // 2], hz, bits, us, cs) for data, hz, bits, us, cs in segments]
             length = sum(len(segment[0]) for segment in segments)
             self._emit(
                 {
