@@ -7,7 +7,7 @@ WHEELS ?= dist/wheels
 # terminal, and a systemd to start in a box of its own.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus
 
-.PHONY: help run test check bench soak schemas format clean wheels debian-packages
+.PHONY: help run test check bench soak mutants schemas format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller (makes $(VENV))"
@@ -15,6 +15,7 @@ help:
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
+	@echo "make mutants  faults made by hand in the modules that keep the robot safe: does a test fail for each?"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
@@ -37,6 +38,9 @@ bench: $(VENV)/dev debian-packages
 
 soak: $(VENV)/dev
 	$(BIN)/python -m tests.benchmarks.soak
+
+mutants: $(VENV)/dev
+	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas

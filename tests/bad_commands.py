@@ -127,6 +127,7 @@ LEGS_FAULTS: list[tuple[object, str]] = [
     ({"legs": {"4": LEG | {"source": "x"}}}, "legs.4.source is not known here"),
     ({"legs": {str(n): 1 for n in range(10, 90)}}, 'legs has "10"; it may have "1" to "6" (and 159 more)'),
     ({"legs": {str(n): 1 for n in range(10, 400)}}, "the payload has more fields than any command has"),
+    (f'{{"legs": {{}}, "legs": {{"1": {json.dumps(LEG)}}}}}', f"legs {GIVEN_TWICE}"),
     (f'{{"legs": {{"1": {json.dumps(LEG)}, "1": {json.dumps(leg_with(STOP))}}}}}', f"1 {GIVEN_TWICE}"),
 ]
 RESET_FAULTS: list[tuple[object, str]] = [

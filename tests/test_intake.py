@@ -226,6 +226,21 @@ def test_a_delete_never_resets() -> None:
     assert stop_all_of(RESET_KEY) == Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
 
 
+@pytest.mark.parametrize(
+    ("ops", "expected"),
+    [
+        ((STOP, STOP, STOP), True),
+        ((STOP, STOP, START_90), False),
+        ((START_90, STOP, STOP), False),
+        ((STOP, {"op": "set", "angle_deg": 1}, STOP), False),
+    ],
+)
+def test_what_only_stops_is_taken_however_old_and_nothing_else_is(ops: tuple[object, ...], expected: bool) -> None:
+    answer = decode(LEG_3, as_json({"servos": ops}), JSON)
+    assert isinstance(answer, Intent)
+    assert answer.only_stops is expected
+
+
 # ---- anything at all
 
 json_values = st.recursive(
