@@ -13,7 +13,7 @@ help:
 	@echo "make run      the service with a simulated controller (makes $(VENV))"
 	@echo "make test     all tests"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
-	@echo "make bench    the benchmark: this gateway beside the naive script"
+	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  faults made by hand in the modules that keep the robot safe: does a test fail for each?"
 	@echo "make schemas  write schemas/json/ anew"
@@ -34,7 +34,7 @@ check: $(VENV)/dev
 	$(BIN)/python -m schemas --check
 
 bench: $(VENV)/dev debian-packages
-	$(BIN)/python -m tests.benchmarks
+	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick)
 
 soak: $(VENV)/dev
 	$(BIN)/python -m tests.benchmarks.soak

@@ -3,24 +3,44 @@
 import json
 import signal
 import sys
+from typing import Any
 
 import spidev
 import zenoh
 
-OPS = {"start": 1, "stop": 2, "set": 3}
+OPS: dict[object, int] = {"start": 1, "stop": 2, "set": 3}
 spi = spidev.SpiDev()
 spi.open(0, 0)
 spi.max_speed_hz = 2_500_000
 
 
-def on_command(sample: zenoh.Sample) -> None:
+def write(leg: int, servos: list[dict[str, Any]]) -> None:
     """Write a leg's command as a ONE LEG frame."""
-    leg = int(str(sample.key_expr).split("/")[2])
     frame = [14, 1]
-    for joint, servo in enumerate(json.loads(sample.payload.to_bytes())["servos"], start=1):
+    for joint, servo in enumerate(servos, start=1):
         angle = servo.get("angle_deg", 0)
         frame += [leg * 10 + joint, OPS[servo["op"]], int(angle), round(angle % 1 * 100)]
     spi.writebytes2(frame)
+
+
+def on_command(sample: zenoh.Sample) -> None:
+    """One leg."""
+    write(int(str(sample.key_expr).split("/")[2]), json.loads(sample.payload.to_bytes())["servos"])
+
+
+def on_legs(sample: zenoh.Sample) -> None:
+    """Several legs in one message."""
+    for leg, command in json.loads(sample.payload.to_bytes())["legs"].items():
+        write(int(leg), command["servos"])
+
+
+def on_query(query: zenoh.Query) -> None:
+    """One leg, acknowledged."""
+    write(
+        int(str(query.key_expr).split("/")[2]), json.loads(query.payload.to_bytes() if query.payload else b"")["servos"]
+    )
+    with query:
+        query.reply(query.key_expr, '{"accepted":true}')
 
 
 config = zenoh.Config()
@@ -28,5 +48,7 @@ config.insert_json5("listen/endpoints", json.dumps([sys.argv[1]]))
 config.insert_json5("scouting/multicast/enabled", "false")
 with zenoh.open(config) as session:
     session.declare_subscriber("hexapod/leg/*/cmd", on_command)
+    session.declare_subscriber("hexapod/legs/cmd", on_legs)
+    session.declare_queryable("hexapod/leg/*/cmd", on_query)
     print("ready", flush=True)
     signal.pause()

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -111,3 +112,8 @@ class Figures:
 def now_ns() -> int:
     """The clock that all processes of this machine share."""
     return time.monotonic_ns()
+
+
+def say(text: str) -> None:
+    """One line of progress."""
+    print(f"… {text}", file=sys.stderr, flush=True)

@@ -1,10 +1,13 @@
 """The third process of the benchmark: publishes setpoints for legs, and notes when.
 
-    python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50 [--log FILE] [--together] [--block]
+    python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50 [--log FILE] [--shape SHAPE]
+
+Of the shapes, `apart` spreads the legs evenly over time, `burst` publishes all in one instant (and notes for each when
+the first one was), `one-message` is all legs in one message on `hexapod/legs/cmd`, `asked` are acknowledged commands.
 
 It prints `ready` once it is connected. Then each line on its standard input is a number of seconds to publish for; it
 answers `done COUNT`. The log is appended to after each: three 64-bit numbers a message (leg, number, monotonic ns).
-`--hz 0` is a flood: as fast as it can.
+`--hz 0` is a flood: as fast as it can. With `asked`, the third number is how long the answer took.
 
 The number of a message travels in the angles of joints 1 and 2, in hundredths of a degree, so that whoever looks at the
 frame on the wire knows which message it came from, and when that was published.
@@ -15,12 +18,13 @@ import array
 import itertools
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import zenoh
 
 from gateway.zenoh_setup import client_config
-from schemas.keys import leg_command
+from schemas.keys import LEGS_COMMAND, leg_command
 
 ANGLES = 180_00
 """How many numbers fit into one angle: 0.00° to 179.99°."""
@@ -33,6 +37,12 @@ def payload(number: int) -> str:
         f'{{"servos":[{{"op":"start","angle_deg":{high / 100}}},'
         f'{{"op":"start","angle_deg":{low / 100}}},{{"op":"start","angle_deg":90}}]}}'
     )
+
+
+def legs_payload(number: int, legs: Sequence[int]) -> str:
+    """The same for several legs in one message."""
+    one = payload(number)
+    return '{"legs":{' + ",".join(f'"{leg}":{one}' for leg in legs) + "}}"
 
 
 def number_of(frame: bytes) -> tuple[int, int] | None:
@@ -56,6 +66,79 @@ def wait_until(when_s: float) -> None:
         time.sleep(left_s)
 
 
+Send = Callable[[str], int | None]
+"""Sends a payload; for a question, how long the answer took, in ns."""
+
+
+class Stream:
+    """What is sent, in which rhythm."""
+
+    def __init__(self, session: zenoh.Session, shape: str, legs: Sequence[int], hz: float, *, block: bool) -> None:
+        control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
+        one_message = shape == "one-message"
+        self._legs = legs
+        self._shape = shape
+        self._pause_s = 0.0 if not hz else 1 / hz / (len(legs) if shape in ("apart", "asked") else 1)
+        keys = [LEGS_COMMAND] if one_message else [leg_command(leg) for leg in legs]
+        self._sends: list[Send] = [
+            _asking(session, key)
+            if shape == "asked"
+            else _putting(
+                session.declare_publisher(key, encoding="application/json", congestion_control=control, express=hz > 0)
+            )
+            for key in keys
+        ]
+        self._numbers = itertools.count()
+
+    def run(self, duration_s: float, log: "array.array[int]") -> int:
+        """Send for that long. Returns how many messages it were."""
+        count = 0
+        due_s = time.monotonic()
+        end_s = due_s + duration_s
+        noted_ns = 0
+        for index, send in itertools.cycle(enumerate(self._sends)):
+            number = next(self._numbers)
+            text = legs_payload(number, self._legs) if self._shape == "one-message" else payload(number)
+            begins = self._shape != "burst" or index == 0
+            if begins and self._pause_s:
+                wait_until(due_s)
+            now_ns = time.monotonic_ns()
+            if begins:
+                if now_ns / 1e9 >= end_s:
+                    return count
+                due_s += self._pause_s
+                noted_ns = now_ns
+            answered_ns = send(text)
+            count += 1
+            for leg in self._legs if self._shape == "one-message" else self._legs[index : index + 1]:
+                log.extend((leg, number, noted_ns if answered_ns is None else answered_ns))
+        return count
+
+
+def _putting(publisher: zenoh.Publisher) -> Send:
+    return publisher.put
+
+
+def _asking(session: zenoh.Session, key: str) -> Send:
+    def ask(text: str) -> int:
+        begun_ns = time.monotonic_ns()
+        answers: Iterator[zenoh.Reply] = iter(
+            session.get(
+                key,
+                zenoh.handlers.FifoChannel(1),
+                payload=text,
+                encoding="application/json",
+                timeout=5,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        )
+        if next(answers).ok is None:
+            raise RuntimeError("no answer")
+        return time.monotonic_ns() - begun_ns
+
+    return ask
+
+
 def main() -> None:
     """Publish whenever a line comes."""
     parser = argparse.ArgumentParser(description="Publish setpoints for legs.")
@@ -63,46 +146,15 @@ def main() -> None:
     parser.add_argument("--legs", type=int, nargs="+", required=True)
     parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg; 0: a flood")
     parser.add_argument("--log", type=Path, help="leave it out for runs without end: it grows")
-    parser.add_argument("--together", action="store_true", help="all legs in the same instant, not evenly spread")
+    parser.add_argument("--shape", choices=("apart", "burst", "one-message", "asked"), default="apart")
     parser.add_argument("--block", action="store_true", help="wait where the way is congested, and lose nothing")
     options = parser.parse_args()
-    control = zenoh.CongestionControl.BLOCK if options.block else zenoh.CongestionControl.DROP
-    numbers = itertools.count()
     with zenoh.open(client_config(options.endpoint)) as session:
-        publishers = [
-            (
-                leg,
-                session.declare_publisher(
-                    leg_command(leg),
-                    encoding="application/json",
-                    congestion_control=control,
-                    express=options.hz > 0,
-                ),
-            )
-            for leg in options.legs
-        ]
+        stream = Stream(session, options.shape, options.legs, options.hz, block=options.block)
         print("ready", flush=True)
         for line in sys.stdin:
             log = array.array("q")
-            count = 0
-            spread = 1 if options.together else len(publishers)
-            pause_s = 1 / options.hz / spread if options.hz else 0.0
-            due_s = time.monotonic()
-            end_s = due_s + float(line)
-            for leg, publisher in itertools.cycle(publishers):
-                number = next(numbers)
-                text = payload(number)
-                if pause_s:
-                    wait_until(due_s)
-                now_ns = time.monotonic_ns()
-                if now_ns / 1e9 >= end_s:
-                    break
-                publisher.put(text)
-                count += 1
-                if options.log:
-                    log.extend((leg, number, now_ns))
-                if not options.together or leg == options.legs[-1]:
-                    due_s += pause_s
+            count = stream.run(float(line), log)
             if options.log:
                 with options.log.open("ab") as file:
                     log.tofile(file)

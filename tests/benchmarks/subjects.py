@@ -80,12 +80,16 @@ class Publisher:
         time.sleep(SETTLE_S)
         return count
 
-    def latencies_ns(self, written: list[Written]) -> list[int]:
-        """Published → transferred, of those of its messages that were transferred."""
+    def latencies_ns(self, written: list[Written], leg: int | None = None) -> list[int]:
+        """Published → transferred, of those of its messages (for `leg`) that were transferred."""
         published = read_log(self._log)
         found = []
         for transfer in written:
             number = number_of(transfer.data)
-            if number in published:
+            if number in published and leg in (None, number[0]):
                 found.append(transfer.monotonic_ns - published[number])
         return found
+
+    def answers_ns(self, count: int) -> list[int]:
+        """Asked → answered, of the last `count` questions."""
+        return list(read_log(self._log).values())[-count:]

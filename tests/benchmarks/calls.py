@@ -1,0 +1,128 @@
+"""What a setpoint costs in Python calls and in memory: the same on every machine, however busy.
+
+    python -m tests.benchmarks.calls
+
+A gateway's parts in a process of their own, with the real Zenoh and a device that only takes bytes; a publisher in
+another. Every Python and C function that a thread of the gateway's calls is counted, from the message in its ring to
+the frame written, wake-ups that find nothing included.
+"""
+
+import asyncio
+import json
+import os
+import selectors
+import sys
+import threading
+import time
+import tracemalloc
+from contextlib import ExitStack, closing
+from pathlib import Path
+from statistics import median
+from types import FrameType
+
+from gateway.conductor import Conductor
+from gateway.inbox import Inbox
+from gateway.outbox import ZenohOutbox
+from gateway.service import rules
+from gateway.settings import Settings
+from gateway.spi.bus import bus_for
+from gateway.spi.simulator import SimulatedController
+from gateway.supervisor import Supervisor
+from gateway.zenoh_setup import open_session, service_config
+from tests.benchmarks.table import Row
+from tests.child import Child
+from tests.gateway_process import free_port
+
+RUN_S = 4.0
+HZ = 40
+"""Below the rate limit, so that no setpoint waits for a rate slot and a timer."""
+MOST_CALLS = 130
+
+
+class _Device(SimulatedController):
+    """Takes bytes, and notes how much memory was taken at a time since the last ones."""
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings.spi.framing)
+        self.taken: list[int] = []
+        self._before = 0
+
+    def transfer(self, data: bytes) -> None:
+        del data
+        if tracemalloc.is_tracing():
+            now, peak = tracemalloc.get_traced_memory()
+            self.taken.append(peak - self._before)
+            tracemalloc.reset_peak()
+            self._before = now
+
+
+class _Counter:
+    """Counts what the threads call that have it as their profiler."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, _frame: FrameType, event: str, _argument: object) -> None:
+        self.calls += event in ("call", "c_call")
+
+
+async def _measure() -> tuple[float, float]:
+    """Calls, and bytes, for a setpoint."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    settings = Settings.model_validate(
+        {"zenoh": {"listen": [endpoint]}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}, "spi": {"frame_gap_us": 0}}
+    )
+    loop, counter, device, outbox = asyncio.get_running_loop(), _Counter(), _Device(settings), ZenohOutbox()
+    bus = bus_for(settings.spi, lambda: device)
+    conductor = Conductor(
+        settings, Supervisor(rules(settings)), bus, outbox, loop, clock=time.monotonic_ns, simulated=True
+    )
+    conductor.start()
+    session = open_session(service_config(settings.zenoh))
+    outbox.open(session)
+    threading.setprofile(counter)  # the inbox's threads, which start now
+    inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
+    conductor.take = inbox.take
+    command = [sys.executable, "-m", "tests.benchmarks.publisher", endpoint, "--legs", "3", "--hz", str(HZ)]
+    with ExitStack() as stack:
+        publisher = stack.enter_context(closing(Child(command, os.environ)))
+        await asyncio.to_thread(publisher.wait_for_output, "ready", 20)
+        publisher.tell("0.5")  # whatever is slow only once
+        await asyncio.to_thread(publisher.wait_for_line, 1)
+        counter.calls, before = 0, conductor.metrics.accepted
+        sys.setprofile(counter)
+        publisher.tell(str(RUN_S))
+        await asyncio.to_thread(publisher.wait_for_line, 2)
+        sys.setprofile(None)
+        calls_each = counter.calls / (conductor.metrics.accepted - before)
+        tracemalloc.start()
+        publisher.tell(str(RUN_S / 4))
+        await asyncio.to_thread(publisher.wait_for_line, 3)
+        tracemalloc.stop()
+    await asyncio.to_thread(inbox.close)
+    conductor.close()
+    await asyncio.to_thread(session.close)
+    return calls_each, median(device.taken)
+
+
+def main() -> None:
+    """Print both as JSON."""
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
+        calls_each, bytes_each = runner.run(_measure())
+    print(json.dumps({"calls": calls_each, "bytes": bytes_each}), flush=True)
+
+
+def calls(_folder: Path) -> list[Row]:
+    """The figures, from a process of their own."""
+    with closing(Child([sys.executable, "-m", "tests.benchmarks.calls"], os.environ)) as child:
+        child.wait(60)
+        found = json.loads(child.stdout)
+    number = found["calls"]
+    return [
+        Row("Python calls for a setpoint", f"{number:.0f}", "", f"at most {MOST_CALLS}", number <= MOST_CALLS),
+        Row("memory taken at a time for a setpoint", f"{found['bytes'] / 1024:.1f} kB", ""),
+    ]
+
+
+if __name__ == "__main__":
+    main()

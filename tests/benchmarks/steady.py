@@ -1,0 +1,98 @@
+"""Streams at a steady rate, gateway and naive script in turn: latency, and CPU time for a message."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tests.benchmarks.processes import Figures, cpu_ns, now_ns, say
+from tests.benchmarks.subjects import Publisher, Subject
+from tests.benchmarks.table import Row, ratio_row
+
+LAST_LEG = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Aims:
+    """The most that the median of the ratios may be; None: nothing is aimed at."""
+
+    p50: float | None = None
+    p99: float | None = None
+    cpu: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One kind of stream."""
+
+    name: str
+    shape: str
+    legs: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    hz: int = 50
+    aims: Aims = Aims()
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    short: bool = True
+    """Whether it is part of a quick run."""
+
+    @property
+    def measured(self) -> str:
+        """What its latency is."""
+        if self.shape == "asked":
+            return "asked → answered"
+        return "publish → sixth frame" if self.shape in ("burst", "one-message") else "publish → transfer"
+
+
+SCENARIOS = (
+    Scenario("six legs", "apart", aims=Aims(1.15, 1.3, 1.6)),
+    Scenario("one leg", "apart", legs=(3,), short=False),
+    Scenario("six legs in one burst", "burst", aims=Aims(p50=1.15)),
+    Scenario("legs/cmd", "one-message", aims=Aims(p50=1.3, cpu=1.5)),
+    Scenario("acknowledged", "asked", short=False),
+    Scenario("six legs", "apart", hz=200, settings={"limits": {"leg_rate_hz": 250}}, short=False),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Round:
+    """What one round gave, in µs."""
+
+    p50: float
+    p99: float
+    cpu: float
+
+
+def _round(subject: Subject, publisher: Publisher, scenario: Scenario, duration_s: float) -> _Round:
+    begun_ns, begun_cpu_ns = now_ns(), cpu_ns(subject.pid)
+    count = publisher.run(duration_s)
+    cpu_us = (cpu_ns(subject.pid) - begun_cpu_ns) / count / 1000
+    if scenario.shape == "asked":
+        latencies_ns = publisher.answers_ns(count)  # the newest
+    else:
+        leg = LAST_LEG if scenario.shape in ("burst", "one-message") else None
+        latencies_ns = publisher.latencies_ns(subject.device.written(begun_ns), leg)
+    figures = Figures.of(latencies_ns)
+    return _Round(figures.p50_us, figures.p99_us, cpu_us)
+
+
+def run(scenario: Scenario, folder: Path, stack: ExitStack, *, rounds: int, round_s: float) -> list[Row]:
+    """Alternating rounds of both: the machine changes its pace within seconds, so the ratio within a round counts."""
+    subjects = [Subject(name, folder, stack, scenario.settings) for name in ("gateway", "naive")]
+    options = ("--legs", *map(str, scenario.legs), "--hz", str(scenario.hz), "--shape", scenario.shape)
+    publishers = [subject.publisher(*options) for subject in subjects]
+    for publisher in publishers:
+        publisher.run(0.5)  # whatever is slow only once
+    found: tuple[list[_Round], list[_Round]] = ([], [])
+    title = f"{scenario.name}, {scenario.hz} Hz"
+    for number in range(rounds):
+        say(f"{title}: round {number + 1} of {rounds}")
+        for index in (0, 1) if number % 2 else (1, 0):
+            found[index].append(_round(subjects[index], publishers[index], scenario, round_s))
+    ours, naive = found
+    what = scenario.measured
+    return [
+        ratio_row(f"{title}: {what}, p50", [r.p50 for r in ours], [r.p50 for r in naive], "µs", scenario.aims.p50),
+        ratio_row(f"{title}: {what}, p99", [r.p99 for r in ours], [r.p99 for r in naive], "µs", scenario.aims.p99),
+        ratio_row(
+            f"{title}: CPU time a message", [r.cpu for r in ours], [r.cpu for r in naive], "µs", scenario.aims.cpu
+        ),
+    ]
