@@ -3,6 +3,7 @@
 Each command loads only what it needs, when it runs: an emergency stop must not wait for what only the service uses.
 """
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -212,6 +213,10 @@ def send_stop(
 
 def main() -> None:
     """The console script."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # Closed, so that the next file would have its number; the SPI device must never be anyone's stderr.
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+"))
     try:
         app(prog_name="hexapod-gateway")  # also as `python -m gateway`
     except GatewayError as error:

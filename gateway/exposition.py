@@ -9,6 +9,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, start_http_se
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from gateway import logs
 from gateway.conductor import Conductor
 from gateway.errors import ConfigError
 from gateway.latency import BOUNDS_US, Latency
@@ -42,6 +43,11 @@ class _Numbers(Collector):
         yield CounterMetricFamily(f"{_PREFIX}_spi_errors", "SPI transfers and openings that failed", bus.errors)
         yield CounterMetricFamily(
             f"{_PREFIX}_watchdog_expirations", "Legs stopped for silence", self._conductor.supervisor.expirations
+        )
+        yield CounterMetricFamily(
+            f"{_PREFIX}_log_lines_dropped",
+            "Lines of the log that were not written, since nobody read it",
+            logs.dropped(),
         )
         modes = GaugeMetricFamily(f"{_PREFIX}_mode", "1 for the mode the gateway is in", labels=["mode"])
         for mode in Mode:

@@ -14,7 +14,7 @@ from typing import Any
 
 import zenoh
 
-from gateway import exposition, realtime
+from gateway import exposition, logs, realtime
 from gateway.conductor import Conductor
 from gateway.errors import GatewayError
 from gateway.inbox import Inbox
@@ -38,6 +38,9 @@ END_S = 0.8
 """What the end may take: the contract's second, less what the process needs to go."""
 REPEATS_S = 0.3
 """Of that, what the repeats of the last Stops may take."""
+
+LAST_WORDS_S = 0.1
+"""Beyond that, what the log may take where Zenoh has taken all of it."""
 
 BEAT_S = 0.1
 """How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""
@@ -73,6 +76,8 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = l
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     realtime.prefer_process()
     realtime.share_heaps()
+    logs.set_up(settings.log)
+    logs.keep_stacks()
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
         runner.run(_run(settings, simulated=simulated, on_ready=on_ready))
@@ -238,6 +243,6 @@ async def _within(timeout_s: float, exit_code: int, *closes: Callable[[], object
         await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
     except TimeoutError:
         logger.warning("a peer does not let go of its connection; ending without waiting for it")
-        logging.shutdown()
+        logs.close(LAST_WORDS_S)
         # Zenoh's own threads are still inside close, and would keep the interpreter from ending.
         os._exit(exit_code)

@@ -15,7 +15,7 @@ from schemas.keys import leg_command, servo_command
 from tests.gateway_process import Gateway
 
 SPEAKER = """
-import logging, sys
+import logging, sys, threading, warnings
 from gateway import logs
 from gateway.settings import LogSettings
 from schemas.telemetry import Kind, Reason
@@ -34,12 +34,23 @@ except ValueError:
     logger.exception("something failed")
 logging.getLogger("other.library").error("told too")
 """
+MORE = """
+words = ["said"]
+logger.info("%s", words)
+words[0] = "changed"
+long_ago = {"levelno": 20, "levelname": "INFO", "msg": "long ago", "created": 0.5}
+logging.getLogger().handle(logging.makeLogRecord(long_ago))
+for number in range(400):
+    print("printed", number)
+warnings.warn("beware")
+threading.Thread(target=lambda: 1 / 0).start()
+"""
 HOSTILE = "\x1b\x07\x9b\u2028"
 
 
-def spoken(form: str, level: str = "info") -> list[str]:
+def spoken(form: str, level: str = "info", program: str = SPEAKER) -> list[str]:
     """What SPEAKER writes to a pipe."""
-    command = [sys.executable, "-c", SPEAKER, form, level]
+    command = [sys.executable, "-c", program, form, level]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout == "", "results go to stdout, the log to stderr"
     return ran.stderr.removesuffix("\n").split("\n")
@@ -143,6 +154,24 @@ def test_console_to_a_pipe_has_no_colours_and_one_line_per_message() -> None:
 def test_json_on_a_terminal_where_it_is_asked_for() -> None:
     written = spoken_on_a_terminal("json")
     assert [json.loads(line)["level"] for line in written.splitlines()] == ["info", *["warning"] * 2, *["error"] * 2]
+
+
+def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
+    head = SPEAKER.partition("logger.debug")[0]
+    words, long_ago = map(json.loads, spoken("json", program=head + MORE.partition("for number")[0]))
+    assert words["message"] == "['said']"
+    assert long_ago["timestamp"] == "1970-01-01T00:00:00.500000Z"
+
+
+def test_all_that_was_said_is_written_before_the_process_goes() -> None:
+    program = (
+        "import logging, sys, threading, warnings\nfrom gateway import logs\nfrom gateway.settings import LogSettings"
+    )
+    program += "\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')" + MORE
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
+    assert ran.stdout.splitlines() == [f"printed {number}" for number in range(400)]
+    assert "UserWarning: beware" in ran.stderr
+    assert "ZeroDivisionError" in ran.stderr
 
 
 def test_refusals_in_the_log_of_the_real_service(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import sys
 
-from gateway import logs, service
+from gateway import service
 from gateway.client import DEFAULT_ENDPOINT
 from gateway.settings import Settings
 from gateway.tools.terminal import say
@@ -10,7 +10,6 @@ from gateway.tools.terminal import say
 
 def run(settings: Settings, *, simulated: bool) -> None:
     """Run the service and, once it is ready, say where it is and what to try next."""
-    logs.set_up(settings.log)
 
     def ready() -> None:
         robot = "a simulated controller" if simulated else settings.spi.device

@@ -1,14 +1,17 @@
 """The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
+import signal
 import subprocess
 import time
+from collections.abc import Iterator
 
 import pytest
 
-from gateway.protocol.frames import Op, decode
+from gateway.protocol.frames import Op, decode, stop_leg
+from tests.box.box import Unit
 from tests.box.robot import NAME, REPOSITORY, STOPS, Robot
 from tests.child import Child
-from tests.hil.bed import Transfer
+from tests.hil.bed import SYSTEM_PYTHON, Transfer
 
 pytestmark = pytest.mark.systemd
 
@@ -131,6 +134,63 @@ def test_hanging(robot: Robot) -> None:
         journal.wait_for_output("Started ")
     assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
     assert {transfer.data for transfer in robot.bed.transfers if transfer.opening > opening} == STOPS
+
+
+FILL = """
+import ctypes, os, socket, sys
+PIDFD_GETFD = 438  # a system call that Python does not know
+stderr = ctypes.CDLL(None).syscall(PIDFD_GETFD, os.pidfd_open(int(sys.argv[1])), 2, 0)
+with socket.socket(fileno=stderr) as journal:
+    for size in (4096, 1):
+        try:
+            while True:
+                journal.send(b"\\n" * size, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            pass
+"""
+"""Writes empty lines, which journald forgets, to another process's stderr, a socket, until that is full."""
+
+
+@pytest.fixture
+def stuck_journal(robot: Robot) -> Iterator[None]:
+    """The service runs, and the journal reads nothing of what it says."""
+    robot.unit.systemctl("start")
+    journald = Unit(robot.box, "systemd-journald.service")
+    journald.systemctl("kill", "--signal=STOP")
+    robot.box.run(SYSTEM_PYTHON, "-c", FILL, robot.unit.property("MainPID"))
+    yield
+    journald.systemctl("kill", "--signal=CONT")
+
+
+@pytest.mark.usefixtures("stuck_journal")
+def test_a_stuck_journal_holds_no_stop(robot: Robot) -> None:
+    """Refused commands are logged, and nobody reads that: the watchdog's Stop comes, and those of the end."""
+    assert "accepted" in robot.gateway(*MOVE_LEG_3)
+    assert "refused" in robot.gateway("send", "leg", "1", "set", "1", "1", "1", check=False)
+    moved = len(robot.bed.transfers)
+    assert "accepted" in robot.gateway(*MOVE_LEG_3)
+    opening = robot.bed.transfers[-1].opening
+    stop_3 = robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=moved)
+    assert stop_3.opening == opening, "from the service itself"
+    before = len(robot.bed.transfers)
+    robot.unit.systemctl("stop")
+    end = [transfer for transfer in robot.bed.transfers[before:] if transfer.opening == opening]
+    assert {transfer.data for transfer in end} == STOPS
+    assert robot.unit.properties("ActiveState", "Result", "ExecMainStatus") == ["inactive", "success", "0"]
+
+
+@pytest.mark.usefixtures("stuck_journal")
+def test_hanging_with_a_stuck_journal(robot: Robot) -> None:
+    """It dies of the watchdog's SIGABRT, stacks and all, and need not be killed another second later."""
+    opening = robot.bed.transfers[-1].opening
+    robot.bed.block()
+    hung_ns = time.monotonic_ns()
+    assert "accepted" not in robot.gateway(*MOVE_LEG_3, "--timeout", "0.1", check=False)
+    robot.bed.wait_for_opening(opening + 1)
+    robot.bed.release()
+    stops = stopped_by(robot, opening + 1)
+    print(f"first Stop {(stops[0].monotonic_ns - hung_ns) / 1e6:.0f} ms after the hang")
+    assert robot.unit.properties("Result", "ExecMainStatus") == ["watchdog", str(int(signal.SIGABRT))]
 
 
 def test_broken_configuration(robot: Robot) -> None:

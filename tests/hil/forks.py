@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 
 import gateway
-from gateway import cli
+from gateway import cli, logs
 from tests.child import Child
 from tests.hil.bed import SpiTestbed
 
@@ -52,6 +52,8 @@ def run(arguments: Sequence[str]) -> int:
         cli.main()
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
+    finally:
+        logs.close()  # which an interpreter that ends does by itself
     return 0
 
 

@@ -1,0 +1,211 @@
+"""Nobody reads what the gateway says: its Stops come all the same, and so does its end."""
+
+import json
+import os
+import pty
+import select
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pytest
+
+from gateway.client import Client
+from gateway.outlet import KEPT
+from schemas import keys
+from schemas.telemetry import Ack, Cause
+from tests.gateway_process import COMMAND, free_port, write_settings
+from tests.heard import frames
+from tests.test_metrics import read, value
+
+ANSWER_S = 3.0
+"""For an answer, or a Stop, that takes some milliseconds: without the fix, neither came at all."""
+
+
+class Stuck:
+    """Something to write to that nobody reads."""
+
+    def __init__(self, ours: int, theirs: int, more: socket.socket | str) -> None:
+        """`more` leads to the same as `theirs`: a socket, or a path to open."""
+        self.theirs = theirs
+        self._reader = os.fdopen(ours, errors="replace")
+        # An opening of its own: the one that the gateway gets must go on blocking.
+        self._more = os.open(more, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY) if isinstance(more, str) else more
+
+    @classmethod
+    def pipe(cls) -> Self:
+        ours, theirs = os.pipe()
+        return cls(ours, theirs, f"/proc/self/fd/{theirs}")
+
+    @classmethod
+    def terminal(cls) -> Self:
+        ours, theirs = pty.openpty()
+        return cls(ours, theirs, os.ttyname(theirs))
+
+    @classmethod
+    def socket(cls) -> Self:
+        ours, theirs = socket.socketpair()
+        return cls(ours.detach(), os.dup(theirs.fileno()), theirs)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._let_go()
+        self._reader.close()
+
+    def fill(self) -> None:
+        """To the last byte; a terminal passes some on by and by, and has room again."""
+        while select.select([], [self._more], [], 0.05)[1]:
+            for size in (4096, 1):
+                with suppress(BlockingIOError):
+                    while True:
+                        self._write_now(b"." * size)
+
+    def _write_now(self, data: bytes) -> None:
+        if isinstance(self._more, int):
+            os.write(self._more, data)
+        else:
+            self._more.send(data, socket.MSG_DONTWAIT)
+
+    def lines(self) -> Iterator[str]:
+        """What is in it, until the gateway has ended."""
+        self._let_go()
+        yield from self._reader
+
+    def _let_go(self) -> None:
+        if self.theirs >= 0:
+            os.close(self.theirs)
+            os.close(self._more) if isinstance(self._more, int) else self._more.close()
+        self.theirs = -1
+
+
+STUCK = [Stuck.pipe, Stuck.terminal, Stuck.socket]
+
+
+class Unread:
+    """A gateway whose output goes to files of ours."""
+
+    def __init__(self, folder: Path, *, stdout: int, stderr: int, **sections: dict[str, Any]) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        settings: dict[str, dict[str, Any]] = {
+            "zenoh": {"listen": [self.endpoint]},
+            "telemetry": {"frames": True},
+            **sections,
+        }
+        config = write_settings(folder / "gateway.toml", settings)
+        self.process = subprocess.Popen(
+            [*COMMAND, "run", "--sim", "--config", config], stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
+        )
+
+    def client(self) -> Client:
+        """A client, once the gateway answers."""
+        with Client(self.endpoint, timeout_s=20) as client:
+            client.state()
+        return Client(self.endpoint, timeout_s=ANSWER_S)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@contextmanager
+def unread(folder: Path, *, stdout: int, stderr: int, **sections: dict[str, Any]) -> Iterator[Unread]:
+    gateway = Unread(folder, stdout=stdout, stderr=stderr, **sections)
+    try:
+        yield gateway
+    finally:
+        gateway.close()
+
+
+def check_stops_come(gateway: Unread, client: Client) -> None:
+    """The watchdog's, the emergency stop's, and those of the end, with exit code 0."""
+    heard = frames(client)
+    assert client.start_leg(3, 90, 45, 120).accepted
+    assert not refused(client).accepted
+    heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, timeout_s=ANSWER_S)
+    assert client.estop().stop_frames == 6
+    begun = time.monotonic()
+    gateway.process.send_signal(signal.SIGTERM)
+    heard.wait(lambda frame: frame.cause is Cause.SHUTDOWN, count=6, timeout_s=ANSWER_S)
+    assert gateway.process.wait(10) == 0
+    assert time.monotonic() - begun < 1.5
+
+
+def refused(client: Client) -> Ack:
+    """A command that is said in the log."""
+    return client.ask(keys.leg_command(1), {"servos": []})
+
+
+@pytest.mark.parametrize("make", STUCK)
+def test_whatever_nobody_reads_holds_no_stop(tmp_path: Path, make: Callable[[], Stuck]) -> None:
+    with (
+        make() as stuck,
+        unread(tmp_path, stdout=stuck.theirs, stderr=stuck.theirs) as gateway,
+        gateway.client() as client,
+    ):
+        stuck.fill()
+        check_stops_come(gateway, client)
+
+
+def test_it_starts_where_nobody_has_read_for_long(tmp_path: Path) -> None:
+    with Stuck.pipe() as stuck:
+        stuck.fill()
+        with unread(tmp_path, stdout=stuck.theirs, stderr=stuck.theirs) as gateway, gateway.client() as client:
+            check_stops_come(gateway, client)
+
+
+def test_a_full_disk_holds_nothing(tmp_path: Path) -> None:
+    full = os.open("/dev/full", os.O_WRONLY)
+    with unread(tmp_path, stdout=full, stderr=full) as gateway, gateway.client() as client:
+        check_stops_come(gateway, client)
+    os.close(full)
+
+
+def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Path) -> None:
+    address = f"127.0.0.1:{free_port()}"
+    sections: dict[str, dict[str, Any]] = {
+        "telemetry": {"metrics": address},
+        "log": {"level": "debug"},  # the simulated controller says what each frame does
+        "watchdog": {"repeats": 0},
+    }
+    with (
+        Stuck.pipe() as stuck,
+        unread(tmp_path, stdout=subprocess.DEVNULL, stderr=stuck.theirs, **sections) as gateway,
+    ):
+        with gateway.client() as client:
+            stuck.fill()
+            for _ in range(KEPT // 6 + 10):
+                assert client.stop().accepted
+            dropped = value(read(address), "hexapod_log_lines_dropped_total")
+            assert dropped > 0
+            lines = stuck.lines()
+            said = next(json.loads(line)["message"] for line in lines if "left out" in line)
+            assert said == f"{dropped:.0f} lines were left out here, since nobody read them in time"
+            assert not refused(client).accepted
+            assert "command_rejected" in next(line for line in lines if "rejected" in line), "it flows again"
+        gateway.process.terminate()
+        assert any("stopping" in line for line in lines), "to the end"
+        assert gateway.process.wait(10) == 0
+
+
+def test_no_file_takes_the_place_of_a_closed_stderr(tmp_path: Path) -> None:
+    """The next file that was opened would have its number: what is said there would go to the SPI device."""
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *COMMAND, "run", "--sim", "--config", str(config)]
+    with subprocess.Popen(closed) as process:
+        endpoint = json.loads(config.read_text().partition("listen = ")[2].splitlines()[0])[0]
+        with Client(endpoint, timeout_s=20) as client:
+            client.state()
+            files = [os.readlink(f"/proc/{process.pid}/fd/{number}") for number in range(3)]
+        process.terminate()
+        assert process.wait(10) == 0
+    assert files == [os.devnull] * 3
