@@ -91,12 +91,16 @@ class Client:
         return self.ask(keys.servo_command(servo_id), servo_payload(op, angle_deg), again=op == "stop")
 
     def estop(self) -> Ack:
-        """Engage the emergency stop; the answer says how many Stop frames were written, and how soon."""
+        """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon."""
         return self.ask(keys.ESTOP, {}, again=True, priority=zenoh.Priority.REAL_TIME)
 
-    def reset(self) -> Ack:
-        """Leave the emergency stop; nothing moves until it is started again."""
-        return self.ask(keys.RESET, {})
+    def reset(self, estop: int | None = None) -> Ack:
+        """Leave the emergency stop; nothing moves until it is started again.
+
+        `estop` is the number of the emergency stop that you mean to leave (in its Ack and in the state); without it the
+        gateway is first asked for the latest. If a newer one is requested meanwhile, the gateway rejects the reset.
+        """
+        return self.ask(keys.RESET, {"estop": self.state().estop if estop is None else estop})
 
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
@@ -135,7 +139,7 @@ class Client:
         )
 
     def _payload(self, key: str, payload: Mapping[str, Any]) -> str:
-        if key in (keys.ESTOP, keys.RESET):
+        if key == keys.ESTOP:
             return json.dumps(payload)
         named = {} if self._source is None else {"source": self._source}
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})

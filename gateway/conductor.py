@@ -168,7 +168,7 @@ class Conductor:
         number = next(self._numbers)
         self._orders[number] = _Order(received.key, source, received.reply)
         if received.key == keys.RESET:
-            self._step(Reset(number, source, received.key), instant_ns)
+            self._step(Reset(number, source, received.key, intent.estop), instant_ns)
         else:
             self._step(Command(number, received.channel, intent.targets), instant_ns)
 
@@ -188,7 +188,9 @@ class Conductor:
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
-            self._reply(received.reply, Ack(accepted=True, stop_frames=stop_frames, latency_us=latency_ns / 1000))
+            number = self.supervisor.estops
+            ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
+            self._reply(received.reply, ack)
 
     def _step(self, event: Event, instant_ns: int | None = None) -> list[Cause]:
         """Let the supervisor take an event and carry out what it says. Returns why each frame was written."""

@@ -42,11 +42,12 @@ class EmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """Somebody wants to leave the emergency stop."""
+    """Somebody wants to leave the emergency stop with number `estop`; None: they did not say which one."""
 
     order: int
     source: str | None = None
     key: str | None = None
+    estop: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from pydantic_core import from_json
 
 from gateway.protocol.frames import STOP, Op, ServoOp, centidegrees, servo_ids_of
 from schemas.command import (
+    MAX_ESTOP,
     MAX_PAYLOAD_BYTES,
     MAX_SENT_MS,
     SERVO_COMMAND,
@@ -38,11 +39,13 @@ class Intent(NamedTuple):
     targets: Targets = ()
     source: str | None = None
     sent_ms: float | None = None
+    estop: int | None = None
+    """Of a reset: the number of the emergency stop that it leaves."""
 
     @property
     def only_stops(self) -> bool:
-        """Whether nothing in it moves."""
-        return all(op.op is Op.STOP for _, op in self.targets)
+        """Whether it stops servos and does nothing else. A reset stops none."""
+        return bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +122,8 @@ def _read_legs(_: int, payload: bytes) -> Intent:
 
 
 def _read_reset(_: int, payload: bytes) -> Intent:
-    if payload:
-        ResetCommand.model_validate_json(payload)
-    return Intent()
+    command = ResetCommand.model_validate_json(payload or b"{}")
+    return Intent((), command.source, command.sent_ms, command.estop)
 
 
 _READERS: Final = {
@@ -157,7 +159,7 @@ def _fields(target: Target, intent: Intent) -> int:
     """How many fields a payload with this content has at least."""
     moves = len([op for _, op in intent.targets if op is not STOP])
     around = {Target.LEG: 1, Target.LEGS: 1 + 2 * len(intent.targets) // len(JOINTS)}.get(target, 0)
-    optional = (intent.source is not None) + (intent.sent_ms is not None)
+    optional = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
     return len(intent.targets) + moves + around + optional
 
 
@@ -238,12 +240,18 @@ _MUST: Final = {
     "finite_number": "a finite number",
     "float_type": "a number",
     "string_type": "a string",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
     "tuple_type": "an array",
     "model_type": "an object",
     "dict_type": "an object",
     "model_attributes_type": "an object",
 }
-_RANGES: Final[dict[object, str]] = {"angle_deg": "between 0 and 180", "sent_ms": f"between 0 and {MAX_SENT_MS}"}
+_RANGES: Final[dict[object, str]] = {
+    "angle_deg": "between 0 and 180",
+    "sent_ms": f"between 0 and {MAX_SENT_MS}",
+    "estop": f"between 0 and {MAX_ESTOP}",
+}
 
 
 def _path(loc: tuple[int | str, ...]) -> str:

@@ -25,6 +25,8 @@ class Rules:
     repeat_interval_ns: int = 20 * NS_PER_MS
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
+    unnumbered_reset_ns: int = 2 * NS_PER_S
+    """How old the latest emergency stop must be for a reset that does not say which one it leaves (contract, 5)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
 
 
@@ -60,7 +62,7 @@ class Servo:
 
 @dataclass(slots=True)
 class Leg:
-    """One leg: its servos, its rate slots, and when it was last heard."""
+    """One leg: its servos, its rate slots, and when an accepted command last started or set one of its servos."""
 
     number: int
     servos: tuple[Servo, Servo, Servo]
@@ -192,8 +194,9 @@ class Legs:
         stops: list[tuple[Leg, list[Servo]]] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
-            leg.heard_ns = now_ns
             if any(op.op is not Op.STOP for _, op in targets):
+                # A Stop does not count: it does not say that the leg's other servos shall go on running.
+                leg.heard_ns = now_ns
                 effects += self._move(leg, targets, command, now_ns)
             else:
                 stops.append((leg, [servo for servo, _ in targets]))

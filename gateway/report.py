@@ -53,6 +53,7 @@ def report(
             expirations=supervisor.expirations,
             stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
         ),
+        estop=supervisor.estops,
     )
 
 

@@ -10,10 +10,12 @@ The rules, by number of the contract's *Behaviour*:
     refused, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
  3. Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for nothing, and
     in what one step wants sent, all Stops come first.
- 4. A leg that runs, or waits to be started, and is named by no accepted command for the timeout, is stopped.
+ 4. A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for
+    the timeout. A Stop for one servo does not keep the others of its leg running.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
     Every Stop is repeated, until its servo is started again.
- 5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else.
+ 5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
+    and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
  6. After `BusFailed` nothing is sent and everything is refused until `BusOpened`; what waited is dropped.
     The latch of an emergency stop stays through it.
  7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop. A bus that answers again
@@ -41,7 +43,7 @@ from gateway.events import (
     Transmit,
 )
 from gateway.legs import Legs, Rules
-from gateway.pacing import NS_PER_MS
+from gateway.pacing import NS_PER_MS, NS_PER_S
 from gateway.protocol.frames import Op
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -120,6 +122,14 @@ class Supervisor:
         self._bus_ok = False
         self._latched_ns: int | None = None
         self._ended = False
+        self.estops = 0
+        """The number of the latest emergency stop; 0 before the first.
+
+        Each run of the gateway counts from 1, so a reset that was sent to an earlier run may name a number of this one.
+        A client that is connected to the gateway cannot send one: what was on its way to the earlier run was lost with
+        that run's sockets. A router can, for as long as it keeps a silent link (10 s), and only once this run has come
+        to the same number. The latch is then left, and nothing moves until somebody starts it.
+        """
         self.expirations = 0
         self.mode = Mode.STARTING
         """What the gateway as a whole is doing."""
@@ -206,7 +216,8 @@ class Supervisor:
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
         first = self._latched_ns is None
-        self._latched_ns = self.legs.instant_ns
+        self.estops += 1
+        self._latched_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
         effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
         if first:
             detail = "emergency stop; all commands are refused until a reset"
@@ -218,13 +229,32 @@ class Supervisor:
     def _reset(self, event: Reset) -> list[Effect]:
         if self.mode in _REFUSING and self.mode is not Mode.ESTOPPED:
             return [Refused(event.order, *_REFUSING[self.mode])]
-        if self._latched_ns == self.legs.instant_ns:
-            return [Refused(event.order, Reason.ESTOPPED, "the emergency stop was engaged in the same instant")]
         if self._latched_ns is None:
             return [Settled(event.order)]
+        older = self._may_be_older(event, self._latched_ns)
+        if older is not None:
+            return [Refused(event.order, Reason.ESTOPPED, older)]
         self._latched_ns = None
         detail = "emergency stop left; nothing moves until it is started again"
         return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Settled(event.order)]
+
+    def _may_be_older(self, reset: Reset, latched_ns: int) -> str | None:
+        """Why this reset may have been sent before the latest emergency stop; None: it was sent after it."""
+        age_ns = self.legs.instant_ns - latched_ns
+        if age_ns == 0:
+            return "the emergency stop was engaged in the same instant"
+        if reset.estop is None:
+            if age_ns >= self._rules.unnumbered_reset_ns:
+                return None
+            return (
+                f"the emergency stop was requested {age_ns / NS_PER_S:.1f} s ago; a reset without its number (estop) "
+                f"is accepted after {self._rules.unnumbered_reset_ns / NS_PER_S:g} s"
+            )
+        if reset.estop < self.estops:
+            return f"a newer emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
+        if reset.estop > self.estops:
+            return f"no such emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
+        return None
 
     def _bus_opened(self, now_ns: int) -> list[Effect]:
         recovered, self._opened, self._bus_ok = self._opened, True, True

@@ -10,6 +10,9 @@ MAX_PAYLOAD_BYTES: Final = 4096
 MAX_SENT_MS: Final = 2**53
 """285 000 years; beyond it a double has no whole milliseconds. What is larger is a clock in other units."""
 
+MAX_ESTOP: Final = 2**53
+"""Larger whole numbers are not exact in every JSON reader."""
+
 AngleDeg = Annotated[
     float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="degrees, to the nearest hundredth")
 ]
@@ -22,6 +25,10 @@ SentMs = Annotated[
         allow_inf_nan=False,
         description="the publisher's own monotonic clock, in milliseconds",
     ),
+]
+
+EstopNumber = Annotated[
+    int, Field(ge=0, le=MAX_ESTOP, description="the number of the latest emergency stop, from the state or its Ack")
 ]
 
 
@@ -82,5 +89,7 @@ ServoCommand = Annotated[MoveCommand | StopCommand, Field(discriminator="op")]
 SERVO_COMMAND: Final[TypeAdapter[MoveCommand | StopCommand]] = TypeAdapter(ServoCommand)
 
 
-class ResetCommand(Closed):
-    """The payload of `hexapod/reset/cmd`: an empty object (an empty payload will do)."""
+class ResetCommand(Sender):
+    """The payload of `hexapod/reset/cmd`; without `estop` (or empty) it is rejected until 2 s after the latest one."""
+
+    estop: EstopNumber | None = None

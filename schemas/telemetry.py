@@ -92,6 +92,7 @@ class Ack(Report):
     detail: str | None = None
     coalesced: Literal[True] | None = None
     stop_frames: Count | None = None
+    estop: Count | None = None
     latency_us: Annotated[float, Field(ge=0)] | None = None
 
     @model_serializer(mode="wrap")
@@ -108,7 +109,7 @@ class ServoReport(Report):
 
 
 class LegReport(Report):
-    """One leg; `age_ms` is the time since an accepted command named it, null before the first."""
+    """One leg; `age_ms` is the time since an accepted command started or set a servo of it, null before."""
 
     leg: int
     watchdog: AnyWatchdogState
@@ -162,6 +163,7 @@ class GatewayState(Report):
     commands: CommandCounts
     spi: SpiReport
     watchdog: WatchdogReport
+    estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
 
 
 class Event(Report):

@@ -4,7 +4,7 @@ import json
 import math
 from typing import Any
 
-from schemas.command import MAX_SENT_MS
+from schemas.command import MAX_ESTOP, MAX_SENT_MS
 from schemas.keys import CommandKey
 from tests.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, STOP
 
@@ -134,6 +134,15 @@ RESET_FAULTS: list[tuple[object, str]] = [
     ("[]", "the payload is []; it must be an object"),
     ("null", "the payload is null; it must be an object"),
     ({"force": True}, "force is not known here"),
+    ({"estop": -1}, f"estop is -1; it must be between 0 and {MAX_ESTOP}"),
+    ({"estop": 10**20}, f"estop is {10**20}; it must be between 0 and {MAX_ESTOP}"),
+    ({"estop": "1"}, 'estop is "1"; it must be a whole number'),
+    ({"estop": True}, "estop is true; it must be a whole number"),
+    ('{"estop": 1.5}', "estop is 1.5; it must be a whole number"),
+    ('{"estop": 1e999}', "estop is Infinity; it must be a whole number"),
+    ({"estop": 1, "source": ""}, "source must have 1 to 64 characters"),
+    ({"lease": "0" * 32}, "lease is not known here"),
+    ('{"estop": 1, "estop": 2}', f"estop {GIVEN_TWICE}"),
 ]
 FAULTS: list[tuple[CommandKey, object, str]] = [
     (key, *fault)

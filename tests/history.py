@@ -49,16 +49,16 @@ class ServoHistory:
     def starts(self) -> bool:
         return self.want is not None and self.want.op is Op.START
 
-    def stop(self, by: str, now_ns: int) -> None:
+    def stop(self, by: str, instant_ns: int) -> None:
         """A Stop that somebody asked for ends what was wanted."""
         self.want = None
-        self.stopped_by = (self.stopped_by if self.stopped_ns == now_ns else frozenset()) | {by}
-        self.stopped_ns = now_ns
+        self.stopped_by = (self.stopped_by if self.stopped_ns == instant_ns else frozenset()) | {by}
+        self.stopped_ns = instant_ns
 
 
 @dataclass(slots=True)
 class LegHistory:
-    """One leg: when an accepted command named it, when a frame last moved it, and what its token bucket held then."""
+    """One leg: when an accepted command last started or set a servo, when a frame moved it, what its bucket held."""
 
     heard_ns: int | None = None
     moved_ns: int | None = None

@@ -3,9 +3,10 @@
 `python -m tests.model_check` prints for each configuration how many states and steps it saw, and whether that is all.
 
 Breadth first from a supervisor that has just been made: in every state, every event that `TRANSITIONS` allows there is
-tried at every distance in time that the configuration has: at once (the same instant), a tick later, and so late that
-several deadlines are jumped over. Two states are one if nothing in them differs relative to now, so the clock does not
-make them infinite, and the search ends when no step leads to a new one: no depth limits it. What is small is the robot
+tried at every distance in time that the configuration has: at once (the same instant), a tick later, in the same
+instant or in one of its own, and so late that several deadlines are jumped over. Two states are one if nothing in them
+differs relative to now, so the clock does not make them infinite, and the search ends when no step leads to a new one:
+no depth limits it. What is small is the robot
 (one or two legs, a few commands, one or two angles) and the resolution of time (a tick is half a leg's period, or a
 quarter of it).
 """
@@ -42,6 +43,8 @@ class Configuration:
     commands: tuple[tuple[str, Targets], ...]
     """(channel, targets)"""
     waits_ns: tuple[int, ...]
+    within_ns: tuple[int, ...] = ()
+    """The same for events of the same instant: to deal with those before them takes time."""
     ends: bool = True
     """Whether the service may be shut down, too."""
 
@@ -79,6 +82,7 @@ _SUPERVISOR_FIELDS: Final = {
     "legs",
     "_opened",
     "_bus_ok",
+    "estops",
     "_latched_ns",
     "_ended",
     "expirations",
@@ -127,12 +131,15 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
     legs = supervisor.legs
     queue = legs._queue
     due_ns = supervisor.due_ns
+    latched_ns, oldest_ns = supervisor._latched_ns, legs._rules.unnumbered_reset_ns
     return (
         supervisor.mode,
         supervisor._opened,
         supervisor._bus_ok,
         supervisor._ended,
-        supervisor._latched_ns and (supervisor._latched_ns == now_ns),  # only an instant's emergency stop stops a reset
+        min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
+        # How old it is for a reset of this instant, and of one that begins now.
+        latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
         tuple((rank[number], *_order_fields(order)) for number, order in sorted(legs._orders.items())),
@@ -150,7 +157,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         servo.waiting and (servo.waiting.op, rank[servo.waiting.order]),
                         # A bus that opens again is told to stop everything anew.
                         supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
-                        servo.stopped_by if servo.stopped_ns == now_ns else None,
+                        servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
                     )
                     for servo in leg.servos
                 ),
@@ -163,15 +170,19 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 # ---- the search
 
 
-def events(configuration: Configuration, mode: Mode, order: int) -> Iterator[tuple[str, Event]]:
-    """Everything that can happen, with a name; a command would be number `order`."""
+def events(configuration: Configuration, mode: Mode, order: int, estops: int) -> Iterator[tuple[str, Event]]:
+    """Everything that can happen, with a name. A command is number `order`, the latest emergency stop `estops`."""
     # Where every command is refused, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for number, (channel, targets) in enumerate(commands):
         yield f"{channel} command {number}", Command(order, channel, targets)
     yield "time passed", TimePassed()
     yield "emergency stop", EmergencyStop()
-    yield "reset", Reset(order)
+    yield "reset", Reset(order, estop=estops)
+    if mode is Mode.ESTOPPED:
+        yield "reset of an older one", Reset(order, estop=estops - 1)
+        yield "reset of none that was", Reset(order, estop=estops + 1)
+        yield "reset without a number", Reset(order)
     yield "bus failed", BusFailed("a test's fault")
     yield "bus opened", BusOpened()
     if configuration.ends:
@@ -185,6 +196,7 @@ class State:
     supervisor: Supervisor
     oracle: Oracle
     now_ns: int = 1000
+    instant_ns: int = 1000
     order: int = 1
     way: "Way | None" = None
 
@@ -211,28 +223,40 @@ def start(configuration: Configuration, make: Callable[[Rules], Supervisor] = Su
 def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key, State]]:
     """Everything that can come next. Raises Violation where a promise is broken."""
     mode = state.supervisor.mode
-    for name, event in events(configuration, mode, state.order):
+    waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
+    waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
+    for name, event in events(configuration, mode, state.order, state.supervisor.estops):
         if type(event) not in TRANSITIONS[mode]:
             continue
-        for wait_ns in configuration.waits_ns:
+        for wait_ns, same_instant in waits:
             supervisor, oracle = copied(state.supervisor), state.oracle.clone()
-            way = (state.way, f"+{wait_ns} {name}")
-            after = State(supervisor, oracle, state.now_ns + wait_ns, state.order + 1, way)
+            way = (state.way, f"+{wait_ns}{' in the same instant' if wait_ns and same_instant else ''} {name}")
+            now_ns = state.now_ns + wait_ns
+            instant_ns = state.instant_ns if same_instant else now_ns
+            after = State(supervisor, oracle, now_ns, instant_ns, state.order + 1, way)
             try:
-                take(supervisor, oracle, event, after.now_ns)
+                take(supervisor, oracle, event, now_ns, instant_ns)
             except (Violation, LookupError, ValueError) as broken:
                 raise Violation(f"{configuration.name}: {broken!r}; the way there: {after.path()}") from broken
             rank = {number: age for age, number in enumerate(sorted(oracle.pending))}
             yield (key(supervisor, after.now_ns, rank), oracle.key(after.now_ns, rank)), after
 
 
-def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int) -> None:
+def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:
     """One step, judged. Raises Violation."""
     mode, due_ns = supervisor.mode, supervisor.due_ns
-    effects = supervisor.step(event, now_ns)
+    effects = supervisor.step(event, now_ns, instant_ns)
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
-    oracle.judge(event, now_ns, effects, mode=supervisor.mode, due_ns=supervisor.due_ns)
+    oracle.judge(
+        event,
+        now_ns,
+        effects,
+        mode=supervisor.mode,
+        due_ns=supervisor.due_ns,
+        estops=supervisor.estops,
+        instant_ns=instant_ns,
+    )
     if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")
 
@@ -264,6 +288,7 @@ def _rules(**changes: Any) -> Rules:
         "repeats": 1,
         "repeat_interval_ns": TICK,
         "period_ns": 2 * TICK,
+        "unnumbered_reset_ns": 2 * TICK,
     }
     return Rules(**{**defaults, **changes})
 
@@ -272,12 +297,17 @@ def _each(op: ServoOp, *servo_ids: int) -> Targets:
     return tuple((servo_id, op) for servo_id in servo_ids)
 
 
-_ONE_SERVO = tuple((channel, _each(op, 11)) for channel in ("servo", "get") for op in (START, SET, STOP))
+_ONE_SERVO = tuple((f"{verb} servo/11", _each(op, 11)) for verb in ("put", "get") for op in (START, SET, STOP))
 _WHOLE_LEG = (
     *(("leg", _each(op, 11, 12, 13)) for op in (START, SET, STOP)),
     ("leg", ((11, STOP), (12, START), (13, START))),
     ("servo", _each(START, 11)),
     ("servo", _each(STOP, 11)),
+)
+_EACH_JOINT = (
+    *(("put servo", _each(START, joint)) for joint in (12, 13)),
+    *(("put servo", _each(STOP, joint)) for joint in (12, 13)),
+    ("put leg", ((11, STOP), (12, STOP), (13, SET))),
 )
 _TWO_LEGS = (
     *(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)),
@@ -288,7 +318,17 @@ _WAITS = (0, TICK, 5 * TICK)
 
 CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
+    Configuration(
+        "one servo, instants in which time passes",
+        _rules(repeats=0),
+        (1,),
+        (*_ONE_SERVO[:3], *_ONE_SERVO[3::2]),
+        _WAITS,
+        within_ns=(TICK,),
+        ends=False,
+    ),
     Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS, ends=False),
+    Configuration("one leg, its joints apart", _rules(repeats=0), (1,), _EACH_JOINT, _WAITS, ends=False),
     Configuration(
         "one leg, frames a quarter of a period apart",
         _rules(timeout_ns=6 * TICK, period_ns=4 * TICK, repeats=0),

@@ -44,7 +44,10 @@ class Oracle:
         """Accepted commands without an answer, and whether a newer one has replaced something of them."""
         self._lost: set[int] = set()  # commands of which the watchdog dropped something in this step
         self.opened = self.bus_ok = self.ended = False
+        self.estops = 0
         self.latched_ns: int | None = None
+        self.instant_ns = 0
+        """When the present instant began: that of all that was collected together."""
         self.energised_leg: int | None = None
         self.energised_ns = 0
         self.queue: tuple[int, ...] = ()
@@ -78,16 +81,21 @@ class Oracle:
                 servo.written_cdeg,
                 servo.want and (servo.want.op, servo.want.angle_cdeg, rank[servo.want.order]),
                 servo.owed and (servo.owed, servo.owed_ns - now_ns),
-                servo.stopped_by if servo.stopped_ns == now_ns else None,
+                servo.stopped_by if servo.stopped_ns == self.instant_ns else None,
             )
             for servo in self.servos.values()
         )
-        latched = self.latched_ns and (self.latched_ns == now_ns)
+        latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
         pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
         pending = tuple(self.pending[order] for order in sorted(self.pending))
         return self.opened, self.bus_ok, self.ended, latched, pause, pending, legs, servos
+
+    def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
+        """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
+        oldest_ns = self.rules.unnumbered_reset_ns
+        return min(self.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)
 
     # ---- the judge
 
@@ -107,8 +115,22 @@ class Oracle:
             return Mode.ESTOPPED
         return Mode.ACTIVE if self.energised else Mode.IDLE
 
-    def judge(self, event: Event, now_ns: int, effects: Sequence[Effect], *, mode: Mode, due_ns: int | None) -> None:
-        """Judge one step: what came, what the supervisor wants done, and its mode and next deadline after it."""
+    def judge(
+        self,
+        event: Event,
+        now_ns: int,
+        effects: Sequence[Effect],
+        *,
+        mode: Mode,
+        due_ns: int | None,
+        estops: int,
+        instant_ns: int | None = None,
+    ) -> None:
+        """Judge one step: what came, what the supervisor wants done, and what it says of itself after it.
+
+        What came belongs to the instant that began at `instant_ns`, to one of its own if that is not given.
+        """
+        self.instant_ns = now_ns if instant_ns is None else instant_ns
         self._lost.clear()
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
@@ -116,7 +138,8 @@ class Oracle:
             case Command() | Reset() | TimePassed():
                 self._in_time(event, now_ns, effects)
             case EmergencyStop():
-                engaged, self.latched_ns = self.latched_ns is not None, now_ns
+                engaged, self.latched_ns = self.latched_ns is not None, self.instant_ns
+                self.estops += 1
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
                 told = any(isinstance(effect, Announce) and effect.kind is Kind.ESTOP_ENGAGED for effect in effects)
                 demand(told != engaged, "an emergency stop is announced once")
@@ -132,6 +155,7 @@ class Oracle:
                 for servo in self.servos.values():
                     servo.owed = 0  # the bus that opens again is told to stop everything
         demand(mode is self.mode, f"the mode is {self.mode}, not {mode}")
+        demand(estops == self.estops, f"{self.estops} emergency stops were requested, not {estops}")
         self._after(now_ns, due_ns)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
@@ -142,7 +166,7 @@ class Oracle:
             servo.want = None
             if self.bus_ok:
                 servo.written_cdeg = None
-                servo.stop(cause, now_ns)
+                servo.stop(cause, self.instant_ns)
                 self._owe(servo, now_ns)
         for effect in effects:
             if isinstance(effect, Settled | Refused):
@@ -163,7 +187,7 @@ class Oracle:
         if isinstance(event, Command):
             stops = self._command(event, now_ns, effects)
         elif isinstance(event, Reset):
-            self._reset(event, now_ns, effects)
+            self._reset(event, effects)
         for effect in effects:
             match effect:
                 case Transmit(cause=Cause.COMMAND):
@@ -216,13 +240,13 @@ class Oracle:
                 servo.written_cdeg = None
                 if servo.want is not None:
                     self._lost.add(servo.want.order)
-                servo.stop(Cause.WATCHDOG, now_ns)
+                servo.stop(Cause.WATCHDOG, self.instant_ns)
                 self._owe(servo, now_ns)
         return stopped
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
-        reason = self._reason_to_refuse(command, now_ns)
+        reason = self._reason_to_refuse(command)
         reasons = [effect.reason for effect in effects if isinstance(effect, Refused) and effect.order == command.order]
         demand(reasons == ([] if reason is None else [reason]), f"refused for {reason}, not for {reasons}")
         self.pending[command.order] = False
@@ -234,19 +258,20 @@ class Oracle:
                 told_to_stop |= {servo_id for servo_id, op in effect.frame.servos if op.op is Op.STOP}
         for servo_id, op in command.targets:
             servo = self.servos[servo_id]
-            self.legs[leg_of(servo_id)].heard_ns = now_ns
+            if op.op is not Op.STOP:
+                self.legs[leg_of(servo_id)].heard_ns = now_ns
             if servo.want is not None:
                 self.pending[servo.want.order] = True
             if op.op is Op.STOP:
                 repeated_anyway = not servo.on and servo.owed > 0
                 demand(servo_id in told_to_stop or repeated_anyway, f"the Stop for {servo_id} is sent at once")
-                servo.stop(command.channel, now_ns)
+                servo.stop(command.channel, self.instant_ns)
             else:
                 still_starts = op.op is Op.START or servo.starts
                 servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.order)
         return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
 
-    def _reason_to_refuse(self, command: Command, now_ns: int) -> Reason | None:
+    def _reason_to_refuse(self, command: Command) -> Reason | None:
         if self.mode in _CLOSED:
             return _CLOSED[self.mode]
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
@@ -255,21 +280,29 @@ class Oracle:
             if not low <= op.angle_cdeg <= high:
                 return Reason.JOINT_LIMIT
         for servo, _, op in moves:
-            if servo.stopped_ns == now_ns and servo.stopped_by - {command.channel}:
+            if servo.stopped_ns == self.instant_ns and servo.stopped_by - {command.channel}:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
         return None
 
-    def _reset(self, reset: Reset, now_ns: int, effects: Sequence[Effect]) -> None:
+    def _reset(self, reset: Reset, effects: Sequence[Effect]) -> None:
         self.pending[reset.order] = False
         reason = _CLOSED.get(self.mode)
-        if reason is Reason.ESTOPPED and self.latched_ns != now_ns:
+        if reason is Reason.ESTOPPED and self._is_newer(reset):
             reason = None
         reasons = [effect.reason for effect in effects if isinstance(effect, Refused) and effect.order == reset.order]
         demand(reasons == ([] if reason is None else [reason]), f"a reset refused for {reason}, not for {reasons}")
         if reason is None:
             self.latched_ns = None
+
+    def _is_newer(self, reset: Reset) -> bool:
+        """Whether a reset was certainly sent after the latest emergency stop."""
+        assert self.latched_ns is not None
+        age_ns = self.instant_ns - self.latched_ns
+        if reset.estop is None:
+            return age_ns >= self.rules.unnumbered_reset_ns
+        return reset.estop == self.estops and age_ns > 0
 
     # ---- frames
 

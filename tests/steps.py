@@ -71,6 +71,10 @@ def all_stopped(cause: str) -> list[str]:
     return [f"{cause} {number} stop" for number in range(1, 7)]
 
 
+def _ns(at_ms: float) -> int:
+    return round((60_000 + at_ms) * NS_PER_MS)
+
+
 class Steps:
     """A supervisor whose bus was opened at 0 ms, a minute after the clock began. By default Stops are not repeated."""
 
@@ -80,15 +84,25 @@ class Steps:
         self.oracle = Oracle(self.rules)
         self.order = 0
         self.effects: list[Effect] = []
+        self.instant_ms: float | None = None
         if opened:
             self.take(0, BusOpened())
 
     def take(self, at_ms: float, event: Event) -> list[str]:
-        """One step."""
-        now_ns = round((60_000 + at_ms) * NS_PER_MS)
-        self.effects = self.supervisor.step(event, now_ns)
+        """One step; in the instant that began at `instant_ms`, or in one of its own."""
+        now_ns = _ns(at_ms)
+        instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
+        self.effects = self.supervisor.step(event, now_ns, instant_ns)
         after = self.supervisor
-        self.oracle.judge(event, now_ns, self.effects, mode=after.mode, due_ns=after.due_ns)
+        self.oracle.judge(
+            event,
+            now_ns,
+            self.effects,
+            mode=after.mode,
+            due_ns=after.due_ns,
+            estops=after.estops,
+            instant_ns=instant_ns,
+        )
         return [said(effect) for effect in self.effects]
 
     def command(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
@@ -96,7 +110,12 @@ class Steps:
         self.order += 1
         return self.take(at_ms, Command(self.order, channel, targets))
 
-    def reset(self, at_ms: float) -> list[str]:
+    def reset(self, at_ms: float, *, newer: int = 0) -> list[str]:
+        """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
+        self.order += 1
+        return self.take(at_ms, Reset(self.order, estop=self.supervisor.estops + newer))
+
+    def reset_without_number(self, at_ms: float) -> list[str]:
         self.order += 1
         return self.take(at_ms, Reset(self.order))
 

@@ -151,7 +151,7 @@ async def test_a_reset_is_never_taken_from_a_delete_or_a_wildcard() -> None:
     robot.put(keys.RESET, verb=Verb.DELETE)
     robot.put(keys.RESET, expression="hexapod/**/cmd")
     assert robot.mode == Mode.ESTOPPED
-    robot.put(keys.RESET)
+    robot.put(keys.RESET, {"estop": 1})
     assert robot.mode == Mode.IDLE
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from gateway.conductor import FIRST_REOPEN_S
 from gateway.errors import SpiError
+from gateway.inbox import Verb
 from gateway.protocol.frames import Op, stop_leg
 from schemas import keys
 from schemas.robot import LEGS
@@ -68,16 +69,17 @@ async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latche
     await asyncio.sleep(0.001)
     waiting = robot.get(LEG_3, leg("set", 10, 10, 10))
     ack = robot.ask(keys.ESTOP, b"\xff garbage", encoding="image/png", size=10_000)
-    assert (ack.accepted, ack.stop_frames) == (True, 6)
+    assert (ack.accepted, ack.stop_frames, ack.estop) == (True, 6, 1)
     assert ack.latency_us is not None
     assert [frame for _, frame in robot.frames[1:]] == ALL_STOPS
     assert [answer.reason for answer in waiting] == [Reason.ESTOPPED]
     assert robot.ask(LEG_3, START).reason == Reason.ESTOPPED
     assert robot.ask(LEG_3, leg("stop")).reason == Reason.ESTOPPED
-    assert robot.ask(keys.ESTOP).stop_frames == 6, "engaging twice sends the Stops again"
+    again = robot.ask(keys.ESTOP)
+    assert (again.stop_frames, again.estop) == (6, 2), "engaging twice sends the Stops again"
     assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [Kind.ESTOP_ENGAGED]
     await asyncio.sleep(1)
-    assert robot.ask(keys.RESET, b"{}").accepted
+    assert robot.ask(keys.RESET, {"estop": robot.conductor.state().estop, "source": "anna", "sent_ms": 1}).accepted
     assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
     assert robot.ask(LEG_3, START).accepted
     assert robot.events()[-2].kind == Kind.ESTOP_RESET
@@ -91,12 +93,62 @@ async def test_a_reset_with_nothing_latched_is_accepted_and_changes_nothing() ->
     assert robot.controller.energised == {31, 32, 33}
 
 
-async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged() -> None:
+@pytest.mark.parametrize("each_takes_ms", [0, 3])
+@pytest.mark.parametrize("reset", [{"estop": 1}, {}])
+async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
+    each_takes_ms: int, reset: dict[str, int]
+) -> None:
     robot = await started_and_quiet()
+    robot.each_takes_ns = each_takes_ms * MS
+    robot.put_later(LEG_1, START)
     robot.put_later(keys.ESTOP)
-    robot.put_later(keys.RESET)
+    robot.put_later(keys.RESET, reset)
     robot.conductor.tick()
     assert robot.mode == Mode.ESTOPPED
+
+
+async def test_a_reset_leaves_only_the_latest_emergency_stop() -> None:
+    robot = await started_and_quiet()
+    assert robot.conductor.state().estop == 0
+    robot.put(keys.ESTOP)
+    robot.put(keys.ESTOP)
+    older = robot.ask(keys.RESET, {"estop": 1})
+    assert (older.reason, older.detail) == (
+        Reason.ESTOPPED,
+        "a newer emergency stop was requested: estop is 1, and the latest is 2",
+    )
+    for payload in (b"", b"{}", {"source": "anna"}):
+        assert robot.ask(keys.RESET, payload).reason == Reason.ESTOPPED
+    await asyncio.sleep(1.99)
+    assert robot.ask(keys.RESET).reason == Reason.ESTOPPED
+    assert robot.mode == Mode.ESTOPPED
+    await asyncio.sleep(0.01)
+    assert robot.ask(keys.RESET).accepted
+
+
+async def test_of_a_put_and_a_get_of_one_key_nobody_knows_which_is_older() -> None:
+    robot = await started_and_quiet()
+    robot.put_later(LEG_3, leg("stop"))
+    (refused,) = robot.get(LEG_3, START)
+    assert refused.reason == Reason.SERVO_STOPPED
+    assert not robot.controller.energised
+    await asyncio.sleep(0.1)
+    robot.put_later(LEG_3, leg("stop"))
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == {31, 32, 33}, "two of one channel are in order"
+
+
+async def test_a_servo_that_is_stopped_again_and_again_does_not_keep_its_legs_others_running() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    for _ in range(30):
+        await asyncio.sleep(0.01)
+        robot.put(keys.servo_command(32), {"op": "stop"})
+        robot.put(keys.servo_command(31), verb=Verb.DELETE)
+        robot.put(LEG_1, leg("start", 90, 90, 90))
+    assert robot.controller.energised == {11, 12, 13}
+    (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
+    assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
 
 
 # ---- faults

@@ -65,6 +65,20 @@ def test_a_reset(payload: bytes) -> None:
     assert decode(RESET_KEY, payload, JSON) == Intent()
 
 
+def test_a_reset_says_which_emergency_stop_it_leaves_who_sends_it_and_when() -> None:
+    payload = {"estop": 7, "source": "anna", "sent_ms": 12.5}
+    assert decode(RESET_KEY, as_json(payload), JSON) == Intent((), "anna", 12.5, 7)
+    assert decode(RESET_KEY, as_json({"estop": 0}), JSON) == Intent(estop=0)
+
+
+def test_what_only_stops() -> None:
+    stop, start = (11, STOP_OP), (12, ServoOp(Op.START, 90_00))
+    assert Intent((stop, stop)).only_stops
+    assert not Intent((stop, start)).only_stops
+    assert not Intent((start,)).only_stops
+    assert not Intent(estop=1).only_stops, "a reset may be held up, and is then refused"
+
+
 @pytest.mark.parametrize("payload", [b"", b"{", b"\xff" * 5000, b'{"op": "stop"}'])
 @pytest.mark.parametrize("encoding", ["", JSON, "image/png"])
 def test_an_emergency_stop_is_one_whatever_it_carries(payload: bytes, encoding: str) -> None:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from multiprocessing.pool import AsyncResult
 from typing import Any
 
@@ -17,6 +18,8 @@ from tests.model_check import CONFIGURATIONS, Configuration, Key, Report, State,
 
 BY_NAME = {configuration.name: configuration for configuration in CONFIGURATIONS}
 ONE_SERVO = BY_NAME["one servo, two channels"]
+INSTANTS = BY_NAME["one servo, instants in which time passes"]
+JOINTS = BY_NAME["one leg, its joints apart"]
 ONE_LEG = BY_NAME["one leg, commands for all of it and for a servo"]
 QUARTER = BY_NAME["one leg, frames a quarter of a period apart"]
 SLOW = BY_NAME["a rate slot later than the watchdog"]
@@ -34,7 +37,7 @@ def test_every_reachable_state_keeps_every_promise(
     assert report.states > 500, "so few states: the events do not reach what they should"
 
 
-@pytest.mark.parametrize("configuration", [ONE_SERVO, TWO_SLOW_LEGS, STAGGERED], ids=lambda each: each.name)
+@pytest.mark.parametrize("configuration", [ONE_SERVO, INSTANTS, TWO_SLOW_LEGS, STAGGERED], ids=lambda each: each.name)
 def test_states_that_count_as_one_have_one_future(configuration: Configuration) -> None:
     """What tells states apart leaves nothing out that matters: of two that look alike, the same follows."""
     futures: dict[Key, list[Key]] = {}
@@ -70,6 +73,84 @@ class WatchdogWithoutWaitingStarts(Leg):
     @property
     def watched(self) -> bool:
         return any(servo.running for servo in self.servos)
+
+
+class WatchdogWithoutJoint3(Leg):
+    """A leg of which only the last servo runs has no watchdog."""
+
+    @property
+    def watched(self) -> bool:
+        first, second, _ = self.servos
+        return first.will_run or second.will_run
+
+
+class StopsFeed(Legs):
+    """A Stop for one servo keeps its leg's others running."""
+
+    def apply(self, command: Command, now_ns: int) -> list[Effect]:
+        for servo_id, _ in command.targets:
+            self.by_number[servo_id // 10].heard_ns = now_ns
+        return super().apply(command, now_ns)
+
+
+class InstantsOfTheirOwn(Supervisor):
+    """What was collected together is taken for ordered, as soon as dealing with it takes time."""
+
+    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
+        del instant_ns
+        return super().step(event, now_ns)
+
+
+class LatchedWhenDealtWith(Supervisor):
+    """An emergency stop is as new as the moment in which it was dealt with, so a reset of its instant leaves it."""
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        effects = super()._emergency_stop(event, now_ns)
+        self._latched_ns = now_ns
+        return effects
+
+
+class AnyNumberResets(Supervisor):
+    """A reset leaves newer emergency stops than the one that it names."""
+
+    def _reset(self, event: Reset) -> list[Effect]:
+        older = event.estop is not None and event.estop < self.estops
+        return super()._reset(replace(event, estop=self.estops) if older else event)
+
+
+class NumbersToComeReset(Supervisor):
+    """A reset may name an emergency stop that nobody has requested yet."""
+
+    def _reset(self, event: Reset) -> list[Effect]:
+        newer = event.estop is not None and event.estop > self.estops
+        return super()._reset(replace(event, estop=self.estops) if newer else event)
+
+
+class UnnumberedResetsAtOnce(Supervisor):
+    """A reset without a number is taken as soon as one that names the latest."""
+
+    def _reset(self, event: Reset) -> list[Effect]:
+        return super()._reset(replace(event, estop=self.estops) if event.estop is None else event)
+
+
+class CountsOnlyTheFirst(Supervisor):
+    """Requests while the emergency stop is engaged are not numbered."""
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        engaged, before = self._latched_ns is not None, self.estops
+        effects = super()._emergency_stop(event, now_ns)
+        self.estops = before if engaged else self.estops
+        return effects
+
+
+class KeepsTheFirstInstant(Supervisor):
+    """Engaging again does not make the emergency stop newer."""
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        first_ns = self._latched_ns
+        effects = super()._emergency_stop(event, now_ns)
+        self._latched_ns = self._latched_ns if first_ns is None else first_ns
+        return effects
 
 
 class SetStarts(Servo):
@@ -261,7 +342,7 @@ class OneSilentLegOnly(Supervisor):
 
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
-        self._rules = Rules(timeout_ns=rules.timeout_ns, period_ns=rules.period_ns, repeats=rules.repeats)
+        self._rules = replace(rules, whole_robot=False)
 
 
 class NoPause(StartQueue):
@@ -284,6 +365,15 @@ class AllAtOnce(Legs):
     ("configuration", "make", "promise"),
     [
         (SLOW, with_parts(leg=WatchdogWithoutWaitingStarts), "not heard for the timeout"),
+        (JOINTS, with_parts(leg=WatchdogWithoutJoint3), "not heard for the timeout|wakes up in time"),
+        (JOINTS, with_legs(StopsFeed), "not heard for the timeout|wakes up in time"),
+        (INSTANTS, InstantsOfTheirOwn, "refused for servo_stopped|refused for estopped"),
+        (INSTANTS, LatchedWhenDealtWith, "a reset refused for estopped"),
+        (INSTANTS, AnyNumberResets, "a reset refused for estopped"),
+        (INSTANTS, NumbersToComeReset, "a reset refused for estopped"),
+        (INSTANTS, UnnumberedResetsAtOnce, "a reset refused for estopped"),
+        (INSTANTS, CountsOnlyTheFirst, "emergency stops were requested"),
+        (INSTANTS, KeepsTheFirstInstant, "a reset refused for estopped"),
         (ONE_SERVO, with_parts(servo=SetStarts), "refused for servo_stopped"),
         (ONE_SERVO, with_parts(servo=ForgetsOthersStops), "refused for servo_stopped"),
         (ONE_SERVO, with_parts(slots=NeverSkips), "no frame without a rate slot"),

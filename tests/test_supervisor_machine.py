@@ -48,6 +48,7 @@ RULES = st.builds(
     repeats=st.integers(0, 3),
     repeat_interval_ns=st.sampled_from([1, 20, 300]).map(lambda ms: ms * NS_PER_MS),
     period_ns=st.sampled_from([1, 20, 100, 1000]).map(lambda ms: ms * NS_PER_MS),
+    unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
     start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
     joint_limits_cdeg=st.sampled_from([{}, {11: (10_00, 90_00), 62: (0, 0)}]),
 )
@@ -63,6 +64,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.oracle = Oracle(rules)
         self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
         self.order = 0
+        self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
             self.step(BusOpened())
 
@@ -70,9 +72,17 @@ class SupervisorMachine(RuleBasedStateMachine):
         """One step as the service takes it: write the frames, and tell of a transfer that failed."""
         self.now_ns += wait_ns
         mode = self.supervisor.mode
-        effects = self.supervisor.step(event, self.now_ns)
+        effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
-        self.oracle.judge(event, self.now_ns, effects, mode=self.supervisor.mode, due_ns=self.supervisor.due_ns)
+        self.oracle.judge(
+            event,
+            self.now_ns,
+            effects,
+            mode=self.supervisor.mode,
+            due_ns=self.supervisor.due_ns,
+            estops=self.supervisor.estops,
+            instant_ns=self.instant_ns,
+        )
         fault: SpiError | None = None
         for effect in effects:
             if isinstance(effect, Transmit) and (fault is None or effect.frame.is_stop):
@@ -126,11 +136,24 @@ class SupervisorMachine(RuleBasedStateMachine):
         if rarely == 0:
             self.step(EmergencyStop("somebody"), wait_ns)
 
-    @rule(wait_ns=WAITS_NS)
-    def reset(self, wait_ns: int) -> None:
+    @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
+    def reset(self, newer: int | None, wait_ns: int) -> None:
         if Reset in TRANSITIONS[self.supervisor.mode]:
             self.order += 1
-            self.step(Reset(self.order), wait_ns)
+            estop = None if newer is None else self.supervisor.estops + newer
+            self.step(Reset(self.order, estop=estop), wait_ns)
+
+    @rule()
+    def an_instant_begins(self) -> None:
+        """What comes from now on was collected together, and takes time to deal with."""
+        self.now_ns += 1
+        self.instant_ns = self.now_ns
+
+    @rule()
+    def an_instant_ends(self) -> None:
+        """What comes from now on came one by one."""
+        self.now_ns += 1
+        self.instant_ns = None
 
     @rule(wait_ns=WAITS_NS)
     def bus_opens(self, wait_ns: int) -> None:

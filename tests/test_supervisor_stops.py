@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.events import Transmit
+from gateway.events import Refused, Transmit
 from gateway.legs import Rules
 from gateway.pacing import NS_PER_MS
 from schemas.telemetry import Mode, WatchdogState
@@ -45,13 +45,33 @@ def test_the_timeout_is_a_setting(timeout_ms: int) -> None:
     assert robot.time(100 + timeout_ms) == ["watchdog 1 stop", "announce watchdog_expired"]
 
 
-@pytest.mark.parametrize("targets", [leg(1, "start 80"), servo(12, "set 80"), servo(12, "stop"), legs("12", "start 1")])
-def test_any_accepted_command_that_names_the_leg_feeds_it(targets: Targets) -> None:
+@pytest.mark.parametrize(
+    "targets", [leg(1, "start 80"), servo(12, "set 80"), legs("12", "start 1"), leg(1, "stop", "stop", "set 80")]
+)
+def test_any_accepted_command_that_starts_or_sets_a_servo_of_the_leg_feeds_it(targets: Targets) -> None:
     robot = Steps()
     robot.command(100, leg(1, "start 90"))
     robot.command(300, targets)
     assert robot.time(350) == []
     assert "watchdog 1 stop" in robot.time(550)
+
+
+@pytest.mark.parametrize("targets", [servo(12, "stop"), (*servo(12, "stop"), *leg(2, "start 90"))])
+def test_a_stop_for_one_servo_does_not_keep_the_others_running(targets: Targets) -> None:
+    robot = Steps()
+    robot.command(100, leg(1, "start 90"))
+    for at_ms in range(110, 350, 20):
+        robot.command(at_ms, targets)
+    assert robot.time(350)[:1] == ["watchdog 1 stop"]
+    assert set(robot.running) <= {21, 22, 23}
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_each_servo_by_itself_is_watched(joint: int) -> None:
+    robot = Steps()
+    robot.command(100, servo(10 + joint, "start 90"))
+    assert watchdog_of(robot)[0] is ARMED
+    assert robot.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
 
 
 def test_other_legs_do_not_feed_it() -> None:
@@ -235,6 +255,66 @@ def test_a_reset_in_the_same_instant_is_refused() -> None:
     assert robot.reset(100) == ["refused 1 estopped"]
     assert robot.supervisor.mode is Mode.ESTOPPED
     assert robot.reset(100.001) == ["announce estop_reset", "settled 2"]
+
+
+def test_of_one_instant_an_emergency_stop_is_the_newer_however_long_it_takes_to_deal_with_it() -> None:
+    robot = Steps()
+    robot.instant_ms = 100
+    robot.estop(100.5)
+    assert robot.reset(101) == ["refused 1 estopped"]
+    robot.instant_ms = 101.5
+    assert robot.reset(102) == ["announce estop_reset", "settled 2"]
+
+
+def test_a_start_is_refused_after_a_stop_of_the_same_instant_that_took_time() -> None:
+    robot = Steps()
+    robot.instant_ms = 100
+    robot.command(100.5, leg(1, "stop"), "put leg")
+    assert robot.command(101, leg(1, "start 90"), "get leg") == ["refused 2 servo_stopped"]
+    assert robot.command(101.5, leg(1, "start 90"), "put leg") == ["command 1 start 90", "settled 3"]
+
+
+def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None:
+    robot = Steps()
+    assert robot.supervisor.estops == 0
+    for number in (1, 2):
+        robot.estop(100 + number)
+        assert robot.supervisor.estops == number
+    assert robot.reset(110, newer=-1) == ["refused 1 estopped"]
+    assert _detail(robot) == "a newer emergency stop was requested: estop is 1, and the latest is 2"
+    assert robot.reset(111, newer=1) == ["refused 2 estopped"]
+    assert _detail(robot) == "no such emergency stop was requested: estop is 3, and the latest is 2"
+    assert robot.supervisor.mode is Mode.ESTOPPED
+    assert robot.reset(112) == ["announce estop_reset", "settled 3"]
+    robot.estop(113)
+    assert robot.supervisor.estops == 3
+
+
+def test_a_reset_without_a_number_is_taken_2_s_after_the_latest_emergency_stop() -> None:
+    robot = Steps()
+    robot.estop(100)
+    robot.estop(1000)
+    assert robot.reset_without_number(2999.999) == ["refused 1 estopped"]
+    assert _detail(robot) == (
+        "the emergency stop was requested 2.0 s ago; a reset without its number (estop) is accepted after 2 s"
+    )
+    assert robot.reset_without_number(3000) == ["announce estop_reset", "settled 2"]
+
+
+@pytest.mark.parametrize("newer", [-1, 0, 1])
+def test_with_nothing_latched_a_reset_changes_nothing_whatever_it_names(newer: int) -> None:
+    robot = Steps()
+    robot.estop(100)
+    robot.reset(101)
+    robot.command(102, leg(1, "start 90"))
+    assert robot.reset(103, newer=newer) == ["settled 3"]
+    assert robot.reset_without_number(104) == ["settled 4"]
+    assert robot.running == [11, 12, 13]
+
+
+def _detail(robot: Steps) -> str:
+    (refused,) = [effect for effect in robot.effects if isinstance(effect, Refused)]
+    return refused.detail
 
 
 def test_repeats_of_an_emergency_stop_outlast_the_reset() -> None:

@@ -74,8 +74,9 @@ class Link:
         """Ask for the reset, once."""
         with self._lock:
             self._model.reset_confirmed(time.monotonic_ns())
+            estop = self._model.estop  # the one that the user has seen, not one that somebody requests from now on
         self._changed()
-        threading.Thread(target=self._reset, name="reset", daemon=True).start()
+        threading.Thread(target=self._reset, args=(estop,), name="reset", daemon=True).start()
 
     def _try_stop(self, noted: threading.Event | None = None) -> None:
         if self._stops.acquire(blocking=False):
@@ -94,8 +95,8 @@ class Link:
                 self._model.stop_answered(ack, began_ns, time.monotonic_ns())
         self._changed()
 
-    def _reset(self) -> None:
-        ack = self._ask(lambda client: client.reset())
+    def _reset(self, estop: int | None) -> None:
+        ack = self._ask(lambda client: client.reset(estop))
         with self._lock:
             self._model.reset_answered(ack, time.monotonic_ns())
         self._changed()

@@ -109,6 +109,8 @@ class Model:
     stop_wanted_ns: int | None = None
     """Since when an emergency stop is asked for that nobody has confirmed."""
     stop_tries: int = 0
+    estop: int | None = None
+    """The number of the latest emergency stop that we have heard of."""
     _state_ns: int = 0
     _heard_ns: int | None = None
     _gone: bool = False
@@ -131,7 +133,7 @@ class Model:
             self._samples.clear()
         if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
             self._forget_remark_of_stop()
-        self.state, self._state_ns = state, now_ns
+        self.state, self._state_ns, self.estop = state, now_ns, state.estop
         if state.mode is Mode.ESTOPPED and self.stop_wanted_ns is not None and self.stop_tries:
             # Our answer was lost, or somebody else could stop where we may not.
             self.stop_wanted_ns = None
@@ -246,6 +248,7 @@ class Model:
 
     def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
         """The gateway confirms what was asked at `asked_ns`, and says how much of it succeeded."""
+        self.estop = max(self.estop or 0, ack.estop or 0)
         if asked_ns < self._reset_ns:
             return  # that stop has been left since; one pressed later waits for its own answer
         told = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
