@@ -89,6 +89,7 @@ class Conductor:
         self._reopen_timer: asyncio.TimerHandle | None = None
         self._reopen_s = FIRST_REOPEN_S
         self._in_fault = False
+        self._announced = False
         self._told_mode = Mode.STARTING
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
@@ -109,6 +110,7 @@ class Conductor:
 
     def announce_start(self) -> None:
         """Tell that commands are taken from now on."""
+        self._announced = True
         self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands", None, None, None)
         self._tell_mode()
 
@@ -339,7 +341,7 @@ class Conductor:
 
     def _tell_mode(self) -> None:
         mode = self.supervisor.mode
-        if mode is not self._told_mode:
+        if self._announced and mode is not self._told_mode:  # until then it is starting, however long that takes
             self._told_mode = mode
             logger.info("mode %s", mode, extra={"mode": mode})
             self.outbox.publish(keys.STATE, self.state())

@@ -93,11 +93,11 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
     conductor = Conductor(
         settings, Supervisor(rules(settings)), bus, outbox, loop, clock=time.monotonic_ns, simulated=simulated
     )
-    if settings.telemetry.metrics:
-        exposition.serve(settings.telemetry.metrics, conductor)
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
         conductor.start()
+        if settings.telemetry.metrics:
+            await asyncio.to_thread(exposition.serve, settings.telemetry.metrics, conductor)
         session = await asyncio.to_thread(open_session, config)
         outbox.open(session)
         inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)

@@ -29,6 +29,18 @@ async def test_the_start_stops_all_six_legs_before_anything_else() -> None:
     assert robot.mode == Mode.IDLE
 
 
+async def test_nothing_is_told_before_commands_are_taken_however_long_that_takes() -> None:
+    """Its Stops are repeated meanwhile; who reads the log of a start that fails wants to read why, and no mode."""
+    robot = Robot()
+    robot.conductor.start()
+    await asyncio.sleep(1)
+    assert len(robot.frames) == 6 * (1 + robot.settings.watchdog.repeats)
+    assert robot.reports == []
+    robot.conductor.announce_start()
+    assert [event.kind for event in robot.events()] == [Kind.STARTED]
+    assert [state.mode for state in robot.states] == [Mode.IDLE]
+
+
 async def test_a_start_energises_a_set_moves_and_a_stop_ends_it() -> None:
     robot = await started_and_quiet()
     assert robot.ask(LEG_3, leg("start", 90, 45, 120.5)).accepted

@@ -99,6 +99,17 @@ def test_prometheus_reads_everything(tmp_path: Path) -> None:
         assert value(samples, "process_resident_memory_bytes") > 1e6
 
 
+@pytest.mark.parametrize(("host", "warned"), [("0.0.0.0", True), ("[::1]", False), ("localhost", False)])  # noqa: S104
+def test_metrics_for_everyone_are_warned_of_at_every_start(tmp_path: Path, host: str, warned: bool) -> None:
+    port = free_port()
+    with Gateway(tmp_path, {"telemetry": {"metrics": f"{host}:{port}"}}) as gateway:
+        local = "[::1]" if host == "[::1]" else "127.0.0.1"
+        assert value(read(f"{local}:{port}"), "hexapod_mode", mode="idle") == 1
+        gateway.child.terminate()
+        assert gateway.child.wait() == 0
+        assert (f"anyone who reaches {host}:{port}" in gateway.child.stderr) is warned
+
+
 def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     settings = {"telemetry": {"metrics": address}}

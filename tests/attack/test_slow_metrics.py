@@ -1,0 +1,91 @@
+"""Somebody connects to the metrics, again and again, and says nothing: a scrape is answered, and Stops are on time."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client
+from gateway.exposition import MOST_REQUESTS
+from schemas.telemetry import Cause
+from tests.gateway_process import Gateway, free_port
+from tests.heard import frames
+from tests.test_metrics import read, value
+
+SILENT = 200
+DESCRIPTORS = 160
+"""Fewer than there are silent connections, and enough for a gateway, which has some 60."""
+THREADS = 64
+"""What the service unit allows (TasksMax)."""
+LATE_MS = 100
+"""Generous: a Stop is some 2 ms late at worst, also on a busy machine that gives real-time priority."""
+
+
+class Crowd:
+    """Connections that send `said`, and nothing more."""
+
+    def __init__(self, address: tuple[str, int], said: bytes) -> None:
+        self._address = address
+        self._said = said
+        self._stack = ExitStack()
+
+    def connect(self, count: int) -> None:
+        for _ in range(count):
+            connection = self._stack.enter_context(socket.create_connection(self._address, 10))
+            connection.sendall(self._said)
+
+    def close(self) -> None:
+        self._stack.close()
+
+
+@contextmanager
+def attacked(folder: Path, said: bytes) -> Iterator[tuple[Gateway, str, Crowd]]:
+    """A gateway, the address of its metrics, and a crowd at that address."""
+    port = free_port()
+    address = f"127.0.0.1:{port}"
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"metrics": address, "frames": True},
+        "watchdog": {"timeout_ms": 20, "repeats": 0},
+    }
+    limited = ["prlimit", f"--nofile={DESCRIPTORS}", "--"]
+    crowd = Crowd(("127.0.0.1", port), said)
+    with Gateway(folder, settings, prefix=limited) as gateway:
+        try:
+            yield gateway, address, crowd
+        finally:
+            crowd.close()
+
+
+@pytest.mark.parametrize("said", [b"", b"GET /metrics HTTP/1.1\r\nHost: rob"])
+def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Path, said: bytes) -> None:
+    with attacked(tmp_path, said) as (gateway, address, crowd), gateway.client() as client:
+        before = len(os.listdir(f"/proc/{gateway.child.pid}/task"))
+        crowd.connect(SILENT)
+        let_expire(client, 5)
+        samples = read(address)
+        assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5
+        assert len(os.listdir(f"/proc/{gateway.child.pid}/task")) <= min(before + MOST_REQUESTS + 1, THREADS)
+        assert len(os.listdir(f"/proc/{gateway.child.pid}/fd")) < DESCRIPTORS - 50
+        latency = client.state().watchdog.stop_latency_us
+        assert latency.max is not None
+        assert latency.max < LATE_MS * 1000
+
+
+def let_expire(client: Client, times: int) -> None:
+    """Have the watchdog stop a leg so many times."""
+    heard = frames(client)
+    for time in range(1, times + 1):
+        assert client.start_leg(3, 90, 45, 120).accepted
+        heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=time)
+
+
+def test_a_scrape_right_after_the_crowd_is_answered_at_once(tmp_path: Path) -> None:
+    """Again and again, while all places are taken."""
+    with attacked(tmp_path, b"") as (_, address, crowd):
+        for _ in range(10):
+            crowd.connect(2 * MOST_REQUESTS)
+            assert value(read(address), "hexapod_mode", mode="idle") == 1
