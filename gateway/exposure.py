@@ -27,6 +27,7 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     listen = listen_endpoints(config)
     if not listen and not _endpoints(config, "connect"):
         raise ConfigError("zenoh.listen and zenoh.connect are both empty, so that nobody could reach the gateway")
+    _check_namespace(config)
     open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]
     if open_to_anyone and not allow_insecure:
         raise ConfigError(
@@ -49,6 +50,19 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
+
+
+def _check_namespace(config: zenoh.Config) -> None:
+    """Rules without the robot's namespace let nobody in, not even to its emergency stop. Raises ConfigError."""
+    namespace, rules = get(config, "namespace"), get(config, "access_control/rules")
+    if not namespace or not rules or get(config, "access_control/enabled") is not True:
+        return
+    keys = [key for rule in rules for key in rule.get("key_exprs") or []]
+    if not any(key.startswith((f"{namespace}/", "*")) for key in keys):
+        raise ConfigError(
+            f"the Zenoh file has the namespace {namespace}, but no key in its access control begins with it, so nobody "
+            f"could command the robot: make the file with `hexapod-gateway certs init --namespace {namespace}`"
+        )
 
 
 def listen_endpoints(config: zenoh.Config) -> list[str]:

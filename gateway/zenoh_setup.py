@@ -10,6 +10,7 @@ from gateway import exposure
 from gateway.errors import ConfigError, ZenohError
 from gateway.settings import ZenohSettings
 from gateway.zenoh_config import get, load_client_config, load_config, one_line
+from gateway.zenoh_limits import MAX_MESSAGE_SIZE
 
 _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
 
@@ -23,7 +24,9 @@ that asked 18 000 times a second and read nothing. With 20 ms none of 147 was la
 just these 20 ms would wait for them. Who asks as much and does read may lose the link now and then (twice in 32 s);
 who asks 50 times a second does not, down to 300 kbit/s.
 """
-_UNREAD_US: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+_UNREAD_US_KEY: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+
+_MAX_MESSAGE_SIZE_KEY: Final = "transport/link/rx/max_message_size"
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:
@@ -41,7 +44,8 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     config.insert_json5("listen/exit_on_failure", "true")
     # Shared memory goes around every size limit, and local clients gain nothing by it at this size.
     config.insert_json5("transport/shared_memory/enabled", "false")
-    config.insert_json5(_UNREAD_US, str(UNREAD_US))
+    config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
+    config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))
     exposure.check(config, allow_insecure=settings.allow_insecure)
     return config
 

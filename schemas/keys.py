@@ -19,6 +19,11 @@ EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
 ALIVE: Final = f"{ROOT}/alive"
 
+PUBLISHED: Final = (STATE, EVENT, FRAME)
+"""What the gateway publishes, for all who may watch."""
+ASKABLE: Final = (STATE,)
+"""Of these, what a watcher may also `get`."""
+
 
 class Target(StrEnum):
     """What a command key addresses."""

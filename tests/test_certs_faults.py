@@ -222,6 +222,12 @@ def test_renewing_what_is_not_there_or_anothers(folder: Path, tmp_path: Path) ->
     assert "was not issued by the CA" in fault(lambda: certs.renew(folder, "eve"))
 
 
+@pytest.mark.parametrize("namespace", ["a/b", "*", "-x", "x" * 64, 'a"'])
+def test_a_namespace_is_one_plain_name(tmp_path: Path, namespace: str) -> None:
+    assert "cannot be a namespace" in fault(lambda: certs.init(tmp_path / "D", ["robot.local"], namespace=namespace))
+    assert not (tmp_path / "D").exists()
+
+
 def test_a_gateway_file_that_is_broken(folder: Path) -> None:
     config = folder / "gateway.json5"
     good = config.read_text()

@@ -216,3 +216,27 @@ def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path, caplog: pytest.Log
     assert json.loads(made.get_json("scouting/multicast/enabled")) is True
     assert json.loads(made.get_json("scouting/gossip/enabled")) is False
     assert "dials whoever it finds" in caplog.text
+
+
+def test_rules_without_the_robots_namespace_are_refused() -> None:
+    """Nobody could command that robot, nor stop it."""
+
+    def with_rules(*keys: str, **more: Any) -> bool:
+        rule = {"id": "in", "permission": "allow", "flows": ["ingress"], "messages": ["put"], "key_exprs": list(keys)}
+        control = {"enabled": True, "default_permission": "deny", "rules": [rule], "subjects": [], "policies": []}
+        return refused("tcp/127.0.0.1:7447", **{"access_control": control, "namespace": "robot-1", **more})
+
+    assert with_rules("hexapod/estop/cmd")
+    assert with_rules("robot-10/hexapod/estop/cmd")
+    assert not with_rules("robot-1/hexapod/estop/cmd")
+    assert not with_rules("**/hexapod/estop/cmd")
+    assert not with_rules("hexapod/estop/cmd", namespace=None)
+
+
+def test_no_message_is_put_together_beyond_the_limit(tmp_path: Path) -> None:
+    """Whatever the Zenoh file says; without one, too."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ transport: { link: { rx: { max_message_size: 400000000 } } } }")
+    for path in ("", str(file)):
+        made = service_config(ZenohSettings(config=path))
+        assert made.get_json("transport/link/rx/max_message_size") == "65536"

@@ -313,6 +313,13 @@ def test_a_robots_name_is_a_free_one(fleet: Fleet, name: str) -> None:
     assert contents(fleet.folder) == before
 
 
+def test_every_file_bounds_what_is_put_together(fleet: Fleet) -> None:
+    files = sorted(fleet.folder.glob("*.json5"))
+    assert {file.stem for file in files} >= {"gateway", "router", *ROBOTS, *(name for name, *_ in PEOPLE)}
+    for file in files:
+        assert load_config(file).get_json("transport/link/rx/max_message_size") == "65536"
+
+
 def test_the_files_in_deploy_are_those_that_certs_makes(tmp_path: Path) -> None:
     certs.init(tmp_path, ["router.local"])
     certs.add_robots(tmp_path, ROBOTS[:2])

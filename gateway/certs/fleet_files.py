@@ -9,7 +9,8 @@ tests/test_fleet.py has the gateways, a router and people as processes of their 
 import json
 from collections.abc import Sequence
 
-from gateway.certs.zenoh_files import SIZE_LIMIT, endpoint
+from gateway.certs import access
+from gateway.certs.zenoh_files import endpoint, fill
 
 _ROUTER = """\
 // The router of a fleet, made by `hexapod-gateway certs robot`, which makes it anew for each robot that is added.
@@ -30,6 +31,8 @@ _ROUTER = """\
       // Who asks and does not read loses the link after 20 ms. With Zenoh's own 5 s, one such laptop held up everything
       // that the router receives, and all robots' links with it.
       tx: { lease: 1000, queue: { congestion_control: { block: { wait_before_close: 20000 } } } },
+      // No message is put together to more than this many bytes, whoever sends it.
+      rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
         listen_certificate: "gateway.pem",
@@ -66,29 +69,6 @@ _ROUTER = """\
 }
 """
 
-# People's side and the robot's side of the same traffic: what comes in at one goes out at the other.
-_RULES = """\
-      // ---- @NAME@
-      { id: "@NAME@: commands from people", permission: "allow", flows: ["ingress"],
-        messages: ["put", "delete", "query"], key_exprs: ["@NAME@/hexapod/**/cmd"] },
-      { id: "@NAME@: answers to people", permission: "allow", flows: ["egress"],
-        messages: ["reply", "declare_subscriber", "declare_queryable"], key_exprs: ["@NAME@/hexapod/**/cmd"] },
-      { id: "@NAME@: people ask", permission: "allow", flows: ["ingress"],
-        messages: ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"],
-        key_exprs: ["@NAME@/hexapod/*"] },
-      { id: "@NAME@: people see", permission: "allow", flows: ["egress"],
-        messages: ["put", "reply", "declare_queryable", "liveliness_token"], key_exprs: ["@NAME@/hexapod/*"] },
-      { id: "@NAME@: commands to the robot", permission: "allow", flows: ["egress"],
-        messages: ["put", "delete", "query"], key_exprs: ["@NAME@/hexapod/**/cmd"] },
-      { id: "@NAME@: answers of the robot", permission: "allow", flows: ["ingress"],
-        messages: ["reply", "declare_subscriber", "declare_queryable"], key_exprs: ["@NAME@/hexapod/**/cmd"] },
-      { id: "@NAME@: the robot is asked", permission: "allow", flows: ["egress"],
-        messages: ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"],
-        key_exprs: ["@NAME@/hexapod/*"] },
-      { id: "@NAME@: the robot tells", permission: "allow", flows: ["ingress"],
-        messages: ["put", "reply", "declare_queryable", "liveliness_token"], key_exprs: ["@NAME@/hexapod/*"] },
-"""
-
 _SUBJECTS = """\
       { id: "robot.@NAME@", cert_common_names: ["robot.@NAME@"] },
       { id: "operator.@NAME@", cert_common_names: ["operator.@NAME@"] },
@@ -97,12 +77,11 @@ _SUBJECTS = """\
 
 _POLICIES = """\
       { subjects: ["robot.@NAME@"],
-        rules: ["@NAME@: commands to the robot", "@NAME@: answers of the robot", "@NAME@: the robot is asked",
-                "@NAME@: the robot tells"] },
+        rules: @ROBOTS_RULES@ },
       { subjects: ["operator.@NAME@"],
-        rules: ["@NAME@: commands from people", "@NAME@: answers to people"] },
+        rules: @OPERATORS_RULES@ },
       { subjects: ["operator.@NAME@", "observer.@NAME@"],
-        rules: ["@NAME@: people ask", "@NAME@: people see"] },
+        rules: @EVERYONES_RULES@ },
 """
 
 _ROBOT = """\
@@ -131,6 +110,7 @@ _ROBOT = """\
     link: {
       protocols: ["tls"],
       tx: { lease: 1000 },
+      rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
         connect_certificate: "@NAME@.pem",
@@ -151,17 +131,32 @@ _ROBOT = """\
 
 def router_json5(robots: Sequence[str], port: int) -> bytes:
     """The router's configuration: mTLS on all addresses, and one block of access control for each robot."""
-
-    def each(block: str) -> str:
-        return "".join(block.replace("@NAME@", robot) for robot in robots)
-
-    text = _ROUTER.replace("@PORT@", str(port)).replace("@SIZE_LIMIT@", str(SIZE_LIMIT))
-    text = text.replace("@RULES@", each(_RULES)).replace("@SUBJECTS@", each(_SUBJECTS))
-    return text.replace("@POLICIES@", each(_POLICIES)).encode()
+    return fill(
+        _ROUTER,
+        PORT=str(port),
+        RULES="".join(map(_rules, robots)),
+        SUBJECTS="".join(fill(_SUBJECTS, NAME=robot).decode() for robot in robots),
+        POLICIES="".join(map(_policies, robots)),
+    )
 
 
 def robot_json5(name: str, host: str, port: int) -> bytes:
     """A gateway's configuration: it dials the router and listens on nothing."""
-    endpoints = json.dumps([endpoint(host, port)])
-    text = _ROBOT.replace("@NAME@", name).replace("@ENDPOINTS@", endpoints)
-    return text.replace("@SIZE_LIMIT@", str(SIZE_LIMIT)).encode()
+    return fill(_ROBOT, NAME=name, ENDPOINTS=json.dumps([endpoint(host, port)]))
+
+
+def _rules(robot: str) -> str:
+    """The robot's side and the people's side of the same traffic: what comes in at one goes out at the other."""
+    sides = (access.rules(f"{robot}: ", robot, robots_side=side) for side in (False, True))
+    return f"      // ---- {robot}\n" + "".join(sides)
+
+
+def _policies(robot: str) -> str:
+    prefix = f"{robot}: "
+    return fill(
+        _POLICIES,
+        NAME=robot,
+        ROBOTS_RULES=access.names(prefix, for_all=None, robots_side=True),
+        OPERATORS_RULES=access.names(prefix, for_all=False),
+        EVERYONES_RULES=access.names(prefix, for_all=True),
+    ).decode()

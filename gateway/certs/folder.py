@@ -5,6 +5,7 @@ Everything is made in memory first and then written as one deed (publish.py), so
 
 import datetime as dt
 import io
+import json
 import os
 import re
 import stat
@@ -56,11 +57,13 @@ def init(
     *,
     days: int = LEAF_DAYS,
     port: int = zenoh_files.DEFAULT_PORT,
+    namespace: str = "",
     now: dt.datetime | None = None,
 ) -> list[Path]:
     """Makes a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; returns what it made.
 
-    `directory` is made (0700) if missing. Raises ConfigError if it has a CA already, or any file of the same name.
+    `namespace` goes before all keys of this robot. `directory` is made (0700) if missing.
+    Raises ConfigError if it has a CA already, or any file of the same name.
     """
     now = now or _now()
     names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
@@ -71,6 +74,8 @@ def init(
     _check_days(days)
     if not 1 <= port <= 65535:
         raise ConfigError(f"port {port} is not between 1 and 65535")
+    if namespace and not _NAME.fullmatch(namespace):
+        raise ConfigError(f"{namespace!r} cannot be a namespace: use letters, digits, - and _ (up to 63)")
     if os.path.lexists(directory / "ca.key") or os.path.lexists(directory / "ca.pem"):
         raise ConfigError(
             f"{directory} has a CA already, and a new one would lock out all laptops: "
@@ -83,7 +88,7 @@ def init(
         directory / "ca.pem": Content(ca.certificate_pem()),
         directory / "gateway.key": Content(gateway.key_pem(), SECRET),
         directory / "gateway.pem": Content(gateway.certificate_pem()),
-        directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port)),
+        directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port, namespace)),
     }
     publish(files)
     return list(files)
@@ -112,7 +117,7 @@ def issue(
     _check_days(days)
     ca = _load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
-    hosts, port = authority.hosts_of(gateway), _port(directory / "gateway.json5")
+    hosts, (port, namespace) = authority.hosts_of(gateway), _port_and_namespace(directory / "gateway.json5")
     if robot and robot not in _robots(directory):
         raise ConfigError(f"{directory} has no robot {robot!r}: add it with `hexapod-gateway certs robot {robot}`")
     _check_free(directory, name)
@@ -122,7 +127,7 @@ def issue(
     files = {
         key: Content(laptop.key_pem(), SECRET),
         certificate: Content(laptop.certificate_pem()),
-        config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot)),
+        config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace)),
     }
     if bundle is not None:
         if bundle in files:
@@ -148,7 +153,7 @@ def add_robots(
     _check_days(days)
     ca = _load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
-    host, port = authority.hosts_of(gateway)[0], _port(directory / "gateway.json5")
+    host, port = authority.hosts_of(gateway)[0], _port_and_namespace(directory / "gateway.json5")[0]
     _check_free(directory, "router")
     files: dict[Path, Content] = {}
     for name in names:
@@ -236,19 +241,19 @@ def _load_ca(directory: Path, now: dt.datetime) -> KeyPair:
     return KeyPair(certificate, key)
 
 
-def _port(config: Path) -> int:
-    """The port in gateway.json5, read back from it: whoever changes it there gets laptops that follow."""
+def _port_and_namespace(config: Path) -> tuple[int, str]:
+    """Both as gateway.json5 says, read back from it: whoever changes them there gets laptops that follow."""
     try:
-        endpoints = zenoh.Config.from_file(str(config)).get_json("listen/endpoints")
+        read = zenoh.Config.from_file(str(config))
     except zenoh.ZError as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"cannot read {config}: {reason}; restore it, or mend what it names") from error
-    found = re.search(r'"tls/[^"]*:(\d+)', endpoints)
+    found = re.search(r'"tls/[^"]*:(\d+)', read.get_json("listen/endpoints"))
     if found is None:
         raise ConfigError(
             f"{config} listens on no tls endpoint with a port: mend listen.endpoints, such as tls/[::]:7447"
         )
-    return int(found[1])
+    return int(found[1]), json.loads(read.get_json("namespace")) or ""
 
 
 def _robots(directory: Path) -> list[str]:

@@ -9,10 +9,10 @@ import ipaddress
 import json
 from collections.abc import Sequence
 
+from gateway.certs import access
+from gateway.zenoh_limits import MAX_MESSAGE_SIZE, SIZE_LIMIT
+
 DEFAULT_PORT = 7447
-# Above the gateway's own limit of 4096 bytes: what lies between still reaches it and is answered `too_large`. Beyond
-# this, Zenoh drops the message in Rust. The margin leaves room for an attachment, which counts here.
-SIZE_LIMIT = 16_384
 
 _GATEWAY = """\
 // The gateway's Zenoh configuration, made by `hexapod-gateway certs init` for @HOSTS@.
@@ -20,7 +20,7 @@ _GATEWAY = """\
 // The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: whoever has it can let
 // anyone in. Paths are relative to this file's folder.
 {
-  mode: "peer",
+  mode: "peer",@NAMESPACE@
   // All addresses, IPv4 and IPv6. On a kernel without IPv6: tls/0.0.0.0:@PORT@
   listen: { endpoints: ["tls/[::]:@PORT@"] },
   connect: { endpoints: [] },
@@ -34,6 +34,8 @@ _GATEWAY = """\
       protocols: ["tls"],
       // A link that is silent for this long (ms) is dead, and what waited on it is dropped with it.
       tx: { lease: 1000 },
+      // No message is put together to more than this many bytes, whoever sends it.
+      rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
         listen_certificate: "gateway.pem",
@@ -48,38 +50,21 @@ _GATEWAY = """\
     },
   },
   // Who may do what. A laptop's certificate carries its role as common name, so a new laptop needs no change here.
-  // "**/" in front stands for the robot's namespace, or for nothing. A key expression must contain the whole of what
-  // is asked: subscribe to hexapod/state or hexapod/*, not to hexapod/**.
+  // Keys are exact: subscribe to hexapod/state, not to hexapod/*.
   access_control: {
     enabled: true,
     default_permission: "deny",
     rules: [
-      { id: "commands in", permission: "allow", flows: ["ingress"],
-        messages: ["put", "delete", "query"], key_exprs: ["**/hexapod/**/cmd"] },
-      { id: "answers out", permission: "allow", flows: ["egress"],
-        messages: ["reply", "declare_subscriber", "declare_queryable"], key_exprs: ["**/hexapod/**/cmd"] },
-      { id: "watching in", permission: "allow", flows: ["ingress"],
-        messages: ["declare_subscriber"], key_exprs: ["**/hexapod/*"] },
-      { id: "telemetry out", permission: "allow", flows: ["egress"],
-        messages: ["put"], key_exprs: ["**/hexapod/state", "**/hexapod/event", "**/hexapod/frame"] },
-      { id: "asking for the state in", permission: "allow", flows: ["ingress"],
-        messages: ["query"], key_exprs: ["**/hexapod/state"] },
-      { id: "state as an answer out", permission: "allow", flows: ["egress"],
-        messages: ["reply", "declare_queryable"], key_exprs: ["**/hexapod/state"] },
-      { id: "asking who is alive in", permission: "allow", flows: ["ingress"],
-        messages: ["declare_liveliness_subscriber", "liveliness_query"], key_exprs: ["**/hexapod/alive"] },
-      { id: "alive out", permission: "allow", flows: ["egress"],
-        messages: ["liveliness_token"], key_exprs: ["**/hexapod/alive"] },
-    ],
+@RULES@    ],
     subjects: [
       { id: "operator", cert_common_names: ["operator"] },
       { id: "observer", cert_common_names: ["observer"] },
     ],
     policies: [
-      { subjects: ["operator"], rules: ["commands in", "answers out"] },
+      { subjects: ["operator"],
+        rules: @OPERATORS_RULES@ },
       { subjects: ["operator", "observer"],
-        rules: ["watching in", "telemetry out", "asking for the state in", "state as an answer out",
-                "asking who is alive in", "alive out"] },
+        rules: @EVERYONES_RULES@ },
     ],
   },
   // The gateway answers payloads over 4096 bytes with `too_large`; far larger ones are dropped before they reach it.
@@ -110,6 +95,7 @@ _LAPTOP = """\
       protocols: ["tls"],
       // The laptop's lease decides how soon a cut is noticed; with 1000 ms nothing that waited for 3 s comes out late.
       tx: { lease: 1000 },
+      rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
         connect_certificate: "@NAME@.pem",
@@ -139,22 +125,37 @@ Other Zenoh programs read the paths in @NAME@.json5 from the folder they are sta
 """
 
 
-def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
+def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "") -> bytes:
     """The robot's Zenoh configuration: mTLS on all addresses, access control by role, size limit, no scouting."""
-    return _fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=str(port), SIZE_LIMIT=str(SIZE_LIMIT))
+    return fill(
+        _GATEWAY,
+        HOSTS=", ".join(hosts),
+        PORT=str(port),
+        NAMESPACE=_namespace(namespace),
+        RULES=access.rules(namespace=namespace),
+        OPERATORS_RULES=access.names(for_all=False),
+        EVERYONES_RULES=access.names(for_all=True),
+    )
 
 
-def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, robot: str = "") -> bytes:
-    """A laptop's Zenoh configuration: one endpoint for each host; `robot` is its robot in a fleet."""
+def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str = "") -> bytes:
+    """A laptop's Zenoh configuration: one endpoint for each host; `namespace` is its robot's, if that has one."""
     endpoints = json.dumps([endpoint(host, port) for host in hosts])
-    namespace = f'\n  // Its keys on the router are {robot}/hexapod/…\n  namespace: "{robot}",' if robot else ""
-    return _fill(_LAPTOP, NAME=name, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=namespace)
+    return fill(_LAPTOP, NAME=name, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=_namespace(namespace))
+
+
+def _namespace(namespace: str) -> str:
+    if not namespace:
+        return ""
+    return f"""
+  // On the wire, and in the rules of access control, its keys are {namespace}/hexapod/…; for programs, hexapod/…
+  namespace: "{namespace}","""
 
 
 def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str) -> bytes:
     """What a bundle says to the person who unzips it."""
     command = f"\n  hexapod-gateway estop --zenoh-config path/to/{name}.json5" if role == "operator" else ""
-    return _fill(_README, NAME=name, ROLE=role, HOSTS=" or ".join(hosts), EXPIRY=expiry, COMMAND=command)
+    return fill(_README, NAME=name, ROLE=role, HOSTS=" or ".join(hosts), EXPIRY=expiry, COMMAND=command)
 
 
 def endpoint(host: str, port: int) -> str:
@@ -166,7 +167,9 @@ def endpoint(host: str, port: int) -> str:
     return f"tls/{bracketed}:{port}"
 
 
-def _fill(template: str, **values: str) -> bytes:
-    for key, value in values.items():
+def fill(template: str, **values: str) -> bytes:
+    """The file, with each @NAME@ replaced by its value, and the limits that all files share."""
+    limits = {"SIZE_LIMIT": str(SIZE_LIMIT), "MAX_MESSAGE_SIZE": str(MAX_MESSAGE_SIZE)}
+    for key, value in (values | limits).items():
         template = template.replace(f"@{key}@", value)
     return template.encode()

@@ -46,13 +46,22 @@ def init(
         ),
     ],
     port: Annotated[int, typer.Option(metavar="N", help="The port the robot listens on. Example: --port 7447")] = 7447,
+    namespace: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="A name before all keys of this robot, where several share a network without a router. "
+            "Example: --namespace robot-7",
+            show_default=False,
+        ),
+    ] = "",
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Make a private CA, the robot's certificate, and the Zenoh configuration that lets in only its own.
 
     Refuses a folder that has a CA already; never overwrites a file; leaves nothing half made.
     """
-    certs.init(directory, host, days=days, port=port)
+    certs.init(directory, host, days=days, port=port, namespace=namespace)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")
     typer.echo(
         "Copy to the robot, into one folder, owned by the service's user: gateway.json5 gateway.pem gateway.key ca.pem"

@@ -1,0 +1,98 @@
+"""The access control of the Zenoh files: one table of what people and a robot may say to each other.
+
+Keys are exact where others may declare: each declaration that is let in is kept and compared with all others, so an
+observer who may declare `hexapod/*` may declare 20 000 keys, and delay Stops by half a second. Where a message only
+passes, or the gateway itself declares, a wildcard costs nothing, and the contract wants it: a put on
+`hexapod/leg/*/cmd` means every leg.
+
+Zenoh compares a rule's keys with those on the wire, which begin with the robot's namespace.
+"""
+
+import json
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, PUBLISHED
+
+WIDTH: Final = 120
+
+
+class Traffic(NamedTuple):
+    """Messages that may pass between people and a robot, in one direction."""
+
+    what: str
+    from_people: bool
+    messages: tuple[str, ...]
+    keys: tuple[str, ...]
+    operators_only: bool = False
+    robots_keys: tuple[str, ...] = ()
+    """At a router's end of the link to the robot, if not the same: of a robot that was taken over, too, a router takes
+    exact declarations only."""
+
+
+TRAFFIC: Final = (
+    Traffic("commands", True, ("put", "delete", "query"), (ALL_COMMANDS,), operators_only=True),
+    Traffic("acknowledgements", False, ("reply",), (ALL_COMMANDS,), operators_only=True),
+    Traffic(
+        "commands that it takes",
+        False,
+        ("declare_subscriber", "declare_queryable"),
+        (ALL_COMMANDS,),
+        operators_only=True,
+        robots_keys=tuple(COMMAND_KEYS),
+    ),
+    Traffic("watching", True, ("declare_subscriber",), PUBLISHED),
+    Traffic("telemetry", False, ("put",), PUBLISHED),
+    Traffic("asking for the state", True, ("query",), ASKABLE),
+    Traffic("state as an answer", False, ("reply", "declare_queryable"), ASKABLE),
+    Traffic("asking who is alive", True, ("declare_liveliness_subscriber", "liveliness_query"), (ALIVE,)),
+    Traffic("alive", False, ("liveliness_token",), (ALIVE,)),
+)
+
+
+def rules(prefix: str = "", namespace: str = "", *, robots_side: bool = False) -> str:
+    """The rules as JSON5, their names behind `prefix`: at the robot's or router's end of the links to people.
+
+    With `robots_side`, at a router's end of the link to the robot: what comes in from people goes out there.
+    """
+    return "".join(_rule(each, prefix, namespace, robots_side) for each in TRAFFIC)
+
+
+def names(prefix: str = "", *, for_all: bool | None, robots_side: bool = False) -> str:
+    """The names of those rules as a JSON5 list: those for all roles, those for operators only, or (None) both."""
+    chosen = [each for each in TRAFFIC if for_all is None or each.operators_only is not for_all]
+    return _list([_name(each, prefix, robots_side) for each in chosen], 16)
+
+
+def _rule(each: Traffic, prefix: str, namespace: str, robots_side: bool) -> str:
+    flow = "ingress" if each.from_people is not robots_side else "egress"
+    named = (each.robots_keys if robots_side else ()) or each.keys
+    keys = [f"{namespace}/{key}" if namespace else key for key in named]
+    return (
+        f'      {{ id: "{_name(each, prefix, robots_side)}", permission: "allow", flows: ["{flow}"],\n'
+        f"        messages: {json.dumps(each.messages)},\n"
+        f"        key_exprs: {_list(keys, 20)} }},\n"
+    )
+
+
+def _name(each: Traffic, prefix: str, robots_side: bool) -> str:
+    into = each.from_people is not robots_side
+    end = "robot's end, " if robots_side else ""
+    return f"{prefix}{each.what} ({end}{'in' if into else 'out'})"
+
+
+def _list(texts: list[str], indent: int) -> str:
+    """A JSON list, broken into lines that begin below its first element; its first line begins at `indent` - 1."""
+    return "[" + ("\n" + " " * indent).join(_lines([json.dumps(text) for text in texts], WIDTH - indent - 6)) + "]"
+
+
+def _lines(items: list[str], width: int) -> Iterator[str]:
+    line = ""
+    for place, item in enumerate(items):
+        text = item + ("," if place + 1 < len(items) else "")
+        if line and len(line) + 1 + len(text) > width:
+            yield line
+            line = text
+        else:
+            line = f"{line} {text}" if line else text
+    yield line

@@ -1,0 +1,57 @@
+"""A gateway on the simulated controller with the certificates that `certs` makes, and what its process takes."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from gateway import certs
+from gateway.client import Client
+from gateway.zenoh_config import load_config
+from tests.gateway_process import Gateway, free_port
+from tests.hil.bed import SpiTestbed
+
+HOST = "127.0.0.1"
+
+
+class Secured:
+    """The gateway, an operator (anna) and an observer (otto)."""
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Mapping[str, Mapping[str, Any]] | None = None,
+        *,
+        bed: SpiTestbed | None = None,
+        prefix: Sequence[str] = (),
+    ) -> None:
+        self.folder = folder / "D"
+        self.port = free_port()
+        certs.init(self.folder, [HOST], port=self.port)
+        certs.issue(self.folder, "anna", "operator")
+        certs.issue(self.folder, "otto", "observer")
+        listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{HOST}:{self.port}"]}
+        self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix)
+
+    def __enter__(self) -> "Secured":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.gateway.child.close()
+
+    def client(self, name: str) -> Client:
+        return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=10)
+
+    def session(self, name: str, **settings: Any) -> zenoh.Session:
+        """A session with that certificate, and nothing of ours besides."""
+        made = load_config(self.folder / f"{name}.json5")
+        for key, value in settings.items():
+            made.insert_json5(key, json.dumps(value))
+        return zenoh.open(made)
+
+    def memory_mb(self, field: str = "VmRSS") -> float:
+        """What the gateway's process takes now (VmRSS), or took at most (VmHWM)."""
+        status = Path(f"/proc/{self.gateway.child.pid}/status").read_text()
+        return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith(field))
