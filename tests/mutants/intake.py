@@ -9,15 +9,31 @@ INTAKE = Subject(
         Mutant('"application/json", "zenoh/bytes"}', '"application/json"}', "a plain put is refused"),
         Mutant('"application/json", "zenoh/bytes"}', '"application/json", "zenoh/bytes", ""}', "no encoding is any"),
         Mutant(
-            "return all(op.op is Op.STOP for _, op in self.targets)",
-            "return any(op.op is Op.STOP for _, op in self.targets)",
+            "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
+            "any(op.op is Op.STOP for _, op in self.targets)",
             "an old Start passes where a Stop stands beside it",
         ),
         Mutant(
-            "return all(op.op is Op.STOP for _, op in self.targets)",
-            "return False",
+            "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
+            "False",
             "a Stop that was delayed on its way is refused",
         ),
+        Mutant(
+            "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
+            "all(op.op is Op.STOP for _, op in self.targets)",
+            "a reset that was delayed on its way passes for a Stop",
+        ),
+        Mutant(
+            "return Intent((), command.source, command.sent_ms, command.estop)",
+            "return Intent((), command.source, command.sent_ms)",
+            "no reset says which emergency stop it leaves",
+        ),
+        Mutant(
+            "return Intent((), command.source, command.sent_ms, command.estop)",
+            "return Intent((), command.source, None, command.estop)",
+            "a reset that was delayed on its way leaves the emergency stop",
+        ),
+        Mutant("+ (intent.estop is not None)", "+ 1", "a reset may give a name twice"),
         Mutant(
             "if key.target is Target.ESTOP:\n        return Intent()",
             "if key.target is Target.ESTOP and not payload:\n        return Intent()",

@@ -1,0 +1,318 @@
+"""Mutants of gateway/legs.py: how a leg's commands become frames, and its Stops."""
+
+from tests.mutants.mutant import Mutant, Subject
+
+LEGS = Subject(
+    "gateway/legs.py",
+    tests=(
+        "tests/test_supervisor.py",
+        "tests/test_supervisor_stops.py",
+        "tests/test_supervisor_faults.py",
+        "tests/test_legs.py",
+        "tests/test_conductor.py",
+        "tests/test_supervisor_machine.py",
+    ),
+    mutants=(
+        Mutant(
+            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)",
+            "return self.angle_cdeg is not None or self.waiting is not None",
+            "a leg that a Stop came for queues with those to be energised",
+        ),
+        Mutant(
+            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)",
+            "return self.angle_cdeg is not None",
+            "a start that is pending has no watchdog, and a set after it is rejected",
+        ),
+        Mutant(
+            "earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()",
+            "earlier = frozenset[str]()",
+            "of two who stopped a servo in an instant, one is forgotten: the other's older start moves it",
+        ),
+        Mutant(
+            "earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()",
+            "earlier = self.stopped_by",
+            "who stopped it once keeps it from being started by another channel",
+        ),
+        Mutant("        self.stopped_ns = instant_ns\n", "", "an older start overtakes a Stop of its instant"),
+        Mutant(
+            "(third.angle_cdeg is None and third.will_run)",
+            "False",
+            "joint 3 is energised without a pause between two legs",
+        ),
+        Mutant(
+            "(first.angle_cdeg is None and first.will_run)",
+            "False",
+            "joint 1 is energised without a pause between two legs",
+        ),
+        Mutant(
+            "(third.angle_cdeg is None and third.will_run)",
+            "third.will_run",
+            "a leg that runs queues behind those to be energised",
+        ),
+        Mutant(
+            "return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None",
+            "return first.angle_cdeg is second.angle_cdeg is None",
+            "with joint 3 alone energised, the state says idle",
+        ),
+        Mutant(
+            "return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None",
+            "return second.angle_cdeg is third.angle_cdeg is None",
+            "with joint 1 alone energised, the state says idle",
+        ),
+        Mutant(
+            "return first.will_run or second.will_run or third.will_run",
+            "return first.will_run or second.will_run",
+            "joint 3 alone has no watchdog",
+        ),
+        Mutant(
+            "return first.will_run or second.will_run or third.will_run",
+            "return first.will_run or third.will_run",
+            "joint 2 alone has no watchdog",
+        ),
+        Mutant(
+            "return first.will_run or second.will_run or third.will_run",
+            "return second.will_run or third.will_run",
+            "joint 1 alone has no watchdog",
+        ),
+        Mutant(
+            "return first.will_run or second.will_run or third.will_run",
+            "return first.running or second.running or third.running",
+            "a start that is pending has no watchdog",
+        ),
+        Mutant("return self.heard_ns + timeout_ns if", "return self.heard_ns if", "each leg is stopped at once"),
+        Mutant(
+            "if self.heard_ns is not None and self.watched else None",
+            "if self.heard_ns is not None else None",
+            "the watchdog tells again and again of a leg that does nothing",
+        ),
+        Mutant(
+            "return first.waiting is not None or second.waiting is not None or third.waiting is not None",
+            "return first.waiting is not None or second.waiting is not None",
+            "nobody wakes up for what is pending for joint 3",
+        ),
+        Mutant(
+            "return first.waiting is not None or second.waiting is not None or third.waiting is not None",
+            "return second.waiting is not None or third.waiting is not None",
+            "nobody wakes up for what is pending for joint 1",
+        ),
+        Mutant(
+            "else ServoOp(Op.SET, servo.angle_cdeg)",
+            "else STOP",
+            "a servo that nothing is pending for is stopped with its neighbour's frame",
+        ),
+        Mutant(
+            "else ServoOp(Op.SET, servo.angle_cdeg)",
+            "else ServoOp(Op.START, servo.angle_cdeg)",
+            "a servo is started that nobody starts",
+        ),
+        Mutant("if len(servos) == len(leg.servos):", "if servos:", "a Stop for one servo stops its whole leg"),
+        Mutant("if len(servos) == len(leg.servos):", "if False:", "a leg's three Stops take three times as long"),
+        Mutant(
+            "            if deadline_ns is not None:\n                due.append(deadline_ns)\n",
+            "",
+            "nobody wakes up for the watchdog",
+        ),
+        Mutant(
+            "                if servo.repeats_left:\n",
+            "                if False:\n",
+            "nobody wakes up to repeat a Stop",
+        ),
+        Mutant(
+            "                if slot_ns is not None:\n                    due.append(slot_ns)\n",
+            "",
+            "nobody wakes up for a rate slot",
+        ),
+        Mutant("return min(due, default=None)", "return max(due, default=None)", "it wakes up for the last thing due"),
+        Mutant(
+            "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n"
+            "            effects += self._replace(servo, None)\n",
+            "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n",
+            "an older start comes after the Stop",
+        ),
+        Mutant(
+            "            servo.note_stop(command.channel, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
+            "            self._stopped(servo, now_ns)\n",
+            "an older start of the same instant overtakes the Stop",
+        ),
+        Mutant(
+            "            servo.note_stop(command.channel, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
+            "            servo.note_stop(command.channel, now_ns)\n            self._stopped(servo, now_ns)\n",
+            "an older start of the same instant overtakes the Stop, where time passes in it",
+        ),
+        Mutant(
+            "            servo.note_stop(command.channel, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
+            "            servo.note_stop(command.channel, self.instant_ns)\n",
+            "a servo that was stopped on command counts as running",
+        ),
+        Mutant(
+            "leg.expired = leg.expired and len(servos) < len(leg.servos)",
+            "leg.expired = False",
+            "a Stop for one servo hides that the watchdog has stopped its leg",
+        ),
+        Mutant(
+            "leg.expired = leg.expired and len(servos) < len(leg.servos)",
+            "pass",
+            "a leg that was stopped on command is shown as expired",
+        ),
+        Mutant(
+            "return effects + self._empty_queue(command.order)",
+            "return effects",
+            "whoever stops one leg sees another start a moment later",
+        ),
+        Mutant(
+            "return effects + self._empty_queue(command.order)",
+            "return effects + self._empty_queue()",
+            "a command that stops one leg and starts another rejects itself",
+        ),
+        Mutant(
+            "newest = op if servo.waiting is None else merged(servo.waiting.op, op)",
+            "newest = op",
+            "a pending start becomes a set",
+        ),
+        Mutant(
+            "            if op.op is Op.STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
+            "",
+            "an older start overtakes a Stop that came with moves",
+        ),
+        Mutant(
+            "            if op.op is Op.STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
+            "            if op.op is Op.STOP:\n                servo.note_stop(command.channel, now_ns)\n",
+            "an older start overtakes a Stop that came with moves, where time passes in an instant",
+        ),
+        Mutant(
+            "if servo.waiting is not None and servo.waiting.op.op is Op.STOP:\n                servo.waiting = None\n",
+            "if False:\n                servo.waiting = None\n",
+            "a Stop that came with moves waits for the rate slot",
+        ),
+        Mutant(
+            "if servo.running or not servo.repeats_left:",
+            "if servo.running:",
+            "a Stop for a servo that nobody knows to run is not sent",
+        ),
+        Mutant(
+            "if servo.running or not servo.repeats_left:",
+            "if not servo.repeats_left:",
+            "a Stop that came with moves, shortly after another, is not sent",
+            equivalent="a servo that runs has no repeats left: whatever energises it takes them",
+        ),
+        Mutant(
+            "if servo.running or not servo.repeats_left:",
+            "if True:",
+            "a stream above the rate that keeps a servo stopped fills the bus",
+        ),
+        Mutant(
+            "            self._queue.join(leg.number)\n", "            pass\n", "a leg to be energised is in no queue"
+        ),
+        Mutant(
+            "            self._queue.join(leg.number)\n        else:\n            self._queue.leave(leg.number)\n",
+            "            self._queue.join(leg.number)\n",
+            "a leg that need not be energised any more keeps others off",
+        ),
+        Mutant(
+            "if not waiting or not leg.slots.is_open(now_ns):",
+            "if not waiting:",
+            "no rate limit",
+        ),
+        Mutant(
+            "            if not self._queue.admits(leg.number, now_ns):\n                return []\n",
+            "",
+            "all legs are energised at once: the supply breaks down",
+        ),
+        Mutant("            self._queue.started(leg.number, now_ns)\n", "", "no pause between two legs"),
+        Mutant("        leg.slots.take(now_ns)\n", "", "no rate limit"),
+        Mutant(
+            "waiting[0][1].op) if len(waiting) == 1 else",
+            "waiting[0][1].op) if waiting else",
+            "of three targets one is sent",
+        ),
+        Mutant(
+            "            servo.waiting = None\n            if target.op.op is Op.STOP:\n                self._stopped(servo, now_ns)\n",
+            "            servo.waiting = None\n            if target.op.op is Op.STOP:\n                servo.angle_cdeg = None\n",
+            "a Stop that came with moves is not repeated",
+        ),
+        Mutant(
+            "                servo.angle_cdeg = target.op.angle_cdeg\n                servo.repeats_left = 0",
+            "                servo.angle_cdeg = target.op.angle_cdeg\n                servo.repeats_left += 0",
+            "a repeated Stop undoes the start that came after it",
+        ),
+        Mutant(
+            "                leg.expired = False\n            effects",
+            "            effects",
+            "a leg that runs again is shown as expired",
+        ),
+        Mutant(
+            "            servo.note_stop(cause, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
+            "            self._stopped(servo, now_ns)\n",
+            "a start of the same instant undoes the watchdog's Stop",
+        ),
+        Mutant(
+            "            servo.note_stop(cause, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
+            "            servo.note_stop(cause, now_ns)\n            self._stopped(servo, now_ns)\n",
+            "a start of the same instant undoes the watchdog's Stop, where time passes in it",
+        ),
+        Mutant(
+            "            servo.note_stop(cause, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
+            "            servo.note_stop(cause, self.instant_ns)\n",
+            "what the gateway stops counts as running",
+        ),
+        Mutant(
+            "return [*transmits, *self.drop(servos, reason, detail), *self._empty_queue()]",
+            "return [*transmits, *self._empty_queue()]",
+            "a pending start comes after the watchdog's Stop",
+        ),
+        Mutant(
+            "return [*transmits, *self.drop(servos, reason, detail), *self._empty_queue()]",
+            "return [*transmits, *self.drop(servos, reason, detail)]",
+            "after a watchdog's Stop another leg starts a moment later",
+        ),
+        Mutant(
+            "transmits = [Transmit(stop_leg(number), cause, deadline)",
+            "transmits = [Transmit(stop_leg(number), cause)",
+            "how late a Stop was is not measured",
+        ),
+        Mutant(
+            "        servo.angle_cdeg = None\n        servo.repeats_left",
+            "        servo.repeats_left",
+            "a stopped servo counts as running: a set moves nothing and is accepted",
+        ),
+        Mutant("servo.repeats_left = self._rules.repeats\n", "servo.repeats_left = 1\n", "watchdog.repeats is ignored"),
+        Mutant(
+            "        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n\n    def _empty_queue",
+            "        servo.repeat_ns = now_ns\n\n    def _empty_queue",
+            "the first repeat comes at once",
+        ),
+        Mutant(
+            "if servo.waiting is not None and servo.waiting.order != own]",
+            "if servo.waiting is not None]",
+            "a command that stops one leg and starts another rejects itself",
+        ),
+        Mutant("        self._orders[older.order].coalesced = True\n", "", "nobody is told that a target was replaced"),
+        Mutant("        order.targets -= 1\n", "        order.targets -= 2\n", "a command is acknowledged too early"),
+        Mutant(
+            "        for servo in self.servos.values():  # what is refused here must not take effect on another leg\n",
+            "        for servo in servos:  # what is refused here must not take effect on another leg\n",
+            "what was rejected for one leg still moves another",
+        ),
+        Mutant(
+            "            if not leg.waits_to_start:\n                self._queue.leave(leg.number)\n",
+            "            pass\n",
+            "a leg whose start was dropped keeps the others off",
+        ),
+        Mutant(
+            "if servo.repeats_left and now_ns >= servo.repeat_ns]",
+            "if servo.repeats_left]",
+            "repeats come at every step, not in their time",
+        ),
+        Mutant(
+            "if servo.repeats_left and now_ns >= servo.repeat_ns]",
+            "if servo.repeats_left and now_ns > servo.repeat_ns]",
+            "woken when due, no Stop is repeated",
+        ),
+        Mutant("            servo.repeats_left -= 1\n", "", "a Stop is repeated for ever"),
+        Mutant(
+            "            servo.repeats_left -= 1\n            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n",
+            "            servo.repeats_left -= 1\n            servo.repeat_ns += self._rules.repeat_interval_ns\n",
+            "late repeats are made up in a burst",
+        ),
+    ),
+)
