@@ -221,9 +221,9 @@ def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path, caplog: pytest.Log
 def test_rules_without_the_robots_namespace_are_refused() -> None:
     """Nobody could command that robot, nor stop it."""
 
-    def with_rules(*keys: str, **more: Any) -> bool:
+    def with_rules(*keys: str, enabled: bool = True, **more: Any) -> bool:
         rule = {"id": "in", "permission": "allow", "flows": ["ingress"], "messages": ["put"], "key_exprs": list(keys)}
-        control = {"enabled": True, "default_permission": "deny", "rules": [rule], "subjects": [], "policies": []}
+        control = {"enabled": enabled, "default_permission": "deny", "rules": [rule], "subjects": [], "policies": []}
         return refused("tcp/127.0.0.1:7447", **{"access_control": control, "namespace": "robot-1", **more})
 
     assert with_rules("hexapod/estop/cmd")
@@ -231,6 +231,8 @@ def test_rules_without_the_robots_namespace_are_refused() -> None:
     assert not with_rules("robot-1/hexapod/estop/cmd")
     assert not with_rules("**/hexapod/estop/cmd")
     assert not with_rules("hexapod/estop/cmd", namespace=None)
+    assert not with_rules("robot-1/hexapod/estop/cmd", "@/router/**"), "one key of its own is enough"
+    assert not with_rules("hexapod/estop/cmd", enabled=False), "Zenoh ignores them"
 
 
 def test_no_message_is_put_together_beyond_the_limit(tmp_path: Path) -> None:
