@@ -9,8 +9,9 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from math import ceil
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 import zenoh
 
@@ -40,10 +41,12 @@ REPEATS_S = 0.3
 """Of that, what the repeats of the last Stops may take."""
 
 LAST_WORDS_S = 0.1
-"""Beyond that, what the log may take where Zenoh has taken all of it."""
+"""Beyond that, what the log may take where nothing else waits for the end."""
 
 BEAT_S = 0.1
 """How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""
+
+T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
@@ -96,9 +99,16 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
         conductor.start()
-        if settings.telemetry.metrics:
-            await asyncio.to_thread(exposition.serve, settings.telemetry.metrics, conductor)
-        session = await asyncio.to_thread(open_session, config)
+        opening = _in_thread(partial(_open, settings, config, conductor))
+        ended = asyncio.ensure_future(end.wait())
+        first: tuple[asyncio.Future[Any], ...] = (opening, ended)
+        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+        if not opening.done():
+            manager.stopping()
+            await _stop_the_robot(conductor, bus, settings.watchdog)
+            _leave(end.exit_code)
+        ended.cancel()
+        session = opening.result()
         outbox.open(session)
         inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
         conductor.take = inbox.take
@@ -129,6 +139,13 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         manager.close()
     if end.failure is not None:
         raise GatewayError(end.failure)
+
+
+def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
+    """All that is opened on the network. Waits for name servers, and for routers where the Zenoh file says so."""
+    if settings.telemetry.metrics:
+        exposition.serve(settings.telemetry.metrics, conductor)
+    return open_session(config)
 
 
 class _End:
@@ -243,6 +260,27 @@ async def _within(timeout_s: float, exit_code: int, *closes: Callable[[], object
         await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
     except TimeoutError:
         logger.warning("a peer does not let go of its connection; ending without waiting for it")
-        logs.close(LAST_WORDS_S)
-        # Zenoh's own threads are still inside close, and would keep the interpreter from ending.
-        os._exit(exit_code)
+        _leave(exit_code)
+
+
+def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
+    """Call it in a thread that does not keep the process from ending, unlike those of `asyncio.to_thread`."""
+    loop = asyncio.get_running_loop()
+    result: asyncio.Future[T] = loop.create_future()
+
+    def run_call() -> None:
+        try:
+            tell = partial(result.set_result, call())
+        except Exception as error:
+            tell = partial(result.set_exception, error)
+        with suppress(RuntimeError):  # the loop is closed, and nobody asks any more
+            loop.call_soon_threadsafe(tell)
+
+    threading.Thread(target=run_call, name="open", daemon=True).start()
+    return result
+
+
+def _leave(exit_code: int) -> NoReturn:
+    """End at once: a thread inside Zenoh would keep the interpreter from ending."""
+    logs.close(LAST_WORDS_S)
+    os._exit(exit_code)
