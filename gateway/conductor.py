@@ -31,6 +31,7 @@ from gateway.inbox import Received, Verb
 from gateway.intake import Intent, Rejection, decode, stop_all_of, too_large
 from gateway.metrics import Metrics
 from gateway.outbox import Outbox, wall_clock
+from gateway.preamble import PreambleInPauses
 from gateway.refusals import RefusalLimit
 from gateway.report import report
 from gateway.settings import Settings
@@ -90,6 +91,7 @@ class Conductor:
         self._reopen_s = FIRST_REOPEN_S
         self._in_fault = False
         self._announced = False
+        self._preamble = PreambleInPauses(bus, loop, settings.spi.frame_gap_us / 1e6, clock, self._zero_failed)
         self._told_mode = Mode.STARTING
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
@@ -130,6 +132,7 @@ class Conductor:
         for timer in (self._timer, self._reopen_timer):
             if timer is not None:
                 timer.cancel()
+        self._preamble.cancel()
         self.bus.close()
 
     # ---- what happens
@@ -206,13 +209,15 @@ class Conductor:
         """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
         fault: SpiError | None = None
         written: list[tuple[Transmit, int]] = []
+        repeats = False
         for effect in effects:
             match effect:
                 case Transmit():
                     if fault is not None and not effect.frame.is_stop:
                         continue
+                    before, repeats = repeats, effect.cause is Cause.REPEAT
                     try:
-                        self.bus.write(effect.frame)
+                        self.bus.write(effect.frame, first_repeat=repeats and not before)
                     except SpiError as error:
                         fault = fault or error
                         continue
@@ -248,6 +253,11 @@ class Conductor:
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_later()
 
+    def _zero_failed(self, fault: SpiError) -> None:
+        self._bus_failed(fault)
+        self._tell_mode()
+        self._arm()
+
     def _reopen_later(self) -> None:
         if self._reopen_timer is not None:
             self._reopen_timer.cancel()
@@ -274,6 +284,8 @@ class Conductor:
     def _arm(self) -> None:
         """Wake up when the supervisor wants to. An early timer is left alone: looking is cheaper than changing."""
         due_ns = self.supervisor.due_ns
+        if self.bus.announces:
+            due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)
         if due_ns is None:
             if self.supervisor.mode is Mode.STOPPING:
                 self.done.set()

@@ -150,6 +150,8 @@ class Legs:
         self._orders: dict[int, _Order] = {}
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
+        self.repeat_ns: int | None = None
+        """When the next repeated Stop comes, as of the last `due_ns()`."""
         self._queue = StartQueue(rules.start_pause_ns)
 
     def __iter__(self) -> Iterator[Leg]:
@@ -160,18 +162,20 @@ class Legs:
     def due_ns(self) -> int | None:
         """When a deadline, a repeat or a rate slot comes next."""
         due: list[int] = []
+        repeats: list[int] = []
         for leg in self:
             deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
             if deadline_ns is not None:
                 due.append(deadline_ns)
             for servo in leg.servos:
                 if servo.repeats_left:
-                    due.append(servo.repeat_ns)
+                    repeats.append(servo.repeat_ns)
             if leg.waits:
                 slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
                 if slot_ns is not None:
                     due.append(slot_ns)
-        return min(due, default=None)
+        self.repeat_ns = min(repeats, default=None)
+        return min(due + repeats, default=None)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """The repeated Stops that are due."""

@@ -29,7 +29,7 @@ class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
     def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
-        spi = {"frame_gap_us": 0}  # a pause between frames would have to sleep, and virtual time does not
+        spi = {"frame_gap_us": 0}  # see _pause
         merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
         self.settings = Settings.model_validate(merged)
         self.each_takes_ns = 0
@@ -44,7 +44,7 @@ class Robot:
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),
-            bus_for(self.settings.spi, self._open),
+            bus_for(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause),
             self,
             self.loop,
             clock=self.now_ns,
@@ -55,6 +55,10 @@ class Robot:
     def _open(self) -> SimulatedController:
         self.openings_ns.append(self.now_ns())
         return self.controller
+
+    def _pause(self, duration_s: float) -> None:
+        """The bus's pause: virtual time cannot pass within a call, so what is due later comes late by as much."""
+        self._instants += round(duration_s * 1e9)
 
     def now_ns(self) -> int:
         return round(self.loop.time() * 1e9) + self._instants

@@ -9,6 +9,7 @@ from gateway.conductor import FIRST_REOPEN_S
 from gateway.errors import SpiError
 from gateway.inbox import Verb
 from gateway.protocol.frames import Op, stop_leg
+from gateway.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -286,8 +287,8 @@ async def test_the_end_with_a_dead_bus_does_not_wait() -> None:
 
 async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_after_each_fault() -> None:
     robot = started(spi={"framing": "length-prefixed"})
-    first = [data for _, data in robot.controller.transfers][:3]
-    assert first == [bytes(16), b"\x0e", stop_leg(1).to_bytes()]
+    first = [data for _, data in robot.controller.transfers][:18]
+    assert first == [*Framing.LENGTH_PREFIXED.preamble, b"\x0e", stop_leg(1).to_bytes()]
     await asyncio.sleep(1)
     robot.put(LEG_3, START)
     assert robot.controller.energised == {31, 32, 33}
@@ -295,7 +296,7 @@ async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_a
     robot.controller.fail_next(1)
     robot.put(LEG_3, leg("stop"))
     await asyncio.sleep(0.1)
-    assert [data for _, data in robot.controller.transfers][:3] == first
+    assert [data for _, data in robot.controller.transfers][:18] == first
     assert robot.controller.energised == set()
     assert robot.controller.corruptions.total() == 0
 

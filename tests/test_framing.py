@@ -26,8 +26,8 @@ def test_the_length_goes_ahead_in_a_transfer_of_its_own() -> None:
 
 
 def test_only_length_prefixed_has_a_preamble() -> None:
-    assert Framing.PLAIN.preamble is None
-    assert Framing.LENGTH_PREFIXED.preamble == bytes(16)
+    assert Framing.PLAIN.preamble == ()
+    assert Framing.LENGTH_PREFIXED.preamble == (b"\0",) * 16, "each in a transfer of its own"
 
 
 @given(frames)

@@ -17,7 +17,8 @@ from tests.test_frames import ILLEGAL, frames
 STOP_1 = stop_leg(1).to_bytes()
 START_11 = OneServo(11, ServoOp(Op.START, 90_00)).to_bytes()
 STOP_WITH_ANGLE = bytes.fromhex("06 02 20 02 5a 00")
-PREAMBLE = bytes(16)
+ZERO = b"\0"
+PREAMBLE = [ZERO] * 16
 
 
 class Recorder:
@@ -87,10 +88,10 @@ def test_an_announced_body_is_a_legal_frame_of_that_length(data: bytes) -> None:
 
 
 @given(st.binary(max_size=20))
-def test_only_announcements_and_the_preamble_come_unannounced(data: bytes) -> None:
+def test_only_announcements_and_zeros_come_unannounced(data: bytes) -> None:
     device = Recorder()
     guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    if data in (b"\x06", b"\x0e", PREAMBLE):
+    if data in (b"\x06", b"\x0e", ZERO):
         guarded.transfer(data)
         assert device.seen == [data]
     else:
@@ -99,7 +100,7 @@ def test_only_announcements_and_the_preamble_come_unannounced(data: bytes) -> No
         assert device.seen == []
 
 
-@pytest.mark.parametrize("length", range(256))
+@pytest.mark.parametrize("length", range(1, 256))
 def test_the_two_lengths_that_may_be_announced(length: int) -> None:
     device = Recorder()
     guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
@@ -115,7 +116,7 @@ def test_all_that_a_framing_makes_passes(sent: list[Frame]) -> None:
     for framing in Framing:
         device = Recorder()
         guarded = GuardedDevice(device, framing)
-        expected = [] if framing.preamble is None else [framing.preamble]
+        expected = list(framing.preamble)
         expected += [data for frame in sent for data in framing.transfers(frame.to_bytes())]
         for data in expected:
             guarded.transfer(data)
@@ -146,18 +147,57 @@ def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
 def test_plain_has_no_preamble_and_no_announcements() -> None:
     device = Recorder()
     guarded = GuardedDevice(device, Framing.PLAIN)
-    for data in (PREAMBLE, b"\x0e", b"\x06", b""):
+    for data in (ZERO, bytes(16), b"\x0e", b"\x06", b""):
         with pytest.raises(IllegalTransferError):
             guarded.transfer(data)
     assert device.seen == []
 
 
 def test_the_preamble_may_fill_the_place_of_an_announced_body() -> None:
+    for announcement in (b"\x06", b"\x0e"):
+        device = Recorder()
+        guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
+        sent = [announcement, *PREAMBLE, b"\x0e", STOP_1]
+        for data in sent:
+            guarded.transfer(data)
+        assert device.seen == sent
+
+
+@pytest.mark.parametrize("zeros", range(1, 16))
+@pytest.mark.parametrize("data", [b"\x06", b"\x0e", STOP_1, START_11], ids=["06", "0e", "14 bytes", "6 bytes"])
+def test_nothing_comes_into_the_zeros_that_fill_a_bodys_place(zeros: int, data: bytes) -> None:
+    """It would be taken for the rest of that body."""
     device = Recorder()
     guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    for data in (b"\x0e", PREAMBLE, b"\x0e", STOP_1):
+    for sent in (b"\x0e" if len(data) != 6 else b"\x06", *PREAMBLE[:zeros]):
+        guarded.transfer(sent)
+    before = list(device.seen)
+    with pytest.raises(IllegalTransferError):
         guarded.transfer(data)
-    assert device.seen == [b"\x0e", PREAMBLE, b"\x0e", STOP_1]
+    assert device.seen == before
+    for sent in (*PREAMBLE[zeros:], b"\x0e", STOP_1):
+        guarded.transfer(sent)
+
+
+@pytest.mark.parametrize("zeros", [1, 5, 16, 17])
+def test_where_a_length_is_awaited_a_frame_may_come_into_a_preamble(zeros: int) -> None:
+    """Zeros are lengths that mean nothing there; a first Stop waits for none of them."""
+    device = Recorder()
+    guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
+    for data in (*[ZERO] * zeros, b"\x0e", STOP_1):
+        guarded.transfer(data)
+    assert len(device.seen) == zeros + 2
+
+
+@pytest.mark.parametrize("zeros", [bytes(length) for length in range(2, 20)], ids=len)
+def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> None:
+    for announcements in ([], [b"\x06"], [b"\x0e"], [b"\x0e", ZERO]):
+        device = Recorder()
+        guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
+        for data in announcements:
+            guarded.transfer(data)
+        with pytest.raises(IllegalTransferError):
+            guarded.transfer(zeros)
 
 
 def test_a_refusal_leaves_the_guard_as_it_was() -> None:
@@ -171,9 +211,11 @@ def test_a_refusal_leaves_the_guard_as_it_was() -> None:
     assert device.seen == [b"\x0e", STOP_1]
 
 
-@pytest.mark.parametrize("next_transfer", [b"\x06", b"\x0e", PREAMBLE], ids=["06", "0e", "preamble"])
-@pytest.mark.parametrize("already", [(), (b"\x0e",)], ids=["announcement fails", "body fails"])
-def test_after_a_failed_transfer_comes_an_announcement_or_the_preamble(
+@pytest.mark.parametrize("next_transfer", [b"\x06", b"\x0e", ZERO], ids=["06", "0e", "zero"])
+@pytest.mark.parametrize(
+    "already", [(), (b"\x0e",), (b"\x0e", ZERO)], ids=["announcement fails", "body fails", "a zero fails"]
+)
+def test_after_a_failed_transfer_comes_an_announcement_or_a_zero(
     already: tuple[bytes, ...], next_transfer: bytes
 ) -> None:
     device = Recorder()
@@ -182,7 +224,7 @@ def test_after_a_failed_transfer_comes_an_announcement_or_the_preamble(
         guarded.transfer(data)
     device.failing = True
     with pytest.raises(SpiError):
-        guarded.transfer(STOP_1 if already else b"\x0e")
+        guarded.transfer({0: b"\x0e", 1: STOP_1, 2: ZERO}[len(already)])
     device.failing = False
     with pytest.raises(IllegalTransferError):  # nobody knows whether its announcement arrived
         guarded.transfer(STOP_1)
@@ -211,23 +253,35 @@ class GuardedController(RuleBasedStateMachine):
         self.controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: self.now_ns)
         self.guarded = GuardedDevice(self.controller, Framing.LENGTH_PREFIXED)
         self.announced: int | None = None
+        self.filled = 0
         self.frames = 0
 
-    @rule(data=st.one_of(bytes_near_a_frame, st.sampled_from([b"\x06", b"\x0e", PREAMBLE, STOP_1, START_11])))
+    @rule(data=st.one_of(bytes_near_a_frame, st.sampled_from([b"\x06", b"\x0e", ZERO, bytes(16), STOP_1, START_11])))
     def try_anything(self, data: bytes) -> None:
-        expected = data == PREAMBLE or (
-            data in (b"\x06", b"\x0e") if self.announced is None else is_canonical(data) and len(data) == self.announced
-        )
+        if data == ZERO:
+            expected = True
+        elif self.announced is None:
+            expected = data in (b"\x06", b"\x0e")
+        else:
+            expected = not self.filled and is_canonical(data) and len(data) == self.announced
         try:
             self.guarded.transfer(data)
         except IllegalTransferError:
             assert not expected
         else:
             assert expected
-            self.frames += data != PREAMBLE and len(data) > 1
-            self.announced = data[0] if len(data) == 1 else None
+            self.note(data)
         assert self.controller.executed == self.frames
         assert not self.controller.corruptions
+
+    def note(self, data: bytes) -> None:
+        if data == ZERO:
+            self.filled += self.announced is not None
+            if self.filled == 16:
+                self.announced, self.filled = None, 0
+        else:
+            self.frames += len(data) > 1
+            self.announced = data[0] if len(data) == 1 else None
 
     @precondition(lambda self: self.announced is None)
     @rule(frame=frames)
@@ -241,9 +295,10 @@ class GuardedController(RuleBasedStateMachine):
     def fail_then_recover(self) -> None:
         self.controller.fail_next(1)
         with pytest.raises(SpiError):
-            self.guarded.transfer(PREAMBLE)
-        self.guarded.transfer(PREAMBLE)
-        self.announced = None
+            self.guarded.transfer(ZERO)
+        for data in PREAMBLE:
+            self.guarded.transfer(data)
+        self.announced, self.filled = None, 0
 
 
 TestGuardedController = GuardedController.TestCase

@@ -31,6 +31,7 @@ SHOWN_ELSEWHERE = {
     "zenoh.allow_insecure": "test_exposure.py",
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
+    "spi.resync_ms": "test_bus_preamble.py",
     "telemetry.state_hz": "test_service.py",
     "telemetry.metrics": "test_metrics.py",
     "log.level": "test_service.py",
@@ -128,7 +129,7 @@ async def test_frames(frames: bool) -> None:
     assert len(robot.records) == frames
 
 
-@pytest.mark.parametrize(("framing", "transfers"), [("plain", 1), ("length-prefixed", 3)])
+@pytest.mark.parametrize(("framing", "transfers"), [("plain", 1), ("length-prefixed", 18)])
 def test_framing(framing: str, transfers: int) -> None:
     settings = Settings.model_validate({"spi": {"framing": framing}})
     controller = SimulatedController(settings.spi.framing)

@@ -29,6 +29,7 @@ device = "/dev/spidev0.0"
 speed_hz = 2_500_000
 framing = "plain"
 frame_gap_us = 100
+resync_ms = 1000
 [limits]
 leg_rate_hz = 50.0
 max_age_ms = 0
@@ -101,6 +102,7 @@ device = "/dev/spidev1.1"
 speed_hz = 1
 framing = "length-prefixed"
 frame_gap_us = 0.5
+resync_ms = 0
 [limits]
 leg_rate_hz = 1000
 max_age_ms = 60000
@@ -192,6 +194,7 @@ def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
 RANGES: dict[str, tuple[float, float]] = {
     "spi.speed_hz": (1, 20_000_000),
     "spi.frame_gap_us": (0, 1000),
+    "spi.resync_ms": (0, 10_000),
     "limits.leg_rate_hz": (1, 1000),
     "limits.max_age_ms": (0, 60_000),
     "limits.start_stagger_ms": (0, 2000),

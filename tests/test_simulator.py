@@ -23,13 +23,17 @@ START_LEG_1 = bytes.fromhex("0e 01 0b 01 5a 00 0c 01 5a 00 0d 01 5a 00")
 class Bench:
     """A controller, its clock, and what it said."""
 
-    def __init__(self, framing: Framing) -> None:
+    def __init__(self, framing: Framing, *, tick_phase_ns: int = 0) -> None:
         self.framing = framing
         self.now_ns = 5_000_000 * MS
         self.slept_s: list[float] = []
         self.said: list[str] = []
         self.controller = SimulatedController(
-            framing, clock=lambda: self.now_ns, sleep=self.sleep, on_change=self.said.append
+            framing,
+            clock=lambda: self.now_ns,
+            sleep=self.sleep,
+            on_change=self.said.append,
+            tick_phase_ns=tick_phase_ns,
         )
 
     def sleep(self, duration_s: float) -> None:
@@ -257,6 +261,21 @@ def test_a_stalled_receive_is_given_up_after_1000_ms(bench: Bench) -> None:
     bench.now_ns += 1_000 * MS
     bench.send(START_11)
     assert bench.controller.energised == {11}
+
+
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("since_tick_ns", [0, 1, 500_000, 999_999])
+def test_it_counts_whole_ticks(framing: Framing, since_tick_ns: int) -> None:
+    """The tick in which the length comes counts, however much of it has gone: 999 to 1000 ms."""
+    give_up_ns = 1_000 * MS - since_tick_ns
+    for by_clock_ns, phase_ns in ((since_tick_ns, 0), (0, since_tick_ns)):
+        for early_ns, executed in ((0, 1), (1, 0)):
+            bench = Bench(framing, tick_phase_ns=phase_ns)
+            bench.now_ns += by_clock_ns
+            bench.transfer("0e")
+            bench.now_ns += give_up_ns - early_ns
+            bench.send(START_11)
+            assert bench.controller.executed == executed
 
 
 def test_until_then_the_next_frame_is_swallowed(bench: Bench) -> None:

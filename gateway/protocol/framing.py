@@ -3,7 +3,8 @@
 import enum
 from typing import Final
 
-_PREAMBLE_LEN: Final = 16  # the longest body (14) and some zero lengths, which the controller ignores
+ZERO: Final = b"\0"
+PREAMBLE_ZEROS: Final = 16  # the longest body (14) and some zero lengths, which the controller ignores
 
 
 class Framing(enum.StrEnum):
@@ -19,9 +20,11 @@ class Framing(enum.StrEnum):
         return (frame_bytes,)
 
     @property
-    def preamble(self) -> bytes | None:
-        """The one transfer that brings a controller back in step which still awaits an announced body; None for PLAIN.
+    def preamble(self) -> tuple[bytes, ...]:
+        """The transfers that synchronise a controller which still awaits an announced body; none for PLAIN.
 
-        Only to be sent where no half of a body can be on the wire: zeros would complete it with angles of 0°.
+        They fill that body (its type is then 0, which is ignored), and a length of 0 is ignored too. Each zero has a
+        transfer of its own: in one transfer they come faster than the firmware handles lengths of 0, which jams a
+        healthy controller for up to a second. In half of a body they would stand for angles of 0°.
         """
-        return bytes(_PREAMBLE_LEN) if self is Framing.LENGTH_PREFIXED else None
+        return (ZERO,) * PREAMBLE_ZEROS if self is Framing.LENGTH_PREFIXED else ()

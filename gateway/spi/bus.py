@@ -1,4 +1,16 @@
-"""The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters."""
+"""The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters.
+
+In LENGTH_PREFIXED framing a controller can be out of step: a pause of a second between an announcement and its body, or
+one lost byte, and it takes bodies for lengths and hears nothing, for as long as traffic goes on. Nothing comes back on
+the wire that could say so. So it is resynchronised, by the preamble's zeros (`Framing.preamble`):
+
+* after opening, and after a failed transfer: nobody knows what the controller saw;
+* before each repeated run of Stops, so that what put it out of step before cannot keep it from these;
+* where an announcement is too old for its body: then both are written anew, behind the zeros;
+* once in `resync_ns` of a stream that goes on. An idle second does the same by itself.
+
+A Stop that leaves for the first time waits for none of that, unless a transfer has just failed.
+"""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,10 +20,25 @@ from typing import Final
 from gateway.errors import SpiError
 from gateway.latency import Latency
 from gateway.protocol.frames import Frame
-from gateway.protocol.framing import Framing
+from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.settings import SpiSettings
 from gateway.spi import SpiDevice
 from gateway.spi.guard import GuardedDevice
+
+STALE_ANNOUNCEMENT_NS: Final = 500_000_000
+"""Half of the 1000 ms after which the controller gives the body up: the other half is for what cannot be seen from
+here, between the last look at the clock and the first bit on the wire."""
+LOST_BODY_NS: Final = 900_000_000
+"""A body whose transfer ended this long after its announcement may have begun too late."""
+TRIES: Final = 3
+"""How often a frame is written whose announcement grew stale, and a preamble again ahead of a Stop, where its zeros
+fail. A machine that stalls so often cannot run a robot."""
+IDLE_NS: Final = 1_100_000_000
+"""After so long without a transfer, the controller (1000 ms, on a clock of its own) awaits an announcement again."""
+ZERO_NS: Final = 150_000
+"""A zero's transfer (50 µs), and by how much a timer is late."""
+EARLY_SHARE: Final = 8
+"""The zeros of a stream are wanted an eighth of `resync_ns` early, to find a pause in it."""
 
 _AT_ONCE: Final = nullcontext()
 """In place of a turn, where a frame is one transfer, which nothing comes into."""
@@ -26,20 +53,32 @@ class Bus:
         framing: Framing,
         *,
         frame_gap_ns: int,
+        resync_ns: int = 0,
         beside: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`beside` another program that writes: it does not know of our frames, so the pause is made on both sides."""
+        """`resync_ns` 0: a stream that goes on is not resynchronised.
+
+        `beside` another program that writes: it does not know of our frames, so the pause is made on both sides.
+        """
         self._open_device = open_device
         self._framing = framing
+        self.announces = framing is Framing.LENGTH_PREFIXED
+        """Whether a controller can be out of step at all."""
         self._frame_gap_ns = frame_gap_ns
+        self._resync_ns = resync_ns
         self._beside = beside
         self._clock = clock
         self._pause = pause
         self._device: SpiDevice | None = None
+        self._ended_ns = 0
         self._free_ns = 0
-        self._in_step = False
+        self._synchronised = False  # as far as failed transfers tell
+        self._synchronised_ns = 0  # when the last preamble ended
+        self._zeros = 0  # in a row, since anything else was written
+        self.resync_due = False
+        """Whether a stream has gone on for so long that the next pause in it is to be filled with `write_zero`."""
         self.frames = 0
         self.errors = 0
         self.transfer_latency = Latency()
@@ -49,30 +88,53 @@ class Bus:
         self.close()
         try:
             self._device = GuardedDevice(self._open_device(), self._framing)
-            with self._turn():
-                self._get_in_step()
+            if self.announces:
+                with self._turn():
+                    self._resynchronise()
         except SpiError:
             self.errors += 1
             self.close()
             raise
 
-    def write(self, frame: Frame) -> None:
-        """Write one frame. Raises SpiError; the device stays open, for the next frame may be a Stop.
+    def write(self, frame: Frame, *, first_repeat: bool = False) -> None:
+        """Write one frame; of a repeated run of Stops, `first_repeat` is the one that the preamble goes before.
 
-        After a failed transfer the preamble comes first: a controller that awaits the body of an announced frame would
-        take this one for it, and from then on see lengths where there are none.
+        Raises SpiError; the device stays open, for the next frame may be a Stop.
         """
         try:
             with self._turn():
-                self._get_in_step()
-                self._in_step = False  # until the whole frame is written
-                for data in self._framing.transfers(frame.to_bytes()):
-                    self._transfer(data)
-                self._in_step = True
+                if self.announces:
+                    self._write_announced(frame, first_repeat=first_repeat)
+                else:
+                    self._transfer(frame.to_bytes())
         except SpiError:
             self.errors += 1
             raise
         self.frames += 1
+
+    @property
+    def preamble_ns(self) -> int:
+        """How long a preamble takes, one zero in each turn of a loop."""
+        return PREAMBLE_ZEROS * (self._frame_gap_ns + ZERO_NS)
+
+    def write_zero(self) -> bool:
+        """Write one zero of a preamble; whether more are to follow. Raises SpiError.
+
+        To be called in a pause of the stream, zero by zero: a Stop need not wait for more than one.
+        """
+        if self._device is not None and self._zeros < PREAMBLE_ZEROS:
+            try:
+                with self._turn():
+                    self._zero()
+            except SpiError:
+                self.errors += 1
+                raise
+        return self._device is not None and self._zeros < PREAMBLE_ZEROS
+
+    @property
+    def just_resynchronised(self) -> bool:
+        """Whether a whole preamble was the last that was written."""
+        return self._zeros >= PREAMBLE_ZEROS
 
     def close(self) -> None:
         """Release the device, if it is open. Never raises."""
@@ -80,10 +142,11 @@ class Bus:
             with suppress(SpiError):
                 self._device.close()
             self._device = None
-        self._in_step = False
+        self._synchronised = self.resync_due = False
+        self._zeros = 0
 
     def _turn(self) -> AbstractContextManager[None]:
-        return _AT_ONCE if self._framing is Framing.PLAIN else self._device_turn()
+        return self._device_turn() if self.announces else _AT_ONCE
 
     @contextmanager
     def _device_turn(self) -> Iterator[None]:
@@ -96,26 +159,110 @@ class Bus:
             if self._beside:
                 self._pause(self._frame_gap_ns / 1e9)
 
-    def _get_in_step(self) -> None:
-        if not self._in_step and self._framing.preamble is not None:
-            self._transfer(self._framing.preamble)
-        self._in_step = True
+    def _write_announced(self, frame: Frame, *, first_repeat: bool) -> None:
+        zeros_fault: SpiError | None = None
+        if self._wants_preamble(frame, first_repeat=first_repeat):
+            if frame.is_stop:
+                # Whatever comes of the zeros, the Stop is tried: the controller may be in step, and then it hears it.
+                zeros_fault = self._fault_of_zeros()
+            else:
+                self._resynchronise()
+        self._announce_and_write(frame)
+        if zeros_fault is not None:
+            self._synchronised = False
+            raise zeros_fault
+        self.resync_due = (
+            self._resync_ns > 0
+            and self._ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
+        )
 
-    def _transfer(self, data: bytes) -> None:
+    def _wants_preamble(self, frame: Frame, *, first_repeat: bool) -> bool:
+        if first_repeat or not self._synchronised:
+            return True
+        now_ns = self._clock()
+        if now_ns - self._ended_ns >= IDLE_NS:
+            self._synchronised_ns = now_ns
+        overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
+        # A preamble that has been begun is ended first: begun anew after each frame, it would never come to its end.
+        return (overdue or 0 < self._zeros < PREAMBLE_ZEROS) and not frame.is_stop
+
+    def _announce_and_write(self, frame: Frame) -> None:
+        """A frame behind its announcement; both again, where the machine stalled between them."""
+        announcement, body = self._framing.transfers(frame.to_bytes())
+        for attempt in range(1, TRIES + 1):
+            self._synchronised = False  # until the whole frame is written
+            announced_ns = self._transfer(announcement)
+            # Looked at after the pause, which is where a machine that stalls most likely does.
+            if self._wait_for_gap() - announced_ns <= STALE_ANNOUNCEMENT_NS or attempt == TRIES:
+                self._transfer(body)
+                if self._ended_ns - announced_ns < LOST_BODY_NS:
+                    self._synchronised = True
+                    return
+            self._resynchronise()
+        raise SpiError(f"a frame's two transfers were too far apart, {TRIES} times; this machine stalls")
+
+    def _fault_of_zeros(self) -> SpiError | None:
+        """Write the preamble, begun anew where a zero fails; the first fault, also if it came to its end after it."""
+        fault: SpiError | None = None
+        for _ in range(TRIES + 1):
+            try:
+                self._resynchronise()
+            except SpiError as error:
+                fault = fault or error
+            else:
+                break
+        return fault
+
+    def _resynchronise(self) -> None:
+        while self._zeros < PREAMBLE_ZEROS:
+            self._zero()
+
+    def _zero(self) -> None:
+        zeros, synchronised = self._zeros, self._synchronised
+        self._synchronised = False  # if it fails, nobody knows what arrived
+        self._transfer(ZERO)
+        self._synchronised, self._zeros = synchronised, zeros + 1
+        if self._zeros == PREAMBLE_ZEROS:
+            self._synchronised, self._synchronised_ns, self.resync_due = True, self._ended_ns, False
+
+    def _wait_for_gap(self) -> int:
+        """The time, once the pause after the last transfer is over."""
+        now_ns = self._clock()
+        if now_ns < self._free_ns:
+            self._pause((self._free_ns - now_ns) / 1e9)
+            now_ns = self._clock()
+        return now_ns
+
+    def _transfer(self, data: bytes) -> int:
+        """When it began."""
         if self._device is None:
             raise SpiError("the SPI device is closed")
-        wait_ns = self._free_ns - self._clock()
-        if wait_ns > 0:
-            self._pause(wait_ns / 1e9)
-        begun_ns = self._clock()
+        self._zeros = 0
+        begun_ns = self._wait_for_gap()
         try:
             self._device.transfer(data)
         finally:
-            ended_ns = self._clock()
-            self.transfer_latency.record(ended_ns - begun_ns)
-            self._free_ns = ended_ns + self._frame_gap_ns
+            self._ended_ns = self._clock()
+            self.transfer_latency.record(self._ended_ns - begun_ns)
+            self._free_ns = self._ended_ns + self._frame_gap_ns
+        return begun_ns
 
 
-def bus_for(settings: SpiSettings, open_device: Callable[[], SpiDevice], *, beside: bool = False) -> Bus:
+def bus_for(
+    settings: SpiSettings,
+    open_device: Callable[[], SpiDevice],
+    *,
+    beside: bool = False,
+    clock: Callable[[], int] = time.monotonic_ns,
+    pause: Callable[[float], None] = time.sleep,
+) -> Bus:
     """A bus with the framing and the pauses of the settings."""
-    return Bus(open_device, settings.framing, frame_gap_ns=round(settings.frame_gap_us * 1000), beside=beside)
+    return Bus(
+        open_device,
+        settings.framing,
+        frame_gap_ns=round(settings.frame_gap_us * 1000),
+        resync_ns=round(settings.resync_ms * 1e6),
+        beside=beside,
+        clock=clock,
+        pause=pause,
+    )

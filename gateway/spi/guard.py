@@ -13,6 +13,8 @@ from gateway.spi import SpiDevice
 from schemas.robot import LEGS, SERVO_IDS
 
 _ANNOUNCEMENTS: Final = frozenset((bytes((6,)), bytes((14,))))  # the two lengths that a frame can have
+_ZERO: Final = b"\0"
+_ZEROS_FOR_A_BODY: Final = 16  # no fewer: fewer than 14 would leave the rest of a body to the next frame
 
 _IDS_OF_LEGS: Final = frozenset(servo_ids_of(leg) for leg in LEGS)
 _STOP: Final = int(Op.STOP)
@@ -26,22 +28,29 @@ class IllegalTransferError(RuntimeError):
 class GuardedDevice:
     """An SPI device that refuses, before the device sees a byte, all that `framing` cannot make of a legal frame.
 
-    Length-prefixed, an announcement is followed by a frame of just that length, or by the preamble, which fills its
-    place. After a failed transfer nobody knows what the controller saw: the preamble or an announcement comes next.
+    PLAIN: frames. Length-prefixed, where the controller may be in one of three states, so far as was written:
+
+    * It awaits a length: an announcement, or a zero, which is a length that it ignores. Any number of zeros: a frame
+      that cannot wait may come into a preamble, which fills nothing here.
+    * It awaits a body: a frame of just the length announced, or a zero, which begins to fill the body's place.
+    * It awaits the rest of a body that zeros fill: zeros, until all sixteen of the preamble are written. A frame any
+      sooner would be taken for the rest.
+
+    After a failed transfer nobody knows what it saw: it is taken to await a length, so that a Stop can still be tried.
     """
 
     def __init__(self, device: SpiDevice, framing: Framing) -> None:
         self._device = device
         self._announces = framing is Framing.LENGTH_PREFIXED
-        self._preamble = framing.preamble
         self._announced_len: int | None = None
+        self._filled = 0  # zeros in the place of the announced body
 
     def transfer(self, data: bytes) -> None:
         """Pass a legal transfer on. Raises IllegalTransferError (and stays as it was), or the device's SpiError."""
-        announced_len = self._checked(data)
-        self._announced_len = None
+        announced_len, filled = self._checked(data)
+        self._announced_len, self._filled = None, 0
         self._device.transfer(data)
-        self._announced_len = announced_len
+        self._announced_len, self._filled = announced_len, filled
 
     def turn(self) -> AbstractContextManager[None]:
         """The device's turn."""
@@ -51,25 +60,29 @@ class GuardedDevice:
         """Release the device."""
         self._device.close()
 
-    def _checked(self, data: bytes) -> int | None:
-        """The length that this transfer announces, if it is an announcement."""
-        if data == self._preamble:
-            return None
-        if self._announces and self._announced_len is None:
+    def _checked(self, data: bytes) -> tuple[int | None, int]:
+        """The body that is awaited after this transfer, and how many zeros fill its place."""
+        announced_len = self._announced_len
+        if self._announces and data == _ZERO:
+            filled = 0 if announced_len is None else self._filled + 1
+            return (announced_len, filled) if 0 < filled < _ZEROS_FOR_A_BODY else (None, 0)
+        if self._filled:
+            raise IllegalTransferError(f"[{data.hex(' ')}] comes into the zeros that fill a body's place")
+        if self._announces and announced_len is None:
             if data not in _ANNOUNCEMENTS:
                 raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
-            return data[0]
-        if self._announced_len is not None and len(data) != self._announced_len:
-            raise IllegalTransferError(f"[{data.hex(' ')}] is not the frame of {self._announced_len} bytes announced")
+            return data[0], 0
+        if announced_len is not None and len(data) != announced_len:
+            raise IllegalTransferError(f"[{data.hex(' ')}] is not the frame of {announced_len} bytes announced")
         if _is_frame(data):
-            return None
+            return None, 0
         try:
             canonical = decode(data).to_bytes()
         except FrameError as error:
             raise IllegalTransferError(f"[{data.hex(' ')}] is no frame: {error}") from error
         if data != canonical:
             raise IllegalTransferError(f"[{data.hex(' ')}] is not how this frame is written: [{canonical.hex(' ')}]")
-        return None
+        return None, 0
 
 
 def _is_frame(data: bytes) -> bool:

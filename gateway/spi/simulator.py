@@ -6,8 +6,11 @@ What it takes from that firmware (PROTOCOL.md, "What the published firmware adds
   looked at. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
 * Chip select plays no part: bytes are one stream, so a lost byte misaligns all that follows, until a pause.
 * A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
-* A receive that takes 1000 ms is given up. The published firmware then still looks at what has come of it, with zeros
-  for the rest, so half of a ONE SERVO Start does start its servo; the controller that follows the document drops it.
+* A receive that takes 1000 ms is given up. The firmware counts them as ticks of a millisecond (HAL_GetTick): from the
+  tick in which the length came to the thousandth after it, so 999 to 1000 ms, depending on how far that tick had gone.
+  `tick_phase_ns` says how far one had gone at time 0 of the clock. The published firmware then still looks at what has
+  come of it, with zeros for the rest, so half of a ONE SERVO Start does start its servo; the controller that follows
+  the document drops it.
 * A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
 """
 
@@ -25,7 +28,8 @@ from gateway.protocol.frames import Op
 from gateway.protocol.framing import Framing
 from schemas.robot import SERVO_IDS
 
-RECEIVE_TIMEOUT_NS: Final = 1_000_000_000  # HEXAPOD_RECEIVE_TIMEOUT, 1000 ms
+TICK_NS: Final = 1_000_000
+RECEIVE_TIMEOUT_TICKS: Final = 1000  # HEXAPOD_RECEIVE_TIMEOUT
 MAX_SPEED_DEG_S: Final = 60 / 0.17  # MG996R at 4.8 V without load: 0.17 s for 60°
 KEPT_TRANSFERS: Final = 10_000  # the newest; 33 s of six legs at 50 Hz
 
@@ -53,6 +57,7 @@ class SimulatedController:
         clock: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
         on_change: Callable[[str], None] | None = None,
+        tick_phase_ns: int = 0,
     ) -> None:
         """`clock` gives nanoseconds. `on_change` is told in one line what each executed frame did."""
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
@@ -62,6 +67,7 @@ class SimulatedController:
         self._clock = clock
         self._sleep = sleep
         self._on_change = on_change
+        self._tick_phase_ns = tick_phase_ns
 
         self._body = bytearray()
         self._body_len = 0  # 0: the next byte is a length
@@ -171,7 +177,8 @@ class SimulatedController:
         self._body_len = length
         if length > 0 and not self._announced:
             self._body.append(length)
-        self._give_up_ns = now_ns + RECEIVE_TIMEOUT_NS
+        tick = (now_ns + self._tick_phase_ns) // TICK_NS
+        self._give_up_ns = (tick + RECEIVE_TIMEOUT_TICKS) * TICK_NS - self._tick_phase_ns
 
     def _expire_receive(self, now_ns: int) -> None:
         if self._body_len == 0 or now_ns < self._give_up_ns:

@@ -6,7 +6,7 @@
 from gateway.spi.simulator import pulse_us
 from schemas.robot import SERVO_IDS
 
-SECOND_NS = 1_000_000_000
+TICK_NS = 1_000_000
 
 
 class ReferenceController:
@@ -19,10 +19,10 @@ class ReferenceController:
         self.executed = 0
         self._heard: list[int] | None = None  # None: waiting for a length
         self._wanted = 0
-        self._since_ns = 0
+        self._since_tick = 0
 
     def transfer(self, data: bytes, now_ns: int) -> None:
-        if self._heard is not None and now_ns - self._since_ns >= SECOND_NS:
+        if self._heard is not None and now_ns // TICK_NS - self._since_tick >= 1000:
             if self.announced:
                 self._execute(self._heard + [0] * (self._wanted - len(self._heard)))
             self._heard = None
@@ -31,7 +31,7 @@ class ReferenceController:
                 self._heard.append(byte)
             elif byte:
                 self._heard = [] if self.announced else [byte]
-                self._wanted, self._since_ns = byte, now_ns
+                self._wanted, self._since_tick = byte, now_ns // TICK_NS
             if self._heard is not None and len(self._heard) == self._wanted:
                 self._execute(self._heard)
                 self._heard = None

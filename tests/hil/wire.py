@@ -27,9 +27,8 @@ def transfers_of(framing: Framing, *frames: str) -> list[bytes]:
 
 
 def opening_of(framing: Framing, *frames: str) -> list[bytes]:
-    """The same, from a device that has just been opened."""
-    preamble = [] if framing.preamble is None else [framing.preamble]
-    return [*preamble, *transfers_of(framing, *frames)]
+    """The same, behind the preamble: from a device that has just been opened, or of a repeated run of Stops."""
+    return [*framing.preamble, *transfers_of(framing, *frames)]
 
 
 class Wire:
@@ -56,6 +55,10 @@ class Wire:
         """The preamble, where the framing has one, and these frames."""
         return self.expect_transfers(opening_of(self.framing, *frames))
 
+    def expect_repeats(self, count: int, *frames: str) -> list[Transfer]:
+        """These Stops again, so often, each time behind the preamble."""
+        return self.expect_transfers(opening_of(self.framing, *frames) * count)
+
     def expect_transfers(self, expected: list[bytes], *, errno: int = 0) -> list[Transfer]:
         """The next transfers, byte for byte, each answered `errno`."""
         begin, self._read = self._read, self._read + len(expected)
@@ -77,7 +80,8 @@ class Wire:
 
 
 def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    spi = {"framing": wire.framing, **sections.pop("spi", {})}
+    """Without the preambles of a stream that goes on: how long a test takes must not change what it expects."""
+    spi = {"framing": wire.framing, "resync_ms": 0, **sections.pop("spi", {})}
     return {"watchdog": QUIET, **sections, "spi": spi}
 
 

@@ -1,0 +1,68 @@
+"""Writes the bus's preamble in the pauses of a stream: zero by zero, with the loop turning between them.
+
+The bus would write it in one go, some 3 ms, ahead of a frame. Here it delays no Stop that comes meanwhile by more than
+one zero, and a repeated run of Stops finds it written.
+"""
+
+import asyncio
+from collections.abc import Callable
+
+from gateway.errors import SpiError
+from gateway.spi.bus import Bus
+
+
+class PreambleInPauses:
+    """Watches what is due; `arm` is to be called after each frame, and `failed` takes a zero's fault."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        loop: asyncio.AbstractEventLoop,
+        gap_s: float,
+        clock: Callable[[], int],
+        failed: Callable[[SpiError], None],
+    ) -> None:
+        self._bus = bus
+        self._loop = loop
+        self._gap_s = gap_s
+        self._clock = clock
+        self._failed = failed
+        self._timer: asyncio.Handle | None = None
+        self._repeat_ns: int | None = None
+
+    def arm(self, due_ns: int | None, repeat_ns: int | None) -> int | None:
+        """Begin, if a preamble is wanted now, for a stream or for the Stops that are repeated at `repeat_ns`.
+
+        Returns when to call again at the latest: for the preamble ahead of those, or at `due_ns`.
+        """
+        self._repeat_ns = repeat_ns
+        if self._timer is None and self._wanted():
+            self._timer = self._loop.call_soon(self._write_zero)
+        if repeat_ns is None or due_ns is None or self._timer is not None or self._bus.just_resynchronised:
+            return due_ns
+        return min(due_ns, repeat_ns - self._bus.preamble_ns)
+
+    def cancel(self) -> None:
+        """No more zeros."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _wanted(self) -> bool:
+        if self._bus.resync_due:
+            return True
+        if self._repeat_ns is None or self._bus.just_resynchronised:
+            return False
+        return self._clock() >= self._repeat_ns - self._bus.preamble_ns
+
+    def _write_zero(self) -> None:
+        self._timer = None
+        if not self._wanted():
+            return  # a frame that had to come behind it has written it
+        try:
+            more = self._bus.write_zero()
+        except SpiError as fault:
+            self._failed(fault)
+            return
+        if more:
+            self._timer = self._loop.call_later(self._gap_s, self._write_zero)
