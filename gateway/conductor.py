@@ -139,12 +139,19 @@ class Conductor:
 
     def tick(self) -> None:
         """Take what came in and do what is due. One tick is one instant: nobody knows the order of what it takes."""
-        instant_ns = self._clock()
+        instant_ns = self.turn()
         for received in self.take():
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
         self._do_what_is_due(instant_ns)
         self._arm()
+
+    def turn(self) -> int:
+        """The loop turns; to be called ten times a second at least. What time it is."""
+        now_ns = self._clock()
+        if self._staleness is not None:
+            self._staleness.turned(now_ns)
+        return now_ns
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
@@ -163,12 +170,9 @@ class Conductor:
             self._refuse(received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail)
             return
         source = intent.source or received.source
-        held_up_ms = self._held_up_ms(intent, source, received.received_ns)
-        if held_up_ms is not None:
-            detail = (
-                f"the command was held up for {held_up_ms:.0f} ms; at most {self._settings.limits.max_age_ms:g} are"
-            )
-            self._refuse(received.key, source, received.reply, Reason.STALE, f"{detail} allowed")
+        too_old = self._too_old(intent, source, instant_ns)
+        if too_old is not None:
+            self._refuse(received.key, source, received.reply, Reason.STALE, too_old)
             return
         number = next(self._numbers)
         self._orders[number] = _Order(received.key, source, received.reply)
@@ -177,12 +181,12 @@ class Conductor:
         else:
             self._step(Command(number, received.channel, intent.targets), instant_ns)
 
-    def _held_up_ms(self, intent: Intent, source: str | None, received_ns: int) -> float | None:
-        if self._staleness is None or intent.sent_ms is None:
+    def _too_old(self, intent: Intent, source: str | None, instant_ns: int) -> str | None:
+        if self._staleness is None:
             return None
-        held_up_ms = self._staleness.held_up_ms(source, intent.sent_ms, received_ns)
+        too_old = self._staleness.too_old(source, intent.sent_ms, self._clock(), instant_ns)
         # A Stop is taken however old it is: to stop once too often harms nobody.
-        return None if intent.only_stops else held_up_ms
+        return None if intent.only_stops else too_old
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # Nothing of the payload is looked at: whatever it is, somebody wants the robot to stop.

@@ -234,6 +234,7 @@ async def _beat(manager: Manager, conductor: Conductor, inbox: Inbox, end: _End)
     period_s = min(BEAT_S, manager.ping_period_s or BEAT_S)
     while inbox.hears:
         manager.alive()
+        conductor.turn()
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))

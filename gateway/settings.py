@@ -81,7 +81,7 @@ class LimitSettings(Section):
     """What a publisher can ask of a leg; the controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
 
     leg_rate_hz: Annotated[float, Finite, Field(ge=1, le=1000)] = 50.0
-    max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 0.0
+    max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 500.0
     start_stagger_ms: Annotated[float, Finite, Field(ge=0, le=2000)] = 0.0
     servos: dict[str, ServoLimits] = {}
 

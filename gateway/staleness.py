@@ -1,31 +1,52 @@
-"""Which commands were held up on their way (`limits.max_age_ms`), without synchronised clocks. Pure.
+"""Which commands were delayed on their way (`limits.max_age_ms`), without synchronised clocks. Pure.
 
 A command may carry `sent_ms`, its publisher's own monotonic clock. That clock's zero is unknown, so (arrival - sent_ms)
-is the time on the way plus an unknown constant. The smallest such difference that a source has shown is taken as the
-way without delay, the *baseline*; what a command's own difference has more than that is how long it was held up.
+is the time on the way plus an unknown constant. The smallest such difference that a clock has shown is taken as the
+way without delay, its *baseline*; what a command's own difference has more than that is its delay.
 
-- After a stall, the queued commands come in a burst, each with its own delay on top: refused until the first fresh one.
-  The baseline is not forgotten in a silence, however long, for after it comes the burst.
-- A clock that drifts moves the baseline: it rises by 200 ppm, twice what a bad crystal does, and falls at once.
-- A publisher that restarts has a clock that jumps back. Commands of one source arrive in the order in which they were
-  sent, save for those of one instant and small overtakings, so one that was sent a second or more *before* an earlier
-  one comes from a new clock: its difference is the new baseline.
-- A clock may also fall behind without jumping back (the laptop slept; a restart within its first second), or the way
-  may have become longer for good. Then commands keep coming with a steady delay, which a queue being emptied never
-  shows: after five seconds of that, the steady delay is the new baseline.
+- After a stall, the queued commands come in a burst, each with its own delay on top: rejected until the first fresh
+  one. The baseline is not forgotten in a silence, however long, for after it comes the burst.
+- A clock that drifts moves the baseline: it rises by 200 ppm, twice what a bad crystal does, and falls at once, but not
+  by more than `FALL` of what is allowed.
+- A source is a name, and behind one name there may be several clocks: programs on two machines, a restart, or somebody
+  who only uses the name. So each clock is kept apart and judges its own commands. A command cannot come from a clock
+  that has not come so far (its difference is too small); and since commands arrive in the order in which they were
+  sent, it is not taken for one of a clock that has already sent a newer one, if any other clock may have sent it.
+  What fits none is the first command of a new clock, and as fresh as a first command is.
+- Two clocks that are close together may both have sent a command. Then the one heard last is believed, or the one that
+  has been heard for longest, whichever finds it fresher. A clock that was heard just once, forged or first heard with
+  a delay, thus keeps nothing of another's from being taken, and lets nothing old in.
+- Between clocks that are less than `HORIZON_MS` apart, a command that is older than the newest one may as well be an
+  old one of the same clock (two programs on one machine, of which one lost its link). It counts as that.
+- A clock may also fall behind without jumping back (the laptop slept; a restart), or the way may have become longer for
+  good. Then commands keep coming with a steady delay, which a queue being emptied never shows: after five seconds of
+  that, the steady delay is a baseline.
+- When the gateway itself was stopped (a debugger, a frozen virtual machine), what waited in its rings and sockets looks
+  as if it had just come. For `max_age_ms` after that, only commands that a clock known from before finds fresh are
+  taken. The loop says whenever it turns, and so its pauses are known.
+
+How much is remembered is bounded. A source is forgotten only after a minute of silence, in which any burst of it has
+come or is lost; a newcomer that finds no place is rejected, or its own burst could not be told from fresh commands.
 """
 
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Final
 
-SOURCES: Final = 64
-"""Sources remembered; beyond, the one not heard for longest is forgotten, and learned anew from its next command."""
+SOURCES: Final = 256
+CLOCKS: Final = 8
+"""Sources, and clocks of each: half a megabyte at most."""
+FORGET_MS: Final = 60_000.0
+HORIZON_MS: Final = 20_000.0
+"""Zenoh gives up a link without a sign of life after 10 s, and drops what waits for it; a router adds as much."""
 DRIFT: Final = 200e-6
-JUMP_BACK_MS: Final = 1000.0
+FALL: Final = 0.25
+"""Of `max_age_ms`: how far below the baseline that it began with a clock's own commands may be."""
 STEADY_MS: Final = 5000.0
 GAP_MS: Final = 1000.0
 """A pause in the arrivals longer than this ends a steady stretch: what comes after it may be another burst."""
+LEAST_PAUSE_MS: Final = 250.0
+"""The loop turns every 100 ms even if nobody commands (`service.BEAT_S`), and on a busy machine somewhat later."""
 
 
 @dataclass(slots=True)
@@ -36,63 +57,153 @@ class _Stretch:
     last_ms: float
     smallest_ms: float
     largest_ms: float
+    overtaken: bool = False
+    """Whether one of them was sent before a newer one that had already come: then there may be two clocks."""
 
 
 @dataclass(slots=True)
-class _Source:
+class _Clock:
+    """One publisher's clock; differences are arrival - sent_ms."""
+
     baseline_ms: float
-    heard_ms: float
+    highest_ms: float
+    """The baseline from which `FALL` is counted: it rises as later commands confirm it, not in a silence."""
+    since_ms: float
+    fresh_ms: float
     newest_sent_ms: float
     newest_before_ms: float
+    """The newest before this instant: commands of one instant may come in any order."""
     stretch: _Stretch | None = None
+
+    @property
+    def proven_ms(self) -> float:
+        """For how long it has sent fresh commands; more than enough is not more."""
+        return min(self.fresh_ms - self.since_ms, STEADY_MS)
 
 
 class Staleness:
-    """How long each source's commands were held up."""
+    """Judges how old commands are; None of its times is a wall clock's."""
 
     def __init__(self, max_age_ms: float) -> None:
         self._max_age_ms = max_age_ms
-        self._sources: OrderedDict[str | None, _Source] = OrderedDict()
+        self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
+        self._sources: OrderedDict[str | None, tuple[list[_Clock], list[float]]] = OrderedDict()
+        self._turned_ms: float | None = None
+        self._woke_ms: float | None = None
+        self._paused_ms = 0.0
 
-    def held_up_ms(self, name: str | None, sent_ms: float, now_ns: int) -> float | None:
-        """Take one command; how long it was held up, where that is more than the settings allow, else None."""
+    def turned(self, now_ns: int) -> None:
+        """The loop turns. Called at each of its turns, whether or not there is a command."""
         now_ms = now_ns / 1e6
+        if self._turned_ms is not None and now_ms - self._turned_ms > self._pause_ms:
+            self._woke_ms, self._paused_ms = now_ms, now_ms - self._turned_ms
+        self._turned_ms = now_ms
+
+    def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
+        """Take one command; why it is, or may be, older than allowed. None: it is not, as far as anybody can know.
+
+        `instant_ns` is when it was collected, together with others in no known order.
+        """
+        self.turned(now_ns)
+        now_ms = now_ns / 1e6
+        if sent_ms is None:
+            return self._after_a_pause(now_ms, now_ms)
+        clocks = self._clocks_of(name, instant_ns / 1e6)
+        if clocks is None:
+            return (
+                f"{SOURCES} sources have sent commands within {FORGET_MS / 1000:g} s, more than the gateway can tell "
+                "apart by their clocks; wait, or leave out sent_ms"
+            )
+        difference_ms = now_ms - sent_ms
+        fitting = [clock for clock in clocks if difference_ms >= clock.highest_ms - FALL * self._max_age_ms]
+        in_order = [clock for clock in fitting if sent_ms >= clock.newest_before_ms]
+        if in_order:
+            clock = in_order[0] if len(in_order) == 1 else self._believed(in_order, difference_ms)
+        else:
+            near = [clock for clock in fitting if difference_ms - clock.baseline_ms <= HORIZON_MS]
+            if not near:
+                return self._after_a_pause(self._new_clock(clocks, sent_ms, now_ms).since_ms, now_ms)
+            clock = max(near, key=_heard_last)
+        clock.newest_sent_ms = max(clock.newest_sent_ms, sent_ms)
+        clock.baseline_ms = min(clock.baseline_ms, difference_ms)
+        clock.highest_ms = max(clock.highest_ms, clock.baseline_ms)
+        delay_ms = difference_ms - clock.baseline_ms
+        if delay_ms > self._max_age_ms:
+            if not self._is_steady(clock, difference_ms, now_ms, overtaken=not in_order):
+                return f"the command was delayed for {delay_ms:.0f} ms; at most {self._max_age_ms:g} are allowed"
+            clock = self._steady(clocks, clock, sent_ms, now_ms)
+        elif in_order:
+            clock.fresh_ms = now_ms
+            if clock.stretch is not None and not clock.stretch.overtaken:
+                clock.stretch = None
+        return self._after_a_pause(clock.since_ms, now_ms)
+
+    def _after_a_pause(self, known_since_ms: float, now_ms: float) -> str | None:
+        """Why a command whose clock is known since then is not taken, so soon after a pause of the gateway's own."""
+        if self._woke_ms is None or known_since_ms < self._woke_ms or now_ms - self._woke_ms > self._max_age_ms:
+            return None
+        return (
+            f"the gateway itself was stopped for {self._paused_ms:.0f} ms, so the command may have waited in it; "
+            f"for {self._max_age_ms:g} ms only those are accepted whose sent_ms shows that they are fresh"
+        )
+
+    def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
+        """The clocks that are known of a source, as of this instant; None where there is no place for a newcomer."""
         source = self._sources.get(name)
         if source is None:
-            self._sources[name] = _Source(now_ms - sent_ms, now_ms, sent_ms, sent_ms)
-            if len(self._sources) > SOURCES:
-                self._sources.popitem(last=False)
-            return None
+            if len(self._sources) >= SOURCES:
+                oldest = next(iter(self._sources))
+                if instant_ms - self._sources[oldest][1][0] < FORGET_MS:
+                    return None
+                del self._sources[oldest]
+            source = self._sources[name] = ([], [instant_ms])
         self._sources.move_to_end(name)
-        late_ms = self._late_ms(source, sent_ms, now_ms)
-        if late_ms <= self._max_age_ms:
-            source.stretch = None
-            return None
-        if self._is_steady(source, now_ms - sent_ms, now_ms):
-            source.baseline_ms, source.stretch = now_ms - sent_ms, None
-            return None
-        return late_ms
+        clocks, heard = source
+        if instant_ms > heard[0]:
+            rise_ms, heard[0] = DRIFT * (instant_ms - heard[0]), instant_ms
+            for clock in clocks:
+                clock.baseline_ms += rise_ms
+                clock.newest_before_ms = clock.newest_sent_ms
+        return clocks
 
-    def _late_ms(self, source: _Source, sent_ms: float, now_ms: float) -> float:
-        if now_ms > source.heard_ms:
-            source.baseline_ms += DRIFT * (now_ms - source.heard_ms)
-            source.heard_ms, source.newest_before_ms = now_ms, source.newest_sent_ms
+    def _believed(self, clocks: list[_Clock], difference_ms: float) -> _Clock:
+        last = max(clocks, key=_heard_last)
+        if difference_ms - last.baseline_ms <= self._max_age_ms:
+            return last
+        longest = max(clocks, key=lambda clock: (clock.proven_ms, clock.fresh_ms))
+        return longest if difference_ms - longest.baseline_ms <= self._max_age_ms else last
+
+    def _new_clock(self, clocks: list[_Clock], sent_ms: float, now_ms: float) -> _Clock:
+        if len(clocks) == CLOCKS:
+            clocks.remove(min(clocks, key=lambda clock: (clock.proven_ms, clock.fresh_ms)))
         difference_ms = now_ms - sent_ms
-        if sent_ms < source.newest_before_ms - JUMP_BACK_MS:
-            source.baseline_ms, source.newest_sent_ms, source.newest_before_ms = difference_ms, sent_ms, sent_ms
-        source.newest_sent_ms = max(source.newest_sent_ms, sent_ms)
-        source.baseline_ms = min(source.baseline_ms, difference_ms)
-        return difference_ms - source.baseline_ms
+        clock = _Clock(difference_ms, difference_ms, now_ms, now_ms, sent_ms, sent_ms)
+        clocks.append(clock)
+        return clock
 
-    def _is_steady(self, source: _Source, difference_ms: float, now_ms: float) -> bool:
-        stretch = source.stretch
+    def _steady(self, clocks: list[_Clock], clock: _Clock, sent_ms: float, now_ms: float) -> _Clock:
+        """The delay is steady: that of another clock, or of this one from now on."""
+        stretch, clock.stretch = clock.stretch, None
+        if stretch is not None and stretch.overtaken:
+            return self._new_clock(clocks, sent_ms, now_ms)
+        clock.baseline_ms = clock.highest_ms = now_ms - sent_ms
+        clock.fresh_ms = now_ms
+        return clock
+
+    def _is_steady(self, clock: _Clock, difference_ms: float, now_ms: float, *, overtaken: bool) -> bool:
+        stretch = clock.stretch
         if stretch is None or now_ms - stretch.last_ms > GAP_MS:
-            source.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms)
+            clock.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms, overtaken)
             return False
         stretch.last_ms = now_ms
+        stretch.overtaken = stretch.overtaken or overtaken
         stretch.smallest_ms = min(stretch.smallest_ms, difference_ms)
         stretch.largest_ms = max(stretch.largest_ms, difference_ms)
         if stretch.largest_ms - stretch.smallest_ms > self._max_age_ms:
-            source.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms)
+            clock.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms, overtaken)
             return False
         return now_ms - stretch.begun_ms >= STEADY_MS
+
+
+def _heard_last(clock: _Clock) -> float:
+    return clock.fresh_ms

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from gateway.conductor import Conductor
 from gateway.inbox import Received, Verb
 from gateway.protocol.frames import Frame, decode
-from gateway.service import rules
+from gateway.service import BEAT_S, rules
 from gateway.settings import Settings
 from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
@@ -51,6 +51,16 @@ class Robot:
             simulated=True,
         )
         self.conductor.take = self._take
+        self._beat()
+
+    def _beat(self) -> None:
+        """The service's."""
+        self.conductor.turn()
+        self.loop.call_later(BEAT_S, self._beat)
+
+    def sleep_through(self, seconds: float) -> None:
+        """The whole process is stopped for so long, between two turns of its loop."""
+        self._instants += round(seconds * 1e9)
 
     def _open(self) -> SimulatedController:
         self.openings_ns.append(self.now_ns())

@@ -32,7 +32,7 @@ frame_gap_us = 100
 resync_ms = 1000
 [limits]
 leg_rate_hz = 50.0
-max_age_ms = 0
+max_age_ms = 500.0
 start_stagger_ms = 0
 [limits.servos]
 [watchdog]

@@ -33,7 +33,7 @@ class Robot(AbstractContextManager["Robot"]):
     A leg may be commanded far more often than the laptops do it, so that no command waits, and a frame is on the wire
     as soon as its command is accepted. Stops are not repeated: each is one frame. The state comes so often that a
     laptop that no longer reads is soon full. The lease is shorter than Zenoh's own 10 s, so that a laptop gives up
-    sooner.
+    sooner. Unless a test wants it, commands have no age limit: what is refused then shows the other rules.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Robot(AbstractContextManager["Robot"]):
         sections: dict[str, dict[str, Any]] = {
             "zenoh": {"listen": [*listen, observer], "allow_insecure": True, "config": str(config / "zenoh.json5")},
             "telemetry": {"frames": True, "state_hz": 50},
-            "limits": {"leg_rate_hz": 1000, **(limits or {})},
+            "limits": {"leg_rate_hz": 1000, "max_age_ms": 0, **(limits or {})},
             "watchdog": {"timeout_ms": TIMEOUT_MS, "repeats": 0},
         }
         with ExitStack() as opened:
