@@ -1,0 +1,160 @@
+"""What was sent before an emergency stop does not undo it, and what waited too long on its way moves nothing."""
+
+import json
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway.client import Client, leg_payload
+from schemas import keys
+from schemas.telemetry import Event, Kind, Mode, Reason
+from tests.cuttable import Link
+from tests.gateway_process import Gateway
+from tests.heard import Heard, events
+
+START = leg_payload("start", (90, 45, 120))
+HELD_S = 0.7
+"""Longer than a command may be delayed: 0.5 s."""
+FROZEN_S = 2.0
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    with Gateway(tmp_path, {"limits": {"max_age_ms": 500}, "watchdog": {"timeout_ms": 10_000}}) as running:
+        yield running
+
+
+@pytest.fixture
+def bystander(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="bystander") as client:
+        yield client
+
+
+@pytest.fixture
+def heard(bystander: Client) -> Heard[Event]:
+    return events(bystander)
+
+
+@pytest.fixture
+def link(gateway: Gateway) -> Iterator[Link]:
+    with Link(gateway.endpoint) as made:
+        yield made
+
+
+@pytest.fixture
+def laptop(link: Link, bystander: Client) -> Iterator[Client]:
+    """Behind a link that can be cut; the gateway knows it."""
+    with Client(link.endpoint, source="laptop", timeout_s=5) as client:
+        assert client.start_leg(1, 90, 45, 120).accepted
+        assert bystander.stop().accepted
+        yield client
+
+
+def pass_time(seconds: float) -> None:
+    """What is attacked here is time itself."""
+    threading.Event().wait(seconds)
+
+
+def put(client: Client, key: str, payload: dict[str, Any]) -> None:
+    """As any program does: without `source` and `sent_ms`."""
+    client.session.put(
+        key, json.dumps(payload), encoding="application/json", congestion_control=zenoh.CongestionControl.BLOCK
+    )
+
+
+def refused(heard: Heard[Event], key: str, count: int = 1) -> Event:
+    return heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED and event.key == key, count=count)
+
+
+def running(client: Client) -> list[int]:
+    return [servo.id for leg in client.state().legs for servo in leg.servos if servo.running]
+
+
+def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
+    gateway: Gateway, link: Link, laptop: Client, bystander: Client, heard: Heard[Event]
+) -> None:
+    del gateway
+    for attempt in range(1, 4):
+        first = bystander.estop().estop
+        link.cut()
+        for payload in ({}, {"estop": first}):
+            put(laptop, keys.RESET, payload)
+        laptop.publish(keys.RESET, {"estop": first})
+        laptop.publish(keys.leg_command(1), START)
+        pass_time(0.3)
+        second = bystander.estop().estop
+        assert (first, second) == (2 * attempt - 1, 2 * attempt)
+        link.mend()
+        refused(heard, keys.RESET, count=3 * attempt)
+        refused(heard, keys.leg_command(1), count=attempt)
+        state = bystander.state()
+        assert (state.mode, state.estop) == (Mode.ESTOPPED, second)
+        assert not running(bystander)
+        assert laptop.reset(first).detail == (
+            f"a newer emergency stop was requested: estop is {first}, and the latest is {second}"
+        )
+        assert laptop.reset().accepted, "it looks up the latest"
+
+
+def test_a_start_from_behind_a_cut_link_moves_nothing(
+    gateway: Gateway, link: Link, laptop: Client, bystander: Client, heard: Heard[Event]
+) -> None:
+    del gateway
+    for attempt in range(1, 4):
+        link.cut()
+        laptop.publish(keys.leg_command(1), START)
+        pass_time(HELD_S)
+        link.mend()
+        event = refused(heard, keys.leg_command(1), count=attempt)
+        assert (event.reason, event.source) == (Reason.STALE, "laptop")
+        assert not running(bystander)
+    assert laptop.start_leg(1, 90, 45, 120).accepted
+
+
+def test_a_gateway_that_was_frozen_executes_nothing_that_waited_in_it(
+    gateway: Gateway, laptop: Client, bystander: Client, heard: Heard[Event]
+) -> None:
+    for attempt in (1, 2):
+        assert laptop.start_leg(1, 90, 45, 120).accepted
+        gateway.child.send_signal(signal.SIGSTOP)
+        laptop.publish(keys.leg_command(2), START)  # its clock is known, and says that this is old
+        put(laptop, keys.leg_command(3), START)  # of this nothing is known
+        put(bystander, keys.leg_command(4), START)
+        pass_time(FROZEN_S)
+        gateway.child.send_signal(signal.SIGCONT)
+        for leg in (2, 3, 4):
+            assert refused(heard, keys.leg_command(leg), count=attempt).reason is Reason.STALE
+        assert set(running(bystander)) <= {11, 12, 13}
+        assert laptop.start_leg(2, 90, 45, 120).accepted, "its clock says that this one is fresh"
+        assert bystander.stop().accepted
+        assert bystander.estop().stop_frames == 6
+        pass_time(HELD_S)
+        assert bystander.reset().accepted
+        put(bystander, keys.leg_command(4), START)
+        assert bystander.servo(41, "set", 90).accepted, "after a while it is as before"
+        assert bystander.stop().accepted
+
+
+def test_a_servo_that_is_stopped_again_and_again_does_not_keep_its_legs_others_energised(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        heard = events(client)
+        ended = threading.Event()
+
+        def stop_one() -> None:
+            while not ended.wait(0.02):
+                client.publish(keys.servo_command(32), {"op": "stop"})
+
+        stopping = threading.Thread(target=stop_one)
+        stopping.start()
+        try:
+            assert client.start_leg(3, 90, 45, 120).accepted
+            heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED, timeout_s=5)
+            assert not running(client)
+        finally:
+            ended.set()
+            stopping.join()
