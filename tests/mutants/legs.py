@@ -10,6 +10,7 @@ LEGS = Subject(
         "tests/test_supervisor_faults.py",
         "tests/test_legs.py",
         "tests/test_conductor.py",
+        "tests/test_preamble.py",
         "tests/test_supervisor_machine.py",
     ),
     mutants=(
@@ -122,7 +123,16 @@ LEGS = Subject(
             "",
             "nobody wakes up for a rate slot",
         ),
-        Mutant("return min(due, default=None)", "return max(due, default=None)", "it wakes up for the last thing due"),
+        Mutant(
+            "self.repeat_ns = min(repeats, default=None)",
+            "self.repeat_ns = None",
+            "no pause is filled with the preamble for repeated Stops",
+        ),
+        Mutant(
+            "return min(due + repeats, default=None)",
+            "return max(due + repeats, default=None)",
+            "it wakes up for the last thing due",
+        ),
         Mutant(
             "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n"
             "            effects += self._replace(servo, None)\n",

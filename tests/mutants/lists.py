@@ -1,6 +1,7 @@
 """All subjects, in the order of the way of a command."""
 
 from tests.mutants.access import ACCESS, ZENOH_FILES
+from tests.mutants.bus import BUS, GUARD
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.intake import INTAKE
 from tests.mutants.legs import LEGS
@@ -8,4 +9,4 @@ from tests.mutants.mutant import Subject
 from tests.mutants.pacing import PACING
 from tests.mutants.supervisor import SUPERVISOR
 
-SUBJECTS: tuple[Subject, ...] = (EXPOSURE, ACCESS, ZENOH_FILES, INTAKE, SUPERVISOR, LEGS, PACING)
+SUBJECTS: tuple[Subject, ...] = (EXPOSURE, ACCESS, ZENOH_FILES, INTAKE, SUPERVISOR, LEGS, PACING, BUS, GUARD)
