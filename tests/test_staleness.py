@@ -102,6 +102,12 @@ def test_a_drifting_clock_is_not_locked_out_in_a_day(staleness: Staleness, ppm: 
     assert not any(publisher.streams(0, 86_400_000, period_ms=1000))
 
 
+def test_drift_adds_nothing_to_the_baseline_of_a_clock_that_is_heard(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 200_000)
+    assert publisher.arrives(200_000 + MAX_AGE_MS + 5, sent_at_ms=200_000) is not None
+
+
 def test_drift_does_not_hide_a_delay(staleness: Staleness) -> None:
     publisher = Publisher(staleness, ppm=-100)
     publisher.streams(0, 3_600_000, period_ms=100)
@@ -125,6 +131,34 @@ def test_a_program_with_its_own_zero_that_restarts_early_is_locked_out_for_five_
     refused = publisher.streams(10_000, 20_000)
     assert sum(refused) * 20 == pytest.approx(STEADY_MS, abs=40)
     assert not any(refused[260:])
+
+
+def test_a_clock_that_jumps_back_further_than_a_link_can_hold_is_a_new_one(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 10_000)
+    publisher.zero_ms -= 21_000
+    assert not any(publisher.streams(10_000, 40_000))
+
+
+def test_a_delay_that_is_steady_for_less_than_five_seconds_is_none_for_good(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 1000)
+    assert all(publisher.streams(1000, 5900, delay_ms=700))
+
+
+def test_a_delay_that_grows_is_never_steady(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 1000)
+    for index in range(500):
+        sent_ms = 1000 + index * 20
+        assert publisher.arrives(sent_ms + MAX_AGE_MS + 5 + index * 2, sent_at_ms=sent_ms) is not None
+
+
+def test_stalls_again_and_again_never_pass_for_a_steady_way(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    for now_ms in range(1000, 20_000, 720):
+        assert publisher.arrives(now_ms, sent_at_ms=now_ms) is None
+        assert publisher.arrives(now_ms + 710, sent_at_ms=now_ms + 10) is not None or now_ms == 1000
 
 
 def test_a_queue_that_empties_slowly_never_passes_for_a_steady_way(staleness: Staleness) -> None:
@@ -153,6 +187,9 @@ def test_commands_of_one_instant_may_come_in_any_order(staleness: Staleness) -> 
     # After a stall the keys' rings are read one after the other: leg 1's newest, then leg 2's older ones.
     assert publisher.arrives(9000, sent_at_ms=8990) is None
     assert publisher.arrives(9000, sent_at_ms=2000) is not None
+    for sent_at_ms, now_ms in ((60_000, 60_000.3), (9020, 60_000.6)):  # to deal with the first one takes time
+        said = staleness.too_old(publisher.name, publisher.clock_ms(sent_at_ms), round(now_ms * MS), 60_000 * MS)
+    assert said is not None
 
 
 def test_sources_do_not_disturb_each_other(staleness: Staleness) -> None:
@@ -176,6 +213,7 @@ def test_a_source_is_forgotten_only_after_a_minute_of_silence(staleness: Stalene
     )
     assert first.arrives(1300, sent_at_ms=1000) is not None, "its burst is known for one"
     assert others[-1].asks(100 + FORGET_MS) is None, "one of the silent ones is forgotten"
+    assert len(staleness._sources) == SOURCES
     assert first.arrives(100 + FORGET_MS, sent_at_ms=FORGET_MS - 200) is not None
 
 
@@ -209,6 +247,14 @@ def test_a_clock_that_is_pushed_ahead_little_by_little_does_not_lock_its_owner_o
     for ahead_ms in range(40, 4000, 40):
         Publisher(staleness, zero_ms=5e6 + ahead_ms).asks(1000)
     assert not any(owner.streams(1001, 9000))
+
+
+def test_a_slow_clocks_owner_is_not_locked_out_after_an_hour_either(staleness: Staleness) -> None:
+    owner = Publisher(staleness, ppm=-100)
+    owner.streams(0, 3_600_000, period_ms=1000)
+    forger = Publisher(staleness, zero_ms=owner.clock_ms(3_600_000) - 3_600_000 + MAX_AGE_MS + 100)
+    forger.asks(3_600_000)
+    assert not any(owner.streams(3_600_001, 3_602_000))
 
 
 @pytest.mark.parametrize("ahead_ms", [600, 19_000, 3_600_000, -21_000, -3_600_000])

@@ -312,6 +312,19 @@ def test_a_reset_is_asked_back_and_the_question_does_not_stand_for_ever() -> Non
     assert not model.asking(0)
 
 
+def test_a_reset_means_the_latest_emergency_stop_that_was_heard_of() -> None:
+    model = Model()
+    assert model.estop is None
+    model.heard_state(state(mode=Mode.ESTOPPED).model_copy(update={"estop": 3}), 0, WALL)
+    assert model.estop == 3
+    model.stop_pressed(1)
+    model.stop_answered(STOPPED.model_copy(update={"estop": 5}), 1, 2)
+    model.stop_answered(STOPPED.model_copy(update={"estop": 4}), 1, 3)
+    assert model.estop == 5, "answers come in any order"
+    model.heard_state(state(started_s=100).model_copy(update={"estop": 0}), 4, WALL)
+    assert model.estop == 0, "a gateway that was started anew counts anew"
+
+
 def test_a_stop_takes_the_question_back() -> None:
     model = Model()
     model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)

@@ -7,6 +7,18 @@ from tests.mutants.intake import INTAKE
 from tests.mutants.legs import LEGS
 from tests.mutants.mutant import Subject
 from tests.mutants.pacing import PACING
+from tests.mutants.staleness import STALENESS
 from tests.mutants.supervisor import SUPERVISOR
 
-SUBJECTS: tuple[Subject, ...] = (EXPOSURE, ACCESS, ZENOH_FILES, INTAKE, SUPERVISOR, LEGS, PACING, BUS, GUARD)
+SUBJECTS: tuple[Subject, ...] = (
+    EXPOSURE,
+    ACCESS,
+    ZENOH_FILES,
+    INTAKE,
+    STALENESS,
+    SUPERVISOR,
+    LEGS,
+    PACING,
+    BUS,
+    GUARD,
+)
