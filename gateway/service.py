@@ -15,8 +15,10 @@ from typing import Any, NoReturn, TypeVar
 
 import zenoh
 
-from gateway import exposition, logs, realtime
+from gateway import descriptors, exposition, logs, realtime
 from gateway.conductor import Conductor
+from gateway.descriptors import Spare
+from gateway.doorkeeper import Doorkeeper
 from gateway.errors import GatewayError
 from gateway.inbox import Inbox
 from gateway.legs import Rules
@@ -70,13 +72,15 @@ def rules(settings: Settings) -> Rules:
 def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDevice]:
     """How the bus opens its device; a simulated controller lives on while the bus opens and closes it."""
     if not simulated:
-        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz)
+        spare = Spare()
+        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
     controller = SimulatedController(settings.spi.framing, on_change=logging.getLogger("gateway.spi.simulator").debug)
     return lambda: controller
 
 
 def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = lambda: None) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
+    descriptors.ensure()
     realtime.prefer_process()
     realtime.share_heaps()
     logs.set_up(settings.log)
@@ -112,6 +116,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         outbox.open(session)
         inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
         conductor.take = inbox.take
+        doorkeeper = Doorkeeper(session)
         realtime.settle()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
@@ -133,7 +138,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         deadline = loop.time() + END_S
         await _stop_the_robot(conductor, bus, settings.watchdog)
         conductor.close()
-        await _within(deadline - loop.time(), end.exit_code, inbox.close, session.close)
+        await _within(deadline - loop.time(), end.exit_code, doorkeeper.close, inbox.close, session.close)
     finally:
         conductor.close()
         manager.close()

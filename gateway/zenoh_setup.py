@@ -10,7 +10,7 @@ from gateway import exposure
 from gateway.errors import ConfigError, ZenohError
 from gateway.settings import ZenohSettings
 from gateway.zenoh_config import get, load_client_config, load_config, one_line
-from gateway.zenoh_limits import MAX_MESSAGE_SIZE
+from gateway.zenoh_limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 
 _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
 
@@ -27,6 +27,12 @@ who asks 50 times a second does not, down to 300 kbit/s.
 _UNREAD_US_KEY: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
 _MAX_MESSAGE_SIZE_KEY: Final = "transport/link/rx/max_message_size"
+_MOST: Final = {
+    "transport/unicast/max_sessions": MAX_SESSIONS,
+    "transport/unicast/accept_pending": ACCEPT_PENDING,
+    "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
+}
+"""A Zenoh file may say less."""
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:
@@ -46,6 +52,8 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
     config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))
+    for key, most in _MOST.items():
+        config.insert_json5(key, str(min(most, get(config, key) or most)))
     exposure.check(config, allow_insecure=settings.allow_insecure)
     return config
 

@@ -242,3 +242,13 @@ def test_no_message_is_put_together_beyond_the_limit(tmp_path: Path) -> None:
     for path in ("", str(file)):
         made = service_config(ZenohSettings(config=path))
         assert made.get_json("transport/link/rx/max_message_size") == "65536"
+
+
+def test_places_are_bounded(tmp_path: Path) -> None:
+    """With more, visitors would have all file descriptors; a Zenoh file may give them less."""
+    file = tmp_path / "zenoh.json5"
+    for said, there_are in (("", 64), ("max_sessions: 999", 64), ("max_sessions: 12", 12)):
+        file.write_text(f"{{ transport: {{ unicast: {{ {said} }} }} }}")
+        made = service_config(ZenohSettings(config=str(file)))
+        assert made.get_json("transport/unicast/max_sessions") == str(there_are)
+        assert made.get_json("transport/unicast/accept_timeout") == "2000"

@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 
 from gateway.certs import access
-from gateway.zenoh_limits import MAX_MESSAGE_SIZE, SIZE_LIMIT
+from gateway.zenoh_limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
 
 DEFAULT_PORT = 7447
 
@@ -28,6 +28,8 @@ _GATEWAY = """\
   scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
   adminspace: { enabled: false },
   transport: {
+    // The gateway keeps some of these places for operators.
+    unicast: { max_sessions: @MAX_SESSIONS@, accept_timeout: @ACCEPT_TIMEOUT_MS@ },
     // Shared memory would go around the size limit.
     shared_memory: { enabled: false },
     link: {
@@ -170,6 +172,7 @@ def endpoint(host: str, port: int) -> str:
 def fill(template: str, **values: str) -> bytes:
     """The file, with each @NAME@ replaced by its value, and the limits that all files share."""
     limits = {"SIZE_LIMIT": str(SIZE_LIMIT), "MAX_MESSAGE_SIZE": str(MAX_MESSAGE_SIZE)}
+    limits |= {"MAX_SESSIONS": str(MAX_SESSIONS), "ACCEPT_TIMEOUT_MS": str(ACCEPT_TIMEOUT_MS)}
     for key, value in (values | limits).items():
         template = template.replace(f"@{key}@", value)
     return template.encode()

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from gateway.descriptors import Spare, ran_out
 from gateway.errors import SpiError
 
 PATIENCE_S: Final = 0.25
@@ -20,10 +21,11 @@ _QUEUE, _TURN = 0, 1  # bytes of the device on which the locks lie; it has no by
 class KernelDevice:
     """`/dev/spidevB.C` through the `spidev` package; one `transfer` is one write, and so one chip-select cycle."""
 
-    def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True) -> None:
+    def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
 
         `exclusive`: refuse a device that another gateway holds, since two writers would undo each other's Stops.
+        `spare`: descriptors that are kept for this device while it is closed.
         """
         try:
             import spidev  # noqa: PLC0415  (a laptop has no spidev, and needs none)
@@ -34,11 +36,12 @@ class KernelDevice:
             ) from error
         self._path = path
         self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_BESIDE_S
+        self._spare = spare
         self._spi = spidev.SpiDev()
         # Whatever it raises is a fault of the device: spidev has raised SystemError and TypeError where a kernel did
         # what it had not expected, and the gateway must go on to its Stops.
         try:
-            self._spi.open_path(path)
+            self._open(path)
             if exclusive:
                 fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._spi.mode = 0
@@ -48,6 +51,20 @@ class KernelDevice:
         except Exception as error:
             self.close()
             raise SpiError(_why_not_opened(path, error)) from error
+
+    def _open(self, path: str) -> None:
+        """With descriptors that are given up just before, since visitors may hold all others."""
+        while True:
+            more = self._spare is not None and self._spare.give_up()
+            try:
+                self._spi.open_path(path)
+            except Exception as error:
+                if not (more and ran_out(error)):
+                    raise
+            else:
+                break
+        if self._spare is not None:
+            self._spare.fill()
 
     def transfer(self, data: bytes) -> None:
         """Write `data` in one transaction. Raises SpiError, whatever spidev raises (SystemError if it was short)."""
@@ -99,6 +116,8 @@ class KernelDevice:
         """Release the device."""
         with suppress(Exception):  # nothing is left to be done about it
             self._spi.close()
+        if self._spare is not None:
+            self._spare.fill()
 
 
 def _cause_of(error: Exception) -> str:

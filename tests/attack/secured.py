@@ -55,3 +55,7 @@ class Secured:
         """What the gateway's process takes now (VmRSS), or took at most (VmHWM)."""
         status = Path(f"/proc/{self.gateway.child.pid}/status").read_text()
         return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith(field))
+
+    def descriptors(self) -> int:
+        """How many files the gateway's process has open."""
+        return len(list(Path(f"/proc/{self.gateway.child.pid}/fd").iterdir()))

@@ -1,0 +1,107 @@
+"""Visitors who take all file descriptors, or all sessions: the device is opened again, and an operator gets in."""
+
+import resource
+import socket
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from gateway.descriptors import NEEDED
+from gateway.doorkeeper import VISITORS
+from gateway.zenoh_limits import MAX_SESSIONS
+from schemas.telemetry import Mode
+from tests.attack.secured import HOST, Secured
+from tests.gateway_process import Gateway
+from tests.heard import states
+from tests.hil.bed import SpiTestbed
+from tests.hil.wire import STOPS
+
+LIMIT = NEEDED + 60
+"""Enough to start, and few enough to be taken quickly."""
+
+
+def limited(soft: int, hard: int) -> list[str]:
+    return ["prlimit", f"--nofile={soft}:{hard}"]
+
+
+def wait_until(holds: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    give_up_s = time.monotonic() + timeout_s
+    while not holds():
+        assert time.monotonic() < give_up_s, "it did not come about"
+        time.sleep(0.005)
+
+
+# ---- too few to start
+
+
+@pytest.mark.parametrize("limit", [20, 64, NEEDED - 1])
+def test_too_few_descriptors_end_it_with_a_sentence(tmp_path: Path, limit: int) -> None:
+    """With 20 it came up, said that it was ready, and heard nobody."""
+    with Gateway(tmp_path, prefix=limited(limit, limit), wait=False) as gateway:
+        assert gateway.child.wait() == 2
+        (line,) = gateway.child.stderr.splitlines()
+        assert line.startswith(f"hexapod-gateway: only {limit} files may be open at once, and the gateway needs ")
+
+
+@pytest.mark.parametrize(("soft", "hard"), [(64, 1024), (LIMIT, LIMIT)])
+def test_with_enough_descriptors_it_hears(tmp_path: Path, soft: int, hard: int) -> None:
+    """A low soft limit is raised."""
+    with Gateway(tmp_path, prefix=limited(soft, hard)) as gateway, gateway.client() as client:
+        assert client.estop().stop_frames == 6
+        now, _ = resource.prlimit(gateway.child.pid, resource.RLIMIT_NOFILE)
+        assert now >= NEEDED
+
+
+# ---- silent connections
+
+
+@pytest.mark.hil
+def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    """They need no certificate: it takes connections to the TLS port that say nothing."""
+    with (
+        Secured(tmp_path, {"spi": {"framing": "plain"}}, bed=spi_testbed, prefix=limited(LIMIT, LIMIT)) as secured,
+        secured.client("anna") as anna,
+        ExitStack() as end,
+    ):
+        heard = states(anna)
+        assert anna.start_leg(3, 90, 90, 90).accepted
+        for _ in range(LIMIT):
+            end.enter_context(closing(socket.create_connection((HOST, secured.port))))
+        wait_until(lambda: secured.descriptors() == LIMIT)
+        spi_testbed.remove_node()
+        heard.wait(lambda state: state.mode is Mode.BUS_FAULT)
+        wait_until(lambda: secured.descriptors() == LIMIT)  # the device's own has been taken, too
+        known = len(spi_testbed.transfers)
+        spi_testbed.restore_node()
+        heard.wait(lambda state: state.mode is Mode.IDLE)
+        assert {each.data.hex() for each in spi_testbed.transfers[known:]} == set(STOPS)
+        assert anna.estop().stop_frames == 6
+
+
+# ---- sessions
+
+
+def test_an_operator_gets_in_beside_any_number_of_observers(tmp_path: Path) -> None:
+    """Those beyond their share are turned away, and who was there before stays."""
+    with Secured(tmp_path) as secured, ExitStack() as end:
+        first = end.enter_context(closing(secured.session("otto")))
+        others = []
+        for _ in range(MAX_SESSIONS + 10):
+            with suppress(zenoh.ZError):  # all places are taken, or it was turned away while it came in
+                others.append(end.enter_context(closing(secured.session("otto", **{"connect/timeout_ms": 300}))))
+        assert len(others) >= VISITORS - 1, "the places were to be taken"
+        begun_s = time.monotonic()
+        with secured.client("anna") as anna:
+            assert anna.estop().stop_frames == 6
+            print(f"an operator got in, and its emergency stop was done, after {time.monotonic() - begun_s:.2f} s")
+            wait_until(lambda: connected(others) < VISITORS)
+            assert connected([first]) == 1
+            assert anna.reset().accepted
+
+
+def connected(sessions: list[zenoh.Session]) -> int:
+    return sum(1 for session in sessions if session.info.links())
