@@ -6,7 +6,7 @@ Each command loads only what it needs, when it runs: an emergency stop must not 
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -222,6 +222,20 @@ def main() -> None:
     except GatewayError as error:
         for line in str(error).splitlines():
             sys.stderr.write(f"hexapod-gateway: {line}\n")
-        sys.exit(error.exit_code)
+        _end(error.exit_code)
     except KeyboardInterrupt:
-        sys.exit(130)
+        _end(130)
+    except SystemExit as end:
+        if not isinstance(end.code, int):
+            raise
+        _end(end.code)
+
+
+def _end(code: int) -> NoReturn:
+    """End with this exit code, without waiting for what still tries to reach another host."""
+    hosts = sys.modules.get("gateway.hosts")
+    if hosts is not None and hosts.under_way():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)

@@ -16,15 +16,16 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from types import TracebackType
-from typing import Any, Final, Self, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import zenoh
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, ValidationError
 
 from gateway.errors import ZenohError
-from gateway.zenoh_setup import client_config, open_session
+from gateway.hosts import Hosts
+from gateway.question import JSON, Question
+from gateway.zenoh_setup import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack, Event, GatewayState
@@ -48,15 +49,16 @@ class Client:
         source: str | None = None,
         timeout_s: float = 2.0,
     ) -> None:
-        """Connect. `source` (1 to 64 characters) is who you are in the gateway's events.
+        """Connect, by whichever host of the file answers first. `source` (1 to 64 characters) is who you are in events.
 
         Raises ZenohError, ConfigError.
         """
-        config = client_config(endpoint, zenoh_config)
-        config.insert_json5("connect/timeout_ms", str(round(timeout_s * 1000)))
+        self._hosts = Hosts(client_config(endpoint, zenoh_config), timeout_s)
         self._timeout_s = timeout_s
         self._source = source
-        self.session = open_session(config)
+        self._answered: dict[str, Question[Any]] = {}
+        self.session = self._hosts.open()
+        """Lives until `close`: when its link breaks, it comes back by any of the hosts, with all that is declared."""
 
     def __enter__(self) -> Self:
         return self
@@ -92,7 +94,8 @@ class Client:
 
     def estop(self) -> Ack:
         """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon."""
-        return self.ask(keys.ESTOP, {}, again=True, priority=zenoh.Priority.REAL_TIME)
+        payload = self._payload(keys.ESTOP, {})
+        return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
 
     def reset(self, estop: int | None = None) -> Ack:
         """Leave the emergency stop; nothing moves until it is started again.
@@ -107,23 +110,34 @@ class Client:
     ) -> Ack:
         """Send one acknowledged command. Raises ZenohError when nobody answers in time.
 
-        `again`: where the link is lost meanwhile, or no answer comes, ask again until `timeout_s` is over. Only for
-        what may safely happen twice, a Stop: a reset or a start that is asked again could undo what someone else
-        stopped in between.
+        `again`: where the link is lost meanwhile, or no answer comes, ask again until `timeout_s` is over, also by a
+        session of its own through whichever host answers. Only for what may safely happen twice, a Stop: a reset or a
+        start that is asked again could undo what someone else stopped in between.
         """
-        return Ack.model_validate_json(self._get(key, self._payload(key, payload), again=again, priority=priority))
+        return self._get(key, self._payload(key, payload), Ack, again=again, priority=priority)
+
+    def answerers(self, key: str, wait_s: float = 0.0) -> frozenset[str]:
+        """Zenoh ids of the programs that replied to the latest question on `key` that got its answer.
+
+        Only one can be the gateway. Those that reply later than it are waited for, at most so long.
+        """
+        question = self._answered.get(key)
+        if question is None:
+            return frozenset()
+        question.wait_for_others(wait_s)
+        return frozenset(question.answerers)
 
     # ---- commands, fire and forget
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
         """Send one command without waiting; a refusal shows on `hexapod/event` only."""
-        self.session.put(key, self._payload(key, payload), encoding=_JSON, express=True)
+        self.session.put(key, self._payload(key, payload), encoding=JSON, express=True)
 
     # ---- watching
 
-    def state(self) -> GatewayState:
-        """The gateway's state now. Raises ZenohError when nobody answers in time."""
-        return GatewayState.model_validate_json(self._get(keys.STATE, None, again=True))
+    def state(self, timeout_s: float | None = None) -> GatewayState:
+        """The gateway's state now. Raises ZenohError when nobody answers in time (the client's own, if not given)."""
+        return self._get(keys.STATE, None, GatewayState, again=True, timeout_s=timeout_s)
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call back (on a thread of Zenoh's) for each published state, until the returned subscriber is undeclared."""
@@ -134,9 +148,14 @@ class Client:
         return self._subscribe(keys.EVENT, Event, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
-        return self.session.declare_subscriber(
-            key, lambda sample: callback(report.model_validate_json(sample.payload.to_bytes()))
-        )
+        def take(sample: zenoh.Sample) -> None:
+            try:
+                found = report.model_validate_json(sample.payload.to_bytes())
+            except ValidationError:  # without access control, anybody may publish there
+                return
+            callback(found)
+
+        return self.session.declare_subscriber(key, take)
 
     def _payload(self, key: str, payload: Mapping[str, Any]) -> str:
         if key == keys.ESTOP:
@@ -144,48 +163,35 @@ class Client:
         named = {} if self._source is None else {"source": self._source}
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})
 
-    def _get(self, key: str, payload: str | None, *, again: bool, priority: zenoh.Priority | None = None) -> str:
-        heard: SimpleQueue[zenoh.Reply | None] = SimpleQueue()  # None: one of the attempts has ended
-        end_s = time.monotonic() + self._timeout_s
-        under_way = 0
-        while (left_s := end_s - time.monotonic()) > 0:
-            self.session.get(
-                key,
-                # Not `indirect`, a thread for each question that nearly doubled its time: a put never waits.
-                zenoh.handlers.Callback(heard.put, lambda: heard.put(None), indirect=False),
-                payload=payload,
-                encoding=None if payload is None else _JSON,
-                timeout=left_s,
-                priority=priority,
-                consolidation=zenoh.ConsolidationMode.NONE,  # else an answer waits here until its query has ended
-            )
-            under_way += 1
-            ask_again_s = time.monotonic() + _ATTEMPT_S if again else end_s
-            while under_way and (wait_s := min(ask_again_s, end_s) - time.monotonic()) > 0:
-                try:
-                    reply = heard.get(timeout=wait_s)
-                except Empty:
-                    break
-                if reply is None:
-                    under_way -= 1
-                elif reply.ok is not None:
-                    return reply.ok.payload.to_string()
-            if not again:
-                break
-            if not under_way:  # Zenoh ends a query at once where there is no link, and where one is lost
-                time.sleep(min(_AGAIN_S, max(0.0, end_s - time.monotonic())))
-        waited = f"within {self._timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
-        raise ZenohError(f"no gateway answered {waited}; is it running, and may you command it?")
+    def _get(
+        self,
+        key: str,
+        payload: str | None,
+        answer: type[R],
+        *,
+        again: bool,
+        priority: zenoh.Priority | None = None,
+        timeout_s: float | None = None,
+    ) -> R:
+        timeout_s = timeout_s or self._timeout_s
+        end_s = time.monotonic() + timeout_s
+        question = Question(key, payload, answer.model_validate_json, priority)
+        other_ways = self._hosts if again and payload is not None else None
+        found = question.ask(self.session, end_s, again=again, other_ways=other_ways)
+        if found is not None:
+            self._answered[key] = question
+            return found
+        waited = f"within {timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
+        others = f" (what answers on {key} is none)" if question.answerers else ""
+        raise ZenohError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
 
 
-_AGAIN_S: Final = 0.05
-"""A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_setup`)."""
-_ATTEMPT_S: Final = 1.0
-"""After so long without an answer a Stop is asked for once more: a link that is dead without a word answers nobody.
+class _EstopAck(Ack):
+    """Without these it is not the gateway's: an emergency stop is always taken."""
 
-The answer to an earlier attempt counts as well: on a slow bus six Stops take longer than this.
-"""
-_JSON: Final = "application/json"
+    accepted: Literal[True]
+    stop_frames: Annotated[int, Field(ge=0)]
+    latency_us: Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 def leg_payload(op: str, angles_deg: tuple[float, ...] = ()) -> dict[str, Any]:
@@ -200,3 +206,11 @@ def leg_payload(op: str, angles_deg: tuple[float, ...] = ()) -> dict[str, Any]:
 def servo_payload(op: str, angle_deg: float | None = None) -> dict[str, Any]:
     """The payload of a servo's command."""
     return {"op": op} if angle_deg is None else {"op": op, "angle_deg": angle_deg}
+
+
+def several_answer(count: int, key: str) -> str:
+    """What to tell a person where `Client.answerers` has found more than one."""
+    return (
+        f"{count} programs answer on {key}, and only one of them is the gateway; "
+        "certificates keep others out (see Security in the README)"
+    )

@@ -80,16 +80,20 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         endpoints = get(config, "listen/endpoints") or get(config, "connect/endpoints")
-        raise ZenohError(_why_not_opened(one_line(error), endpoints)) from error
+        raise ZenohError(why_not_opened(one_line(error), endpoints)) from error
 
 
-def _why_not_opened(text: str, endpoints: object) -> str:
+CANNOT_CONNECT: Final = "Unable to connect"
+
+
+def why_not_opened(text: str, endpoints: object) -> str:
+    """Zenoh's `text` as a sentence that says what to do."""
     where = ", ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
     if "Address already in use" in text:
         return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"
     if "Cannot assign requested address" in text:
         return f"{where} is no address of this machine; set another zenoh.listen"
-    if "Unable to connect" in text:
+    if CANNOT_CONNECT in text:
         return f"no gateway answers on {where}; is it running, and does it know your certificate?"
     return f"Zenoh cannot be opened on {where}: {text}"
 

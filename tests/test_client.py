@@ -104,7 +104,7 @@ def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(an
     def on_query(query: zenoh.Query) -> None:
         asked.append(query)
         if len(asked) == 2:
-            asked[answered].reply(keys.ESTOP, Ack(accepted=True, stop_frames=6).model_dump_json())
+            asked[answered].reply(keys.ESTOP, Ack(accepted=True, stop_frames=6, latency_us=900).model_dump_json())
 
     config = zenoh.Config()
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))

@@ -84,13 +84,14 @@ _LAPTOP = """\
 {
   mode: "client",@NAMESPACE@
   connect: {
-    // Tried in turn until one answers; when the link breaks, again every 0.1 to 0.5 s.
+    // hexapod-gateway and its Client try them side by side, other Zenoh programs in turn; when the link breaks, Zenoh
+    // tries them in turn, again every 0.1 to 0.5 s.
     endpoints: @ENDPOINTS@,
     retry: { period_init_ms: 100, period_max_ms: 500, period_increase_factor: 1.5 },
   },
   scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
   transport: {
-    // By default a host that says nothing holds up the next one for 10 s.
+    // What one host may take, its name and its handshake included. By default it would hold up the next one for 10 s.
     unicast: { open_timeout: 1000 },
     shared_memory: { enabled: false },
     link: {

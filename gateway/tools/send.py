@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 
-from gateway.client import DEFAULT_ENDPOINT, Client, leg_payload, servo_payload
+from gateway.client import DEFAULT_ENDPOINT, Client, leg_payload, servo_payload, several_answer
 from gateway.errors import ConfigError
 from gateway.tools.terminal import hint, say
 from schemas import keys
@@ -15,6 +15,9 @@ from schemas.telemetry import Ack
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
+
+OTHERS_S = 0.2
+"""How long a command goes on listening after the answer, but only where somebody has yet to answer or decline."""
 
 Connection = Callable[[], AbstractContextManager[Client]]
 
@@ -53,7 +56,9 @@ def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | N
 def send_stop(connect: Connection) -> int:
     """Stop all six legs."""
     with connect() as client:
-        return _report(client.stop(), "all six legs are stopped")
+        code = _report(client.stop(), "all six legs are stopped")
+        _tell_of_others(client, keys.LEGS_COMMAND)
+        return code
 
 
 def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
@@ -73,6 +78,7 @@ def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: b
                 if hold_s
                 else f"The watchdog stops it {timeout_ms:g} ms after a command; --hold S repeats it for S seconds."
             )
+        _tell_of_others(client, key)
         return code
 
 
@@ -80,18 +86,30 @@ def estop(connect: Connection) -> int:
     """Engage the emergency stop."""
     with connect() as client:
         ack = client.estop()
-    if ack.stop_frames is not None and ack.stop_frames >= len(LEGS):
-        say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
-        hint("All commands are refused until `hexapod-gateway reset`.")
-        return 0
-    say(f"latched, but only {ack.stop_frames} of {len(LEGS)} Stop frames were written: switch the servos' power off")
-    return 1
+        stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
+        if stopped:
+            say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
+            hint("All commands are refused until `hexapod-gateway reset`.")
+        else:
+            written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
+            say(f"latched, but {written}: switch the servos' power off")
+        _tell_of_others(client, keys.ESTOP)
+    return 0 if stopped else 1
 
 
 def reset(connect: Connection) -> int:
     """Leave the emergency stop."""
     with connect() as client:
-        return _report(client.reset(), "reset; nothing moves until it is started again")
+        code = _report(client.reset(), "reset; nothing moves until it is started again")
+        _tell_of_others(client, keys.RESET)
+        return code
+
+
+def _tell_of_others(client: Client, key: str) -> None:
+    """After the result, since nobody is to wait for that: say that not only the gateway answers."""
+    count = len(client.answerers(key, OTHERS_S))
+    if count > 1:
+        hint(several_answer(count, key))
 
 
 def _check_op(op: str) -> None:

@@ -149,12 +149,15 @@ def _leg(frame: FrameRecord) -> int:
 class Laptop(AbstractContextManager["Laptop"]):
     """A publisher in its namespace; see `tests.net.publisher` for what can be asked of it."""
 
-    def __init__(self, network: Network, number: int, *, port: int = PORT) -> None:
-        """Start it; it is connected when it is first used, or after `ready`."""
+    def __init__(self, network: Network, number: int, *, port: int = PORT, zenoh_config: Path | None = None) -> None:
+        """Start it; it is connected when it is first used, or after `ready`. `zenoh_config` names other endpoints."""
         self.source = f"laptop {number}"
         self.mark_deg = 60 + number
         endpoint = f"tcp/{network.robot_address(number)}:{port}"
         options = ["--source", self.source, "--mark", str(self.mark_deg)]
+        if zenoh_config is not None:
+            endpoint = ""
+            options += ["--zenoh-config", str(zenoh_config)]
         command = [*network.laptop(number), sys.executable, "-m", "tests.net.publisher", endpoint, *options]
         self.child = Child(command, os.environ)
 

@@ -80,6 +80,27 @@ class Network(AbstractContextManager["Network"]):
         """Where that laptop reaches the robot."""
         return f"10.77.{laptop}.1"
 
+    def another_address(self, laptop: int) -> str:
+        """Where that laptop reaches the robot as well, from now on."""
+        address = f"10.77.{laptop}.3"
+        _ip("-n", self._robot, "address", "replace", f"{address}/24", "dev", _link(laptop))
+        return address
+
+    def nowhere(self, laptop: int) -> str:
+        """An address that loses what that laptop sends to it."""
+        address = f"10.77.{laptop}.9"
+        self.lose(laptop, address)
+        return address
+
+    def lose(self, laptop: int, address: str) -> None:
+        """What that laptop sends to this address goes to a network card that nobody has, without a word."""
+        ours = ("-n", self._laptops[laptop], "neighbour", "replace", address)
+        _ip(*ours, "lladdr", "02:00:00:00:00:09", "nud", "permanent", "dev", "robot")
+
+    def find(self, laptop: int, address: str) -> None:
+        """And now it arrives again."""
+        _ip("-n", self._laptops[laptop], "neighbour", "delete", address, "dev", "robot")
+
     def _laptop_address(self, laptop: int) -> str:
         return f"10.77.{laptop}.2"
 

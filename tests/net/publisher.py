@@ -2,6 +2,8 @@
 
     python -m tests.net.publisher ENDPOINT --source NAME --mark DEGREES [--zenoh-config FILE]
 
+With "" for ENDPOINT it is the file's.
+
 All its setpoints have that mark as the angle of joint 2, so that a frame shows whose it is. It also subscribes to all
 that the gateway reports. Its first line is {"zid": …}, when it is connected. A laptop would have processors of its own,
 so where it may, it comes before the rest of this machine; but not when it floods. Each line is answered by one line of
@@ -20,7 +22,8 @@ JSON:
     in-reach            {} once it has found the gateway again
     stop                stop all six legs, acknowledged
     estop               engage the emergency stop, acknowledged
-    state               the gateway's state; of these three also `answered_ms`: how long the answer took
+    reset               leave it, acknowledged
+    state               the gateway's state; of these four also `answered_ms`: how long the answer took
 """
 
 import argparse
@@ -99,7 +102,7 @@ class Laptop:
                 return self._report(int(rest[0]) if rest else 0, end=word == "pause")
             case "out-of-reach" | "in-reach":
                 return self._wait_for_reach(word == "in-reach")
-            case "stop" | "estop" | "state":
+            case "stop" | "estop" | "reset" | "state":
                 asked_ns = time.monotonic_ns()
                 answer = getattr(self._client, word)().model_dump(mode="json")
                 return {**answer, "answered_ms": (time.monotonic_ns() - asked_ns) / 1e6}
@@ -217,7 +220,7 @@ def main() -> None:
     arguments = parser.parse_args()
     set_nice(NICE)
     with Client(
-        arguments.endpoint, zenoh_config=arguments.zenoh_config, source=arguments.source, timeout_s=ANSWER_S
+        arguments.endpoint or None, zenoh_config=arguments.zenoh_config, source=arguments.source, timeout_s=ANSWER_S
     ) as client:
         laptop = Laptop(client, arguments.source, arguments.mark)
         print(json.dumps({"zid": str(client.session.zid())}), flush=True)

@@ -13,7 +13,7 @@ from typing import Any, Final
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from gateway.client import Client
+from gateway.client import Client, several_answer
 from gateway.errors import GatewayError
 from gateway.tools.watch.model import Model, visible
 from schemas import keys
@@ -23,6 +23,8 @@ POLL_S: Final = 0.4
 """How often a gateway that publishes no state (`telemetry.state_hz = 0`) is asked for it."""
 ASK_AFTER_MS: Final = 300.0
 ANSWER_S: Final = 0.6
+OTHERS_S: Final = 0.2
+"""How long others that answer besides the gateway are listened for."""
 STOPS_AT_ONCE: Final = 4
 """A key that is held down repeats itself some 30 times a second; four requests on their way are plenty."""
 CLOSE_S: Final = 0.5
@@ -33,7 +35,10 @@ _ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
 
 
 class Link:
-    """Opens, and keeps trying to; Zenoh itself comes back after a broken link. `changed` wakes whoever draws."""
+    """Opens, and keeps trying to; Zenoh itself comes back after a broken link, by any of the hosts.
+
+    `changed` wakes whoever draws.
+    """
 
     def __init__(
         self, connect: Callable[[], Client], model: Model, lock: threading.Lock, changed: Callable[[], None]
@@ -94,6 +99,8 @@ class Link:
             else:
                 self._model.stop_answered(ack, began_ns, time.monotonic_ns())
         self._changed()
+        if ack is not None and self._client is not None:
+            self._note_others(self._client, keys.ESTOP)
 
     def _reset(self, estop: int | None) -> None:
         ack = self._ask(lambda client: client.reset(estop))
@@ -192,9 +199,15 @@ class Link:
         if client is None:
             return
         with suppress(*_ERRORS):
-            for reply in client.session.get(keys.STATE, zenoh.handlers.RingChannel(1), timeout=ANSWER_S):
-                if reply.ok is not None:
-                    self._heard(GatewayState.model_validate_json(reply.ok.payload.to_bytes()))
+            self._heard(client.state(ANSWER_S))
+            self._note_others(client, keys.STATE)
+
+    def _note_others(self, client: Client, key: str) -> None:
+        count = len(client.answerers(key, OTHERS_S))
+        if count > 1:
+            with self._lock:
+                self._model.heard_others(several_answer(count, key), datetime.now().astimezone())
+            self._changed()
 
     def _close(self) -> None:
         with suppress(*_ERRORS):

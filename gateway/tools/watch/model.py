@@ -116,6 +116,7 @@ class Model:
     _gone: bool = False
     _told: Presence = Presence.WAITING
     _samples: deque[_Sample] = field(default_factory=deque)
+    _warned: set[str] = field(default_factory=set)
     _asked_ns: int | None = None
     _pressed_ns: int = 0
     _reset_ns: int = 0
@@ -169,6 +170,12 @@ class Model:
         else:
             self._gone = True
             self.look(now_ns, wall)
+
+    def heard_others(self, warning: str, wall: datetime) -> None:
+        """Not only the gateway answers; said once."""
+        if warning not in self._warned:
+            self._warned.add(warning)
+            self._note(wall, "others_answer", warning, bad=True)
 
     def look(self, now_ns: int, wall: datetime) -> None:
         """Notice what time alone changes: silence, and a question that nobody answered."""

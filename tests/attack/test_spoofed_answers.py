@@ -1,0 +1,169 @@
+"""Without access control: programs that answer besides the gateway, with nonsense or to be believed."""
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from gateway.client import Client, leg_payload
+from gateway.errors import ZenohError
+from gateway.zenoh_setup import client_config, open_session
+from schemas import keys
+from schemas.telemetry import GatewayState, Mode
+from tests.gateway_process import COMMAND, Gateway, free_port
+from tests.tmux import Terminal, need_tmux
+
+FALSE = '{"accepted": true, "stop_frames": 6, "latency_us": 1}'
+NONSENSE = ["{}", "nonsense", '{"accepted": true}', '{"accepted": true, "stop_frames": 6}', "[]", ""]
+TIMES = 20
+"""Who is first is a matter of luck; with so many questions, the stranger once was in each trial."""
+
+
+@contextmanager
+def answering(endpoint: str, text: str | None, *wanted: str) -> Iterator[None]:
+    """A stranger's session that answers these keys with `text`; None: it keeps the questions, and answers none."""
+    kept: list[zenoh.Query] = []
+    asked = threading.Event()
+
+    def on_query(query: zenoh.Query) -> None:
+        asked.set()
+        if text is None:
+            kept.append(query)
+            return
+        with query:
+            query.reply(query.key_expr, text)
+
+    with closing(open_session(client_config(endpoint))) as session, Client(endpoint) as client:
+        for key in wanted:
+            session.declare_queryable(key, on_query, complete=True)
+            asked.clear()
+            while not asked.wait(0.01):  # the declaration is on its way
+                client.session.get(key, zenoh.handlers.RingChannel(1), timeout=1.0)
+        yield
+        kept.clear()
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway")) as running:
+        yield running
+
+
+@pytest.mark.parametrize("text", [*NONSENSE, FALSE])
+def test_the_answer_is_the_gateways(gateway: Gateway, text: str) -> None:
+    """Also where another's would be believable: the gateway is the program that was dialled."""
+    with answering(gateway.endpoint, text, keys.ESTOP, keys.STATE, keys.LEGS_COMMAND), gateway.client() as client:
+        for _ in range(TIMES):
+            ack = client.estop()
+            assert (ack.stop_frames, ack.latency_us == 1) == (6, False)
+            assert client.state().spi.frames > 0
+            assert client.stop().reason == "estopped"
+        assert len(client.answerers(keys.ESTOP, wait_s=5)) == 2
+
+
+@pytest.mark.parametrize("command", [["estop"], ["reset"], ["send", "stop"], ["send", "leg", "1", "stop"]])
+def test_a_command_says_that_another_answers(gateway: Gateway, command: list[str]) -> None:
+    key = {"estop": keys.ESTOP, "reset": keys.RESET, "send": keys.LEGS_COMMAND}[command[0]]
+    key = keys.leg_command(1) if "leg" in command else key
+    gateway.run("reset")
+    with answering(gateway.endpoint, "{}", key):
+        done = gateway.run(*command)
+    assert "Traceback" not in done.stderr
+    assert f"2 programs answer on {key}, and only one of them is the gateway; " in done.stderr
+    assert done.stdout
+    assert "programs answer" not in gateway.run(*command).stderr
+
+
+def test_a_program_that_never_answers_holds_nothing_up(gateway: Gateway) -> None:
+    with answering(gateway.endpoint, None, keys.ESTOP), gateway.client() as client:
+        begun_s = time.monotonic()
+        assert client.estop().stop_frames == 6
+        assert time.monotonic() - begun_s < 1  # the client's patience is 5 s
+        assert len(client.answerers(keys.ESTOP)) == 1
+
+
+def test_a_gateway_behind_the_program_that_was_dialled_is_believed() -> None:
+    """Nobody else answers, so it may well be; and as soon as that is known."""
+    hub = f"tcp/127.0.0.1:{free_port()}"
+    with listening(hub) as session, answering(hub, FALSE, keys.ESTOP), Client(hub, timeout_s=20) as client:
+        begun_s = time.monotonic()
+        assert client.estop().stop_frames == 6
+        assert time.monotonic() - begun_s < 10
+        assert client.answerers(keys.ESTOP) != {str(session.zid())}
+
+
+def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path) -> None:
+    """Zenoh's default asks a complete queryable alone, so a gateway that is a router's client would hear nothing."""
+    router = f"tcp/127.0.0.1:{free_port()}"
+    (tmp_path / "zenoh.json5").write_text('{ mode: "client" }')
+    settings = {"zenoh": {"connect": [router], "config": str(tmp_path / "zenoh.json5")}}
+    with (
+        listening(router, "router"),
+        Gateway(tmp_path, settings),
+        answering(router, FALSE, keys.ESTOP),
+        Client(router, timeout_s=20) as client,
+    ):
+        assert client.reset().accepted
+        client.estop()
+        assert len(client.answerers(keys.ESTOP, wait_s=10)) == 2
+        assert client.state().mode is Mode.ESTOPPED
+
+
+def test_what_only_nonsense_answers_is_one_sentence() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with listening(endpoint) as session, Client(endpoint, timeout_s=0.5) as client:
+        for key in (keys.ESTOP, keys.STATE):
+            session.declare_queryable(key, lambda query: query.reply(query.key_expr, "{}"))
+        with pytest.raises(ZenohError, match=r"^no gateway answered within 0\.5 s \(what answers on hexapod/estop"):
+            client.estop()
+        with pytest.raises(ZenohError, match=r"\(what answers on hexapod/state is none\)"):
+            client.state()
+
+
+@contextmanager
+def listening(endpoint: str, mode: str = "peer") -> Iterator[zenoh.Session]:
+    """A program that can be dialled, and is no gateway."""
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        yield session
+
+
+def test_reports_that_are_none_are_passed_over(gateway: Gateway, caplog: pytest.LogCaptureFixture) -> None:
+    heard, real = threading.Event(), threading.Event()
+
+    def on_state(state: GatewayState) -> None:
+        if heard.is_set() and state.legs:
+            real.set()
+
+    def on_sample(sample: zenoh.Sample) -> None:
+        if sample.payload.to_string() == "{}":
+            heard.set()
+
+    with gateway.client() as client, gateway.client() as stranger:
+        subscriber = client.on_state(on_state)
+        client.session.declare_subscriber(keys.STATE, on_sample)
+        client.state()
+        stranger.session.put(keys.STATE, "{}")
+        assert heard.wait(10)
+        assert real.wait(10)
+        subscriber.undeclare()
+    assert "ValidationError" not in caplog.text
+
+
+def test_watch_says_that_another_answers(gateway: Gateway, tmp_path: Path) -> None:
+    need_tmux()
+    with answering(gateway.endpoint, FALSE, keys.ESTOP), gateway.client() as client:
+        client.publish(keys.leg_command(1), leg_payload("stop"))
+        with Terminal(tmp_path, [*COMMAND, "watch", "--connect", gateway.endpoint]) as terminal:
+            terminal.wait(" 1 ○")
+            terminal.press("Space")
+            shown = terminal.wait("STOPPED: 6 Stop frames", "2 programs answer on hexapod/estop/cmd")
+            assert "within 1 µs" not in shown

@@ -1,0 +1,105 @@
+"""A robot with two addresses, of which one leads nowhere: from the beginning, or from some moment on.
+
+What is promised is a Stop at most half a second later than by an address that works. Measured figures are printed
+(`pytest -rP`); the tests allow as much again, since they share the machine.
+"""
+
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from schemas.robot import LEGS
+from schemas.telemetry import Mode
+from tests.child import Child
+from tests.gateway_process import COMMAND, Gateway
+from tests.net.hosts import PORT, TIMEOUT_MS, Laptop
+from tests.net.namespaces import Network
+
+pytestmark = pytest.mark.net
+
+LEASE_MS = 1000
+"""As the files have it that `certs` writes."""
+LATER_S = 0.5
+SLACK_S = 0.5
+RESOLVER = 'mount --bind "$0" /etc/resolv.conf && exec "$@"'
+
+
+@pytest.fixture
+def addresses(hosts_network: Network, tmp_path: Path) -> Iterator[tuple[str, str]]:
+    """The robot's two, with a gateway on both."""
+    both = hosts_network.robot_address(0), hosts_network.another_address(0)
+    listen = [f"tcp/{address}:{PORT}" for address in both]
+    config = tmp_path / "zenoh.json5"
+    config.write_text(json.dumps({"transport": {"link": {"tx": {"lease": LEASE_MS}}}}))
+    settings: dict[str, dict[str, Any]] = {
+        "zenoh": {"listen": listen, "allow_insecure": True, "config": str(config)},
+        "watchdog": {"timeout_ms": TIMEOUT_MS},
+    }
+    with Gateway(tmp_path, settings, prefix=hosts_network.robot):
+        yield both
+
+
+def hosts_file(folder: Path, *hosts: str) -> Path:
+    """A laptop's file, as `certs issue` writes it but for the certificates."""
+    path = folder / "laptop.json5"
+    connect = {"endpoints": [f"tcp/{host}:{PORT}" for host in hosts]}
+    transport = {"unicast": {"open_timeout": 1000}, "link": {"tx": {"lease": LEASE_MS}}}
+    path.write_text(json.dumps({"mode": "client", "connect": connect, "transport": transport}))
+    return path
+
+
+def estop_s(prefix: Sequence[str], config: Path) -> float:
+    """How long the whole command takes."""
+    begun_s = time.monotonic()
+    child = Child([*prefix, *COMMAND, "estop", "--zenoh-config", str(config), "--timeout", "10"], os.environ)
+    with closing(child):
+        assert child.wait() == 0, child
+        return time.monotonic() - begun_s
+
+
+@pytest.mark.parametrize("kind", ["drops packets", "no resolver answers"])
+def test_a_stop_goes_by_the_second_host(
+    hosts_network: Network, addresses: tuple[str, str], tmp_path: Path, kind: str
+) -> None:
+    nowhere = hosts_network.nowhere(0)
+    resolver = tmp_path / "resolv.conf"
+    resolver.write_text(f"nameserver {nowhere}\n")
+    laptop = [*hosts_network.laptop(0), "unshare", "-m", "sh", "-c", RESOLVER, str(resolver)]
+    first = nowhere if kind == "drops packets" else "robot.example"
+    straight_s = min(estop_s(laptop, hosts_file(tmp_path, addresses[0])) for _ in range(3))
+    second_s = min(estop_s(laptop, hosts_file(tmp_path, first, addresses[0])) for _ in range(3))
+    print(f"{kind}: {straight_s:.2f} s by the first host, {second_s:.2f} s by the second")
+    assert second_s - straight_s < LATER_S + SLACK_S
+
+
+def test_a_stop_finds_the_other_host_in_mid_stream(
+    hosts_network: Network, addresses: tuple[str, str], tmp_path: Path
+) -> None:
+    """The host in use is lost without a word. The Stop is first, and the session with its stream comes behind it."""
+    config = hosts_file(tmp_path, hosts_network.nowhere(0), *addresses)
+    took_ms: list[float] = []
+    with Laptop(hosts_network, 0, zenoh_config=config) as laptop:
+        laptop.ask("in-reach")
+        for lost in (addresses[0], addresses[1], addresses[0]):
+            laptop.ask("reset")
+            laptop.start(*LEGS)
+            laptop.stream(*LEGS)
+            laptop.ask("sent 100")
+            hosts_network.lose(0, lost)
+            answer = laptop.ask("estop")
+            assert answer["stop_frames"] == len(LEGS)
+            took_ms.append(answer["answered_ms"])
+            laptop.ask("out-of-reach")
+            begun_s = time.monotonic()
+            laptop.ask("in-reach")
+            print(f"back after {time.monotonic() - begun_s:.2f} s; the Stop was confirmed after {took_ms[-1]:.0f} ms")
+            assert laptop.ask("state")["mode"] == Mode.ESTOPPED
+            laptop.ask("pause")
+            hosts_network.find(0, lost)
+    assert max(took_ms) < (LATER_S + SLACK_S) * 1000
