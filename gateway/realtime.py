@@ -32,7 +32,7 @@ WAITER_PRIORITY: Final = 10
 """The threads' that wait for commands: a hundred lines of Python an item, and then they wait for the loop. They hold
 the interpreter's lock meanwhile, so a loop with priority would wait for a waiter without."""
 PAGE_PRIORITY: Final = 1
-"""The metrics page's: it is in nobody's way but must not be put aside while it holds the interpreter's lock."""
+"""The metrics page's and the log's: in nobody's way, but not to be preempted while they hold the interpreter's lock."""
 NICE: Final = -10
 """Zenoh's own threads: before the rest of the machine, but not so that a flood of messages starves it."""
 SWITCH_INTERVAL_S: Final = 0.0005

@@ -163,8 +163,12 @@ class _End:
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.failure: str | None = None
         self._event = asyncio.Event()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._event.set)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+                continue  # nohup
+            loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal, or the link to it, is gone
+        for number in (signal.SIGTSTP, signal.SIGTTOU):
+            signal.signal(number, signal.SIG_IGN)  # a gateway that its terminal suspends would stop no leg
         loop.set_exception_handler(self._failed)
 
     async def wait(self) -> None:

@@ -100,5 +100,6 @@ def test_the_loop_of_a_running_gateway_has_priority_and_zenohs_threads_have_not(
         priorities = {task: os.sched_getparam(task).sched_priority for task in tasks}
         assert priorities[pid] == LOOP_PRIORITY
         assert sorted(priorities.values()).count(WAITER_PRIORITY) == 5
+        assert sorted(priorities.values()).count(PAGE_PRIORITY) >= 2, "those that write stdout and stderr among them"
         others = [task for task, priority in priorities.items() if priority == 0]
         assert len(others) >= 3

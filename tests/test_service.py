@@ -31,7 +31,7 @@ def test_it_says_that_it_is_ready_where_and_what_to_try(tmp_path: Path) -> None:
         ]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_within_a_second_with_stops_and_exit_code_0(tmp_path: Path, number: signal.Signals) -> None:
     with Gateway(tmp_path) as gateway, gateway.client() as client:
         client.start_leg(3, 1, 2, 3)

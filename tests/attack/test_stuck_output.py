@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import select
+import shlex
 import signal
 import socket
 import subprocess
@@ -209,3 +210,34 @@ def test_no_file_takes_the_place_of_a_closed_stderr(tmp_path: Path) -> None:
         process.terminate()
         assert process.wait(10) == 0
     assert files == [os.devnull] * 3
+
+
+@pytest.mark.parametrize("tostop", ["tostop", "-tostop"])
+def test_its_terminal_does_not_suspend_it(tmp_path: Path, tostop: str) -> None:
+    """Neither one that suspends whoever writes to it from the background, nor Ctrl-Z."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [endpoint]}})
+    command = shlex.join([*COMMAND, "run", "--sim", "--config", str(config)])
+    ours, theirs = pty.openpty()
+    shell = ["setsid", "--ctty", "bash", "-c", f'set -m; stty {tostop}; {command} & echo "number $!"; exec cat']
+    with subprocess.Popen(shell, stdin=theirs, stdout=theirs, stderr=theirs) as terminal:
+        os.close(theirs)
+        said = b""
+
+        def wait_for(word: bytes) -> None:
+            nonlocal said
+            while word not in said:
+                assert select.select([ours], [], [], 20)[0], said
+                said += os.read(ours, 4096)
+
+        wait_for(b"is ready")
+        number = int(said.partition(b"number ")[2].split()[0])
+        try:
+            os.kill(number, signal.SIGTSTP)
+            with Client(endpoint, timeout_s=ANSWER_S) as client:
+                assert client.estop().stop_frames == 6
+            os.kill(number, signal.SIGTERM)
+            wait_for(b"mode stopping")
+        finally:
+            terminal.kill()  # and the gateway with it, should it live
+            os.close(ours)

@@ -165,6 +165,8 @@ def loaded(framing: Framing, endpoint: str) -> dict[str, dict[str, Any]]:
         # Announced, half of the time is between an announcement and its body.
         "spi": {"framing": framing, "frame_gap_us": 1000 if framing is Framing.LENGTH_PREFIXED else 100},
         "limits": {"leg_rate_hz": 100},
+        # On a busy machine the publisher pauses for longer than the default, and the legs would stop before the kill.
+        "watchdog": {"timeout_ms": 10_000},
         "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
     }
 
