@@ -2,14 +2,16 @@
 # Installs the gateway as a service on the robot's computer (Raspberry Pi OS, or any Debian with systemd).
 #
 #   sudo deploy/install.sh                 from this folder's repository, dependencies from the network
+#   sudo deploy/install.sh --framing F     length-prefixed (the published STM32 firmware) or plain (a controller that
+#                                          follows the protocol's document); without it, a terminal is asked
 #   sudo deploy/install.sh --wheels DIR    without a network, from a folder that `make wheels` filled
 #   sudo deploy/install.sh --certs DIR     besides, bring the gateway's certificates (`hexapod-gateway certs init`)
 #   sudo deploy/install.sh --uninstall     stops the service and removes all but the configuration
 #        deploy/install.sh --dry-run …     says what it would do, in the same lines, and does nothing
 #   sudo PYTHON=/usr/bin/python3.12 deploy/install.sh …
 #
-# Run it as often as you like: it changes what differs, never a configuration, and restarts the service only if
-# something that it runs has changed.
+# Run it as often as you like: it changes what differs, of a configuration nothing but a framing that it lacks, and
+# restarts the service only if something that it runs has changed.
 set -euo pipefail
 umask 022
 
@@ -34,7 +36,7 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no uninstall=no wheels='' certs=''
+dry=no uninstall=no wheels='' certs='' framing=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
@@ -43,6 +45,13 @@ while [ $# -gt 0 ]; do
 		[ $# -ge 2 ] || fail "$1 needs a folder"
 		[ -d "$2" ] || fail "$1: $2 is no folder"
 		if [ "$1" = --wheels ]; then wheels=$(readlink -f "$2"); else certs=$(readlink -f "$2"); fi
+		shift
+		;;
+	--framing)
+		case ${2:-} in
+		plain | length-prefixed) framing=$2 ;;
+		*) fail "$1 is length-prefixed (the published STM32 firmware) or plain (the protocol's document)" ;;
+		esac
 		shift
 		;;
 	-h | --help)
@@ -139,7 +148,7 @@ build_venv() {
 
 clean_up() {
 	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is mended" >&2
-	[ -z "$sources" ] || rm -rf "$sources"
+	rm -rf ${sources:+"$sources"} ${said_framing:+"$said_framing"}
 	if [ -n "$unfinished" ]; then
 		rm -rf "$unfinished"
 		rmdir "$OPT" 2>/dev/null || true # only if it is empty
@@ -173,10 +182,15 @@ write_configuration() {
 		say "make $ETC, for root and $NAME only"
 		run install -d -m 0750 -o root -g $NAME $ETC
 	fi
-	if [ -e $ETC/gateway.toml ]; then
+	if [ -z "$said_framing" ]; then
 		say "keep $ETC/gateway.toml, your configuration"
+	elif [ -e $ETC/gateway.toml ]; then
+		say "add framing = \"$framing\" to $ETC/gateway.toml, and keep the rest of your configuration"
+		run install -m 0640 -o root -g $NAME "$said_framing" $ETC/gateway.toml
+		[ "$dry" = yes ] || add_to_kept
+		changed=yes
 	else
-		put "$HERE/gateway.toml" $ETC/gateway.toml 0640 $NAME
+		put "$said_framing" $ETC/gateway.toml 0640 $NAME
 	fi
 	[ -n "$certs" ] || return 0
 	run install -d -m 0750 -o root -g $NAME $ETC/zenoh
@@ -299,6 +313,9 @@ keep_drop_ins() {
 install_all() {
 	check_python
 	check_sources
+	# shellcheck source=deploy/framing.sh
+	. "$HERE/framing.sh"
+	check_framing
 	build_venv
 	make_user
 	changed=no
@@ -346,7 +363,7 @@ uninstall_all() {
 	say "SPI and the group spi stay as they are"
 }
 
-changed=no configured=no reboot=no hint='' unfinished='' sources='' said=no
+changed=no configured=no reboot=no hint='' unfinished='' sources='' said_framing='' said=no
 trap clean_up EXIT
 cd / # the folder it was called from may be gone, or be one that a new user may not enter
 check_machine

@@ -76,7 +76,7 @@ def run(
     from gateway import settings
     from gateway.tools import serve
 
-    serve.run(settings.load(config), simulated=sim)
+    serve.run(settings.load(config, simulated=sim), simulated=sim)
 
 
 @app.command("stop-servos")
@@ -117,7 +117,8 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 def check(config: ConfigOption = None) -> None:
     """Say whether this machine can run the service, line by line, and how to mend what it lacks.
 
-    Looks only: nothing reaches the robot, and a running gateway is not disturbed. Exit codes: 0 it can, 1 it cannot.
+    Looks only: nothing reaches the robot, and a running gateway is not disturbed. Exit codes: 0 it can, 1 it cannot,
+    2 spi.framing is not set.
     """
     from gateway.tools.check import check
 

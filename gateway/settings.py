@@ -47,6 +47,7 @@ class SpiSettings(Section):
 
     device: str = "/dev/spidev0.0"
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
+    # The default counts for --sim alone: `load` demands that a real device's is said.
     framing: Framing = Framing.PLAIN
     # At most a millisecond: the pause holds the loop, six legs at a time.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 100.0
@@ -153,17 +154,25 @@ class _Environment:
     faults: list[str]
 
 
-def load(path: Path | None = None) -> Settings:
+class FramingNotSetError(ConfigError):
+    """Nobody has said which framing the controller needs, besides whatever else may be wrong."""
+
+
+def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     """Settings from `path` (else the default file, if there is one) and the environment.
 
-    Raises ConfigError with one line per fault; each names the file's entry or the environment variable.
+    Raises ConfigError with one line per fault; each names the file's entry or the environment variable. Unless the
+    controller is `simulated`, spi.framing must be among them: two plain frames overrun the published firmware's
+    buffer, and no Stop reaches its servos until somebody resets it.
     """
     from_file: dict[str, Any] = {}
     lines: list[str] = []
+    unread = False
     try:
         from_file = _read(path)
     except ConfigError as error:
         lines.append(str(error))
+        unread = True
     in_file = _faults_of_file(from_file)
     environment = _environment()
     merged = _overlay(from_file, environment.values)
@@ -174,9 +183,19 @@ def load(path: Path | None = None) -> Settings:
         for place, sentence in _faults(merged)
         if (variables := _variables_at(place, environment)) and (place, sentence) not in in_file
     ]
+    spi = merged.get("spi", {})
+    if not (simulated or unread) and isinstance(spi, Mapping) and "framing" not in spi:
+        lines += [f"{path or DEFAULT_PATH}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
+        raise FramingNotSetError("\n".join(lines))
     if lines:
         raise ConfigError("\n".join(lines))
     return Settings.model_validate(merged)
+
+
+_WHICH_FRAMING: Final = (
+    'is not set; the published STM32 firmware needs "length-prefixed" (once it has heard "plain", it needs a reset)',
+    'a controller that reads frames as the protocol\'s document says needs "plain"; without a controller: run --sim',
+)
 
 
 # ---- the file

@@ -40,7 +40,7 @@ class Gateway(AbstractContextManager["Gateway"]):
     """A running gateway: on the simulated controller, or with `bed` on the emulated kernel device.
 
     `settings` are its sections, `{"watchdog": {"timeout_ms": 100}}`; without a `zenoh.listen` among them, a free port
-    is taken. It is ready when the constructor returns.
+    is taken; with `bed` and without `spi.framing`, plain. It is ready when the constructor returns.
     """
 
     def __init__(
@@ -57,6 +57,8 @@ class Gateway(AbstractContextManager["Gateway"]):
         sections = {name: dict(values) for name, values in (settings or {}).items()}
         zenoh = sections.setdefault("zenoh", {})
         zenoh.setdefault("listen", [f"tcp/127.0.0.1:{free_port()}"])
+        if bed is not None:
+            sections.setdefault("spi", {}).setdefault("framing", "plain")
         self.endpoint: str = zenoh["listen"][0]
         self.config = write_settings(folder / f"gateway-{self.endpoint.rpartition(':')[2]}.toml", sections)
         command = [*prefix, *COMMAND, "run", "--config", str(self.config)]

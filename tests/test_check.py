@@ -22,6 +22,9 @@ from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
 OK, WARNING, FAILURE = Verdict.OK, Verdict.WARNING, Verdict.FAILURE
 
 
+SPI = {"spi": {"framing": "length-prefixed"}}
+
+
 def check(*arguments: str, env: dict[str, str] | None = None) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
         [*COMMAND, "check", *arguments],
@@ -38,7 +41,7 @@ def check(*arguments: str, env: dict[str, str] | None = None) -> "subprocess.Com
 
 def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(tmp_path: Path) -> None:
     config = tmp_path / "gateway.toml"
-    config.write_text("[spi]\nspeed_hz = 0\n[wings]\n")
+    config.write_text('[spi]\nframing = "plain"\nspeed_hz = 0\n[wings]\n')
     said = check("--config", str(config), env={"HEXAPOD_LOG__LEVEL": "loud"})
     assert said.returncode == 1
     assert said.stderr == ""
@@ -58,7 +61,7 @@ def test_a_file_that_is_not_there_is_a_failure_and_no_traceback() -> None:
 
 
 def test_every_line_has_a_verdict_a_name_and_where_it_is_not_ok_a_mend(tmp_path: Path) -> None:
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}, **SPI})
     *lines, _ = check("--config", str(config)).stdout.splitlines()
     assert len(lines) >= 11
     for line in lines:
@@ -108,6 +111,13 @@ def test_speed_above_what_the_device_tree_allows(tmp_path: Path) -> None:
     assert result.verdict is WARNING
     assert "the 0.5 MHz that the device tree allows /dev/spidev0.0" in result.sentence
     assert device.speed(SpiSettings(speed_hz=500_000), sys_class=tmp_path).verdict is OK
+
+
+def test_a_framing_that_nobody_has_said_comes_before_everything(tmp_path: Path) -> None:
+    (tmp_path / "gateway.toml").write_text("[wings]\n")
+    said = check("--config", str(tmp_path / "gateway.toml"))
+    assert (said.returncode, said.stdout) == (2, "")
+    assert [line.split(": ")[2] for line in said.stderr.splitlines()] == ["wings", "spi.framing", "spi.framing"]
 
 
 def test_the_framing_that_moves_no_servo_is_a_warning() -> None:
@@ -223,7 +233,7 @@ def test_an_expired_certificate_is_one_failure(tmp_path: Path) -> None:
     (result,) = network.certificates(settings, NOW)
     assert result.verdict is FAILURE
     assert "gateway.pem expired on" in result.sentence
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": settings.config}})
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": settings.config}, **SPI})
     said = check("--config", str(config))
     assert said.returncode == 1
     assert said.stdout.count("gateway.pem expired on") == 1
@@ -251,7 +261,7 @@ def test_no_certificates_in_use() -> None:
 
 def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
     settings = folder(tmp_path / "D", days=20)
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": settings.config}})
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": settings.config}, **SPI})
     said = check("--config", str(config))
     assert "warning  certificates   " in said.stdout
     assert "ok       Zenoh          " in said.stdout

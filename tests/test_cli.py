@@ -125,7 +125,7 @@ def test_a_mistake_in_the_arguments_is_2_and_says_what_is_right(arguments: tuple
 
 def test_no_spi_device_is_3_and_one_line(tmp_path: Path) -> None:
     config = tmp_path / "gateway.toml"
-    config.write_text('spi.device = "/dev/spidev9.9"\n')
+    config.write_text('spi.device = "/dev/spidev9.9"\nspi.framing = "plain"\n')
     for command in ("run", "stop-servos"):
         end = run(command, "--config", str(config))
         assert end.returncode == 3

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from gateway import settings
 from gateway.errors import ConfigError
 from gateway.protocol.framing import Framing
-from gateway.settings import ServoLimits, Settings, load
+from gateway.settings import FramingNotSetError, ServoLimits, Settings
 from tests.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
 
 # The contract's, with the example of limits.servos taken out.
@@ -62,6 +62,11 @@ def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     return tmp_path / "gateway.toml"
+
+
+def load(path: Path | None = None) -> Settings:
+    """As for `run --sim`: nobody has to say a framing."""
+    return settings.load(path, simulated=True)
 
 
 def faults(path: Path | None = None) -> list[str]:
@@ -328,6 +333,54 @@ def test_values_of_both_that_do_not_go_together(file: Path, monkeypatch: pytest.
     assert faults(file) == [
         "HEXAPOD_LIMITS__SERVOS__11__MAX_DEG: min_deg is 100 and max_deg 50; min_deg must not be larger"
     ]
+
+
+# ---- the framing of a real device
+
+
+def framing_of(path: Path | None) -> Framing:
+    return settings.load(path).spi.framing
+
+
+def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in ("", "[spi]\n", '[spi]\ndevice = "/dev/spidev0.1"\n'):
+        file.write_text(text)
+        with pytest.raises(FramingNotSetError) as raised:
+            framing_of(file)
+        assert raised.value.exit_code == 2
+        published, document = str(raised.value).splitlines()
+        assert published.startswith(f"{file}: spi.framing: is not set; the published STM32 firmware needs")
+        assert '"length-prefixed"' in published
+        assert "reset" in published
+        assert document.startswith(f"{file}: spi.framing: ")
+        assert '"plain"' in document
+        assert load(file).spi.framing is Framing.PLAIN, "a simulated controller needs nobody to say it"
+    with pytest.raises(FramingNotSetError, match=f"{settings.DEFAULT_PATH}: spi.framing: is not set"):
+        framing_of(None)
+    for framing in Framing:
+        file.write_text(f'[spi]\nframing = "{framing}"\n')
+        assert framing_of(file) is load(file).spi.framing is framing
+        file.write_text("")
+        monkeypatch.setenv("HEXAPOD_SPI__FRAMING", framing)
+        assert framing_of(file) is framing_of(None) is framing
+        monkeypatch.delenv("HEXAPOD_SPI__FRAMING")
+
+
+def test_other_faults_are_told_beside_a_framing_that_is_not_set(file: Path) -> None:
+    file.write_text("[spi]\nspeed_hz = 0\n")
+    with pytest.raises(FramingNotSetError) as raised:
+        framing_of(file)
+    assert [line.split(": ")[1] for line in str(raised.value).splitlines()] == [
+        "spi.speed_hz", "spi.framing", "spi.framing"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ["[", "spi = 3", '[spi]\nframing = "Plain"'])
+def test_what_cannot_be_read_is_told_for_itself(file: Path, text: str) -> None:
+    file.write_text(text)
+    with pytest.raises(ConfigError) as raised:
+        framing_of(file)
+    assert str(raised.value).splitlines() == [line.replace("file", str(file), 1) for line in faults(file)]
 
 
 toml_values = st.recursive(

@@ -32,7 +32,8 @@ class Subject:
         self._stack = stack
         self._publishers = 0
         if name == "gateway":
-            config = write_settings(folder / "gateway.toml", {"zenoh": {"listen": [self.endpoint]}, **(settings or {})})
+            ours: dict[str, dict[str, Any]] = {"zenoh": {"listen": [self.endpoint]}, "spi": {"framing": "plain"}}
+            config = write_settings(folder / "gateway.toml", {**ours, **(settings or {})})
             command, ready = [*COMMAND, "run", "--config", str(config)], READY
         else:
             command, ready = [sys.executable, "-m", "tests.benchmarks.naive", self.endpoint], "ready"

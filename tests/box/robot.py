@@ -39,7 +39,7 @@ class Robot:
     def __init__(self, box: Box, wheels: Path) -> None:
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
-        box.run(INSTALLER, "--wheels", share(box, wheels), timeout_s=300)
+        box.run(INSTALLER, "--framing", "plain", "--wheels", share(box, wheels), timeout_s=300)
         self._configuration = box.read(CONFIGURATION)
         folder = box.shared / "bed"
         folder.mkdir()
@@ -49,10 +49,9 @@ class Robot:
         self.allow_device()
         environment = self.bed.environment
         root = SHARED_INSIDE / Path(environment["UMOCKDEV_DIR"]).relative_to(box.shared)
-        self.drop_in(
-            "emulated",
-            f"Environment=LD_PRELOAD={environment['LD_PRELOAD']} UMOCKDEV_DIR={root}\nReadWritePaths={root}",
-        )
+        self.emulated = (f"LD_PRELOAD={environment['LD_PRELOAD']}", f"UMOCKDEV_DIR={root}")
+        """The variables by which a program inside sees the device."""
+        self.drop_in("emulated", f"Environment={' '.join(self.emulated)}\nReadWritePaths={root}")
 
     def __enter__(self) -> Self:
         return self
@@ -73,8 +72,8 @@ class Robot:
         self.box.run("systemctl", "daemon-reload")
 
     def configure(self, text: str) -> None:
-        """Write the service's configuration."""
-        self.box.write(CONFIGURATION, text)
+        """Write the service's configuration: this, and the framing of the emulated device."""
+        self.box.write(CONFIGURATION, f'spi.framing = "plain"\n{text}')
 
     def reset(self) -> None:
         """The service stopped, with its own configuration and no drop-in but the emulated device's."""
@@ -82,7 +81,7 @@ class Robot:
         self.bed.release()
         self.unit.systemctl("stop", check=False)
         self.unit.systemctl("reset-failed", check=False)
-        self.configure(self._configuration)
+        self.box.write(CONFIGURATION, self._configuration)
         self.box.run("find", DROP_IN, "-type", "f", "!", "-name", "emulated.conf", "-delete")
         self.box.run("systemctl", "daemon-reload")
 

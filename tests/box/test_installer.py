@@ -28,8 +28,8 @@ class Machine:
         box.write(CONFIG_TXT, STOCK)
 
     def install(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
-        """Run the installer from the wheels; the lines that it printed."""
-        return self.run("--wheels", self.wheels, *options, check=check, python=python)
+        """Run the installer from the wheels, with a framing; the lines that it printed."""
+        return self.run("--framing", "plain", "--wheels", self.wheels, *options, check=check, python=python)
 
     def run(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
         """Run the installer; the lines that it printed."""
@@ -85,13 +85,13 @@ def clear(machine: Machine) -> None:
 def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
     """The configuration that is installed changes nothing; each default in it is the true one, and none is left out."""
     installed = REPOSITORY / "deploy/gateway.toml"
-    assert settings.load(installed) == Settings()
+    assert settings.load(installed, simulated=True) == Settings()
     lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another
     uncommented = tmp_path / "gateway.toml"
     uncommented.write_text("\n".join(re.sub(r"^# (\w+ = |\[)", r"\1", line) for line in lines))
     servo = ServoLimits(min_deg=20, max_deg=160)  # and the one example that is no default
     limits = LimitSettings(servos={"11": servo})
-    assert settings.load(uncommented) == Settings(limits=limits)
+    assert settings.load(uncommented).model_dump() == Settings(limits=limits).model_dump()
     shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
     sections = [*(getattr(Settings(), name) for name in Settings.model_fields), servo]
     assert shown == {name for section in sections for name in type(section).model_fields} - {"servos"}
@@ -123,7 +123,7 @@ def test_refusals(bare: Machine) -> None:
     box.run("sh", "-c", "rm /opt/incomplete/structlog-*")
     assert (
         "pip could not install hexapod-gateway (above is why); nothing else was changed"
-        in (bare.run("--wheels", "/opt/incomplete", check=False)[-1])
+        in (bare.run("--framing", "plain", "--wheels", "/opt/incomplete", check=False)[-1])
     )
     assert bare.traces() == []
     assert box.read(CONFIG_TXT) == STOCK
@@ -187,7 +187,7 @@ def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
     assert re.search(rf"^-rw-r----- 1 root {NAME} .* gateway.key$", files, re.MULTILINE), files
 
     assert 'config = ""' in box.read(CONFIGURATION)
-    box.write(CONFIGURATION, f"[zenoh]\n{said[-1].partition('[zenoh]: ')[2]}\n")
+    box.write(CONFIGURATION, f"spi.framing = 'plain'\n[zenoh]\n{said[-1].partition('[zenoh]: ')[2]}\n")
     box.run("install", "-m", "0600", f"{folder}/gateway.key", f"/etc/{NAME}/zenoh/gateway.key")  # as by hand
     said = machine.install("--certs", folder)
     assert f"let {NAME} read all of /etc/{NAME}, and nobody else (root:{NAME})" in said
@@ -200,6 +200,67 @@ def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
     assert box.run(*command, "--timeout", "0.5", check=False).returncode == 4
     print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
     machine.unit.systemctl("stop")
+
+
+LENGTH_PREFIXED = ("--framing", "length-prefixed")
+
+
+def test_no_framing_no_installation(bare: Machine) -> None:
+    """Without a terminal somebody has to say it, and nothing is changed before; a dry run says the same."""
+    for dry in ((), ("--dry-run",)):
+        (said,) = bare.run("--wheels", bare.wheels, *dry, check=False)
+        assert said.startswith("install.sh: which framing does the controller need? Say --framing: length-prefixed ")
+    for wrong in (("--framing", "Plain"), ("--framing",)):
+        (said,) = bare.run("--wheels", bare.wheels, *wrong, check=False)
+        assert said.startswith("install.sh: --framing is length-prefixed (the published STM32 firmware) or plain")
+    assert bare.traces() == []
+    assert bare.box.read(CONFIG_TXT) == STOCK
+
+
+def test_a_terminal_is_asked(bare: Machine) -> None:
+    """Until it says one of the two; what it says is what the service runs with."""
+    wheels = f"{INSTALLER} --wheels {bare.wheels}"
+    done = bare.box.run(
+        "sh", "-c", f"printf 'prefixed\nlength-prefixed\n' | script -qec '{wheels}' /dev/null", timeout_s=300
+    )
+    assert done.stdout.count("length-prefixed or plain? ") == 2
+    assert 'framing = "length-prefixed"' in bare.box.read(CONFIGURATION).splitlines()
+
+
+def test_a_framing_stays_as_it_is(bare: Machine) -> None:
+    """Installed again it needs no option, takes the same one, and refuses another before anything is changed."""
+    wheels = ("--wheels", bare.wheels)
+    bare.run(*wheels, *LENGTH_PREFIXED)
+    written = bare.box.read(CONFIGURATION)
+    assert 'framing = "length-prefixed"' in written.splitlines()
+    assert f"keep {CONFIGURATION}, your configuration" in bare.run(*wheels)
+    assert f"keep {CONFIGURATION}, your configuration" in bare.run(*wheels, *LENGTH_PREFIXED)
+    (said,) = bare.run(*wheels, "--framing", "plain", check=False)
+    assert said.startswith(f'install.sh: {CONFIGURATION} says framing = "length-prefixed", and --framing plain; ')
+    assert bare.box.read(CONFIGURATION) == written
+
+
+def test_a_robot_from_before_there_was_a_framing(bare: Machine) -> None:
+    """It goes on as it is until somebody says the framing, which is then added to its configuration; Stops included."""
+    box, wheels = bare.box, ("--wheels", bare.wheels)
+    bare.install()
+    older = '[zenoh]\n[spi] # mine\n# framing = "plain"\nspeed_hz = 1_000_000\n[log]\n'
+    box.write(CONFIGURATION, older)
+    box.write(f"/run/{NAME}/gateway.toml", "[spi]\nspeed_hz = 500\n")
+    (said,) = bare.run(*wheels, check=False)
+    assert "which framing does the controller need?" in said
+    assert box.read(CONFIGURATION) == older
+    promised = bare.run("--dry-run", *wheels, *LENGTH_PREFIXED)
+    assert bare.run(*wheels, *LENGTH_PREFIXED) == promised
+    assert f'add framing = "length-prefixed" to {CONFIGURATION}, and keep the rest of your configuration' in promised
+    assert box.read(CONFIGURATION) == older.replace('# framing = "plain"', 'framing = "length-prefixed"')
+    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
+    assert box.read(f"/run/{NAME}/gateway.toml") == '[spi]\nframing = "length-prefixed"\nspeed_hz = 500\n'
+    for unclear in ("spi.speed_hz = 5\n", "spi = {}\n"):
+        box.write(CONFIGURATION, unclear)
+        (said,) = bare.run(*wheels, *LENGTH_PREFIXED, check=False)
+        assert said.startswith(f"install.sh: {CONFIGURATION} does not say which framing the controller needs; add ")
+        assert box.read(CONFIGURATION) == unclear
 
 
 @pytest.mark.parametrize(

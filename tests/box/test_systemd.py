@@ -9,7 +9,7 @@ import pytest
 
 from gateway.protocol.frames import Op, decode, stop_leg
 from tests.box.box import Unit
-from tests.box.robot import NAME, REPOSITORY, STOPS, Robot
+from tests.box.robot import CONFIGURATION, NAME, REPOSITORY, STOPS, Robot
 from tests.child import Child
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
 
@@ -193,6 +193,19 @@ def test_hanging_with_a_stuck_journal(robot: Robot) -> None:
     assert robot.unit.properties("Result", "ExecMainStatus") == ["watchdog", str(int(signal.SIGABRT))]
 
 
+def test_no_framing(robot: Robot) -> None:
+    """Neither the service nor stop-servos guesses: exit code 2, said twice in two lines, and nothing on the wire."""
+    before = len(robot.bed.transfers)
+    robot.box.write(CONFIGURATION, "")
+    with robot.journal() as journal:
+        robot.unit.systemctl("start", check=False)
+        journal.wait_for_output("Failed to start")
+        said = [line for line in journal.stdout.splitlines() if "spi.framing" in line]
+    assert len(said) == 4
+    assert robot.unit.properties("ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "2", "0"]
+    assert len(robot.bed.transfers) == before
+
+
 def test_broken_configuration(robot: Robot) -> None:
     """Broken while the service runs: its end is still cleaned up with what it ran with; exit code 2, no second try."""
     robot.configure("[watchdog]\nrepeats = 1\n")
@@ -213,7 +226,7 @@ def test_broken_configuration(robot: Robot) -> None:
 def test_no_device(robot: Robot) -> None:
     """Exit code 3: tried again within the limits, then given up."""
     robot.drop_in("sooner", "RestartSec=20ms")
-    robot.configure('[spi]\ndevice = "/dev/spidev9.9"\n')
+    robot.configure('spi.device = "/dev/spidev9.9"\n')
     with robot.journal() as journal:
         robot.unit.systemctl("start", check=False)
         journal.wait_for_output("Start request repeated too quickly", timeout_s=60)

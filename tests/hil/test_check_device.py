@@ -74,7 +74,7 @@ def test_a_node_that_is_not_there(spi_testbed: SpiTestbed, config: Path) -> None
 
 
 def test_another_node_is_named(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
-    config = write_settings(tmp_path / "other.toml", {"spi": {"device": "/dev/spidev7.1"}})
+    config = write_settings(tmp_path / "other.toml", {"spi": {"device": "/dev/spidev7.1", "framing": "plain"}})
     child = check(spi_testbed, config)
     assert child.returncode == 1
     assert f"/dev/spidev7.1 does not exist → set spi.device; here there is {DEVICE}" in line(child, "SPI device")

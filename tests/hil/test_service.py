@@ -20,7 +20,7 @@ from gateway.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.gateway_process import COMMAND, Gateway, write_settings
 from tests.heard import events, states
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Replay, Wire, settings_for, start
@@ -326,7 +326,7 @@ def test_the_device_is_free_again_once_its_gateway_has_died(tmp_path: Path, gate
 @pytest.mark.parametrize("command", ["run", "stop-servos"])
 def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed, command: str) -> None:
     spi_testbed.remove_node()
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    config = config_for(tmp_path, Wire(spi_testbed))
     child = spi_testbed.spawn([*COMMAND, command, "--config", str(config)])
     assert child.wait(LATE_S) == 3
     assert child.stderr == (
@@ -337,7 +337,7 @@ def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiT
 
 def test_a_device_that_may_not_be_opened_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     spi_testbed.refuse_open()
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    config = config_for(tmp_path, Wire(spi_testbed))
     child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)], privileged=False)
     assert child.wait(LATE_S) == 3
     assert child.stderr == (

@@ -14,7 +14,7 @@ from rich.text import Text
 from gateway import settings as settings_file
 from gateway.errors import ConfigError
 from gateway.exposure import listen_endpoints
-from gateway.settings import Settings
+from gateway.settings import FramingNotSetError, Settings
 from gateway.tools.check import device, machine, network
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
@@ -22,7 +22,10 @@ _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILUR
 
 
 def check(config: Path | None) -> int:
-    """Print every check's line as it is known; the exit code: 0, or 1 after a failure."""
+    """Print every check's line as it is known; the exit code: 0, or 1 after a failure.
+
+    Raises FramingNotSetError: what the machine can do matters only once it is known what the controller understands.
+    """
     console = Console(highlight=False, soft_wrap=True)
     results = []
     for result in run(config):
@@ -39,20 +42,28 @@ def check(config: Path | None) -> int:
 
 
 def run(config: Path | None) -> Iterator[Result]:
-    """All checks, in order; those of the settings only where these can be read."""
-    yield machine.python()
+    """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once."""
     try:
-        settings = settings_file.load(config)
+        settings: Settings | ConfigError = settings_file.load(config)
+    except FramingNotSetError:
+        raise
     except ConfigError as error:
-        for fault in str(error).splitlines():
-            yield failure("configuration", fault, "mend it there, and check again")
-        yield warning("the rest", "device, ports and certificates were not looked at", "mend the configuration first")
+        settings = error
+    yield machine.python()
+    if isinstance(settings, ConfigError):
+        yield from _unreadable(settings)
     else:
         yield _configuration(config)
         yield from _of_settings(settings)
     yield machine.clock()
     yield machine.unit()
     yield machine.realtime()
+
+
+def _unreadable(error: ConfigError) -> Iterator[Result]:
+    for fault in str(error).splitlines():
+        yield failure("configuration", fault, "mend it there, and check again")
+    yield warning("the rest", "device, ports and certificates were not looked at", "mend the configuration first")
 
 
 def _configuration(config: Path | None) -> Result:

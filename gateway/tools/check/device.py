@@ -115,8 +115,8 @@ def framing(spi: SpiSettings) -> Result:
     if spi.framing is Framing.PLAIN:
         return warning(
             "framing",
-            "plain is the protocol's document, but the published STM32 firmware executes nothing in it",
-            'set spi.framing = "length-prefixed", unless your firmware is another',
+            "plain, as the protocol's document says; the published STM32 firmware jams in it until it is reset",
+            'set spi.framing = "length-prefixed" for that firmware, and reset it',
         )
     return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it")
 
