@@ -24,6 +24,7 @@ from gateway.events import (
     Reset,
     Settled,
     ShutDown,
+    StoppedOutside,
     TimePassed,
     Transmit,
 )
@@ -283,6 +284,13 @@ class Conductor:
                 self._reopen_timer.cancel()
         self._arm()
 
+    def look_outside(self) -> None:
+        """Learn of `stop-servos` on the same device, and of its end."""
+        at_work = self.bus.stop_servos_at_work()
+        if at_work is not self.supervisor.stopped_outside:
+            self._step(StoppedOutside(at_work))
+            self._arm()
+
     # ---- time
 
     def _arm(self) -> None:
@@ -330,20 +338,11 @@ class Conductor:
         reply(ack.model_dump_json().encode())
 
     def _tell(
-        self,
-        kind: Kind,
-        detail: str,
-        source: str | None,
-        key: str | None,
-        reason: Reason | None,
-        left_out: int = 0,
+        self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
     ) -> None:
         level = logging.WARNING if kind in _WARNINGS else logging.INFO
-        logger.log(
-            level,
-            detail,
-            extra={"kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None},
-        )
+        extra = {"kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None}
+        logger.log(level, detail, extra=extra)
         event = telemetry.Event(
             time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out
         )
@@ -375,7 +374,9 @@ class Conductor:
         )
 
 
-_WARNINGS: Final = frozenset({Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT})
+_WARNINGS: Final = frozenset(
+    {Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE}
+)
 
 
 def _intent(received: Received) -> Intent | Rejection:

@@ -51,6 +51,13 @@ class Reset:
 
 
 @dataclass(frozen=True, slots=True)
+class StoppedOutside:
+    """`stop-servos` is stopping all servos past us; or has ended (not `at_work`), and none of its Stops is to come."""
+
+    at_work: bool
+
+
+@dataclass(frozen=True, slots=True)
 class TimePassed:
     """Nothing but time; send it when `due_ns` has come."""
 
@@ -60,7 +67,7 @@ class ShutDown:
     """The service ends."""
 
 
-Event = BusOpened | BusFailed | Command | EmergencyStop | Reset | TimePassed | ShutDown
+Event = BusOpened | BusFailed | Command | EmergencyStop | Reset | StoppedOutside | TimePassed | ShutDown
 
 # ---- effects, to be carried out in their order
 

@@ -238,7 +238,7 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
 
 
 async def _beat(manager: Manager, conductor: Conductor, inbox: Inbox, end: _End) -> None:
-    """Measure how late the loop is, and tell the manager that it turns and hears."""
+    """Measure how late the loop is, look for `stop-servos`, and tell the manager that the loop turns and hears."""
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, manager.ping_period_s or BEAT_S)
     while inbox.hears:
@@ -247,6 +247,7 @@ async def _beat(manager: Manager, conductor: Conductor, inbox: Inbox, end: _End)
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))
+        conductor.look_outside()
     end.because("a thread that waits for commands has ended")
 
 

@@ -7,6 +7,7 @@ from gateway.protocol.frames import stop_leg
 from gateway.settings import Settings
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
+from gateway.spi.outside import Notice
 from schemas.robot import LEGS
 
 MORE_ROUNDS: Final = 10
@@ -16,8 +17,10 @@ MOST_PAUSE_MS: Final = 20.0
 """Between those."""
 
 
-def stop_servos(settings: Settings) -> None:
+def stop_servos(settings: Settings) -> bool | None:
     """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
+
+    Returns whether a gateway on the same device has noticed; None: none was there.
 
     Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm. Beside a
     gateway that runs, its frames come between that one's, never into them.
@@ -27,6 +30,7 @@ def stop_servos(settings: Settings) -> None:
         return KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False)
 
     bus = bus_for(settings.spi, open_device, beside=True)
+    notice = Notice(settings.spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None
     for repeat in range(1 + settings.watchdog.repeats + MORE_ROUNDS):
@@ -36,11 +40,14 @@ def stop_servos(settings: Settings) -> None:
             pause_ms = settings.watchdog.repeat_interval_ms
             time.sleep((pause_ms if repeat <= settings.watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
         stopped, fault_now = stop_once(bus)
+        notice.give()  # after the first Stops, which leave at once, and before the last
         unstopped -= stopped
         fault = fault_now or fault
     bus.close()
+    noticed = notice.end()
     if unstopped and fault is not None:
         raise fault
+    return noticed if notice.gateway_runs else None
 
 
 def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:

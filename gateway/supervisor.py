@@ -21,6 +21,10 @@ The rules, by number of the contract's *Behaviour*:
  7. `ShutDown` stops six legs and refuses everything from then on, except an emergency stop. A bus that answers again
     only then gets its Stops too.
 
+`StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
+too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
+Set is taken: one of its Stops may still come, and would undo it unseen.
+
 Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
@@ -39,6 +43,7 @@ from gateway.events import (
     Reset,
     Settled,
     ShutDown,
+    StoppedOutside,
     TimePassed,
     Transmit,
 )
@@ -62,6 +67,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         Reset: _QUIET,
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: _QUIET,
         TimePassed: _QUIET,
         ShutDown: frozenset({Mode.STOPPING}),
     },
@@ -70,6 +76,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         Reset: _QUIET,
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: _QUIET,
         TimePassed: _QUIET,
         ShutDown: frozenset({Mode.STOPPING}),
     },
@@ -78,6 +85,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         Reset: frozenset({Mode.IDLE, Mode.ESTOPPED}),
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: frozenset({Mode.ESTOPPED}),
         TimePassed: frozenset({Mode.ESTOPPED}),
         ShutDown: frozenset({Mode.STOPPING}),
     },
@@ -87,12 +95,13 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         EmergencyStop: frozenset({Mode.BUS_FAULT}),
         BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: frozenset({Mode.BUS_FAULT}),
         TimePassed: frozenset({Mode.BUS_FAULT}),
         ShutDown: frozenset({Mode.STOPPING}),
     },
     Mode.STOPPING: {
         event: frozenset({Mode.STOPPING})
-        for event in (Command, Reset, EmergencyStop, BusOpened, BusFailed, TimePassed, ShutDown)
+        for event in (Command, Reset, EmergencyStop, BusOpened, BusFailed, StoppedOutside, TimePassed, ShutDown)
     },
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
@@ -100,6 +109,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
 _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
+_OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
 _REFUSING: Final = {
     Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
     Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
@@ -122,6 +132,8 @@ class Supervisor:
         self._bus_ok = False
         self._latched_ns: int | None = None
         self._ended = False
+        self.stopped_outside = False
+        """Whether `stop-servos` is known to be at work on the same device."""
         self.estops = 0
         """The number of the latest emergency stop; 0 before the first.
 
@@ -146,11 +158,13 @@ class Supervisor:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
         self.legs.instant_ns = now_ns if instant_ns is None else instant_ns
         match event:
-            case Command() | Reset() | TimePassed():
+            case Command() | Reset() | TimePassed() | StoppedOutside(at_work=False):
                 effects = self._in_time(event, now_ns)
             # All else stops everything, or finds a bus that sends nothing: what was due has no meaning any more.
             case EmergencyStop():
                 effects = self._emergency_stop(event, now_ns)
+            case StoppedOutside():
+                effects = self._stop_with_outside(now_ns)
             case BusOpened():
                 effects = self._bus_opened(now_ns)
             case BusFailed():
@@ -171,7 +185,7 @@ class Supervisor:
             return Mode.ESTOPPED
         return Mode.IDLE if all(leg.at_rest for leg in self.legs) else Mode.ACTIVE
 
-    def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
+    def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
         """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
         due = self.due_ns is not None and now_ns >= self.due_ns
         effects = self._expire(now_ns) if due else []
@@ -180,6 +194,8 @@ class Supervisor:
                 effects += self._command(event, now_ns)
             case Reset():
                 effects += self._reset(event)
+            case StoppedOutside():
+                self.stopped_outside = False
         if due:
             effects += self.legs.repeat_stops(now_ns)
             effects += self.legs.take_slots(now_ns)
@@ -198,6 +214,8 @@ class Supervisor:
         if self.mode in _REFUSING:
             return _REFUSING[self.mode]
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        if moves and self.stopped_outside:
+            return Reason.SERVO_STOPPED, _OUTSIDE
         for servo_id, op in moves:
             limits = self._rules.joint_limits_cdeg.get(servo_id)
             if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
@@ -255,6 +273,14 @@ class Supervisor:
         if reset.estop > self.estops:
             return f"no such emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
         return None
+
+    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
+        first, self.stopped_outside = not self.stopped_outside, True
+        effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)
+        if first:
+            detail = "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
+            effects.append(Announce(Kind.STOPPED_OUTSIDE, detail))
+        return effects
 
     def _bus_opened(self, now_ns: int) -> list[Effect]:
         recovered, self._opened, self._bus_ok = self._opened, True, True

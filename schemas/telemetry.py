@@ -54,6 +54,7 @@ class Kind(StrEnum):
     BUS_FAULT = "bus_fault"
     BUS_RECOVERED = "bus_recovered"
     STOPPING = "stopping"
+    STOPPED_OUTSIDE = "stopped_outside"
 
 
 class Cause(StrEnum):

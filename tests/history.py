@@ -4,7 +4,13 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Self
 
+from gateway.events import StoppedOutside
 from gateway.protocol.frames import Op
+
+STOP_SERVOS = {
+    "stop-servos at work": StoppedOutside(at_work=True),
+    "stop-servos ended": StoppedOutside(at_work=False),
+}
 
 
 class Violation(AssertionError):  # noqa: N818  (the model checker's word for it)

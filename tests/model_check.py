@@ -24,7 +24,7 @@ from gateway.pacing import RateSlots, StartQueue, Waiting
 from gateway.protocol.frames import STOP, Op, ServoOp
 from gateway.supervisor import TRANSITIONS, Supervisor
 from schemas.telemetry import Mode
-from tests.history import Violation, demand
+from tests.history import STOP_SERVOS, Violation, demand
 from tests.oracle import Oracle
 
 TICK: Final = 10
@@ -85,6 +85,7 @@ _SUPERVISOR_FIELDS: Final = {
     "estops",
     "_latched_ns",
     "_ended",
+    "stopped_outside",
     "expirations",
     "mode",
     "due_ns",
@@ -137,6 +138,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         supervisor._opened,
         supervisor._bus_ok,
         supervisor._ended,
+        supervisor.stopped_outside,
         min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
@@ -183,6 +185,7 @@ def events(configuration: Configuration, mode: Mode, order: int, estops: int) ->
         yield "reset of an older one", Reset(order, estop=estops - 1)
         yield "reset of none that was", Reset(order, estop=estops + 1)
         yield "reset without a number", Reset(order)
+    yield from STOP_SERVOS.items()
     yield "bus failed", BusFailed("a test's fault")
     yield "bus opened", BusOpened()
     if configuration.ends:

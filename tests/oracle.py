@@ -20,6 +20,7 @@ from gateway.events import (
     Reset,
     Settled,
     ShutDown,
+    StoppedOutside,
     TimePassed,
     Transmit,
 )
@@ -43,7 +44,7 @@ class Oracle:
         self.pending: dict[int, bool] = {}
         """Accepted commands without an answer, and whether a newer one has replaced something of them."""
         self._lost: set[int] = set()  # commands of which the watchdog dropped something in this step
-        self.opened = self.bus_ok = self.ended = False
+        self.opened = self.bus_ok = self.ended = self.outside = False
         self.estops = 0
         self.latched_ns: int | None = None
         self.instant_ns = 0
@@ -90,7 +91,7 @@ class Oracle:
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
         pending = tuple(self.pending[order] for order in sorted(self.pending))
-        return self.opened, self.bus_ok, self.ended, latched, pause, pending, legs, servos
+        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
         """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
@@ -143,6 +144,14 @@ class Oracle:
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
                 told = any(isinstance(effect, Announce) and effect.kind is Kind.ESTOP_ENGAGED for effect in effects)
                 demand(told != engaged, "an emergency stop is announced once")
+            case StoppedOutside(at_work=False):
+                self.outside = False
+                self._in_time(event, now_ns, effects)
+            case StoppedOutside():
+                known, self.outside = self.outside, True
+                self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
+                told = any(isinstance(effect, Announce) and effect.kind is Kind.STOPPED_OUTSIDE for effect in effects)
+                demand(told != known, "Stops from outside are announced once")
             case BusOpened():
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
@@ -174,7 +183,9 @@ class Oracle:
                 self._answered(effect.order)
         demand(not self.pending, "nothing waits any more")
 
-    def _in_time(self, event: Command | Reset | TimePassed, now_ns: int, effects: Sequence[Effect]) -> None:
+    def _in_time(
+        self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int, effects: Sequence[Effect]
+    ) -> None:
         frames = [effect for effect in effects if isinstance(effect, Transmit)]
         if not self.bus_ok:
             demand(not frames, "nothing is sent while the bus is at fault")
@@ -275,6 +286,8 @@ class Oracle:
         if self.mode in _CLOSED:
             return _CLOSED[self.mode]
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        if moves and self.outside:
+            return Reason.SERVO_STOPPED
         for _, servo_id, op in moves:
             low, high = self.rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
             if not low <= op.angle_cdeg <= high:

@@ -12,6 +12,7 @@ from gateway.events import (
     Reset,
     Settled,
     ShutDown,
+    StoppedOutside,
     TimePassed,
     Transmit,
 )
@@ -124,6 +125,10 @@ class Steps:
 
     def estop(self, at_ms: float) -> list[str]:
         return self.take(at_ms, EmergencyStop("somebody"))
+
+    def outside(self, at_ms: float, *, at_work: bool) -> list[str]:
+        """`stop-servos` is seen at work, or its end is."""
+        return self.take(at_ms, StoppedOutside(at_work))
 
     def fail(self, at_ms: float) -> list[str]:
         return self.take(at_ms, BusFailed("EIO"))

@@ -43,6 +43,9 @@ class FailingDevice:
     def turn(self) -> AbstractContextManager[None]:
         return nullcontext()
 
+    def stop_servos_at_work(self) -> bool:
+        return False
+
     def close(self) -> None:
         pass
 

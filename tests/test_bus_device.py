@@ -48,6 +48,9 @@ class Devices:
         self.turns += 1
         return nullcontext()
 
+    def stop_servos_at_work(self) -> bool:
+        return False
+
     def close(self) -> None:
         self.open_now -= 1
 

@@ -61,6 +61,9 @@ class Bed:
         yield
         self.log.append((self.now_ns, "end"))
 
+    def stop_servos_at_work(self) -> bool:
+        return False
+
     def close(self) -> None:
         pass
 

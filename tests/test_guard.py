@@ -37,6 +37,9 @@ class Recorder:
     def turn(self) -> AbstractContextManager[None]:
         return nullcontext()
 
+    def stop_servos_at_work(self) -> bool:
+        return False
+
     def close(self) -> None:
         self.closed += 1
 

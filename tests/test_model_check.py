@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from gateway.events import Command, Effect, EmergencyStop, Event, Refused, Reset, TimePassed
+from gateway.events import Command, Effect, EmergencyStop, Event, Refused, Reset, StoppedOutside, TimePassed
 from gateway.legs import Leg, Legs, Rules, Servo
 from gateway.pacing import RateSlots, StartQueue
 from gateway.supervisor import Supervisor
@@ -286,7 +286,7 @@ class LatchLostInFault(Supervisor):
 class LateCommandsCount(Supervisor):
     """A command that comes after the deadline, but before anyone looked, saves its leg."""
 
-    def _in_time(self, event: Command | Reset | TimePassed, now_ns: int) -> list[Effect]:
+    def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
         if isinstance(event, Command) and self._refusal(event) is None:
             for servo_id, _ in event.targets:
                 self.legs.by_number[servo_id // 10].heard_ns = now_ns
@@ -335,6 +335,23 @@ class RecoversWithoutStops(Supervisor):
     def _bus_opened(self, now_ns: int) -> list[Effect]:
         effects = super()._bus_opened(now_ns)
         return [effect for effect in effects if getattr(effect, "cause", None) is not Cause.STARTUP]
+
+
+class BelievesInStopsFromOutside(Supervisor):
+    """All count as stopped, and one that was started after its Stop from outside runs on."""
+
+    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
+        effects = super()._stop_with_outside(now_ns)
+        return [effect for effect in effects if getattr(effect, "cause", None) is not Cause.REPEAT]
+
+
+class StartsBesideStopServos(Supervisor):
+    """A start is taken that a Stop from outside undoes, unseen."""
+
+    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
+        effects = super()._stop_with_outside(now_ns)
+        self.stopped_outside = False
+        return effects
 
 
 class OneSilentLegOnly(Supervisor):
@@ -391,6 +408,8 @@ class AllAtOnce(Legs):
         (ONE_SERVO, EmergencyStopAfterSlots, "a Stop to each leg and nothing else"),
         (ONE_SERVO, ResetInTheSameInstant, "a reset refused for estopped"),
         (ONE_LEG, RecoversWithoutStops, "a Stop to each leg"),
+        (ONE_LEG, BelievesInStopsFromOutside, "a Stop to each leg"),
+        (ONE_LEG, StartsBesideStopServos, "refused for servo_stopped|announced once"),
         (WHOLE_ROBOT, OneSilentLegOnly, "not heard for the timeout"),
         (STAGGERED, with_legs(AllAtOnce), "with a pause"),
     ],

@@ -2,7 +2,17 @@
 
 import pytest
 
-from gateway.events import BusFailed, BusOpened, Command, EmergencyStop, Event, Reset, ShutDown, TimePassed
+from gateway.events import (
+    BusFailed,
+    BusOpened,
+    Command,
+    EmergencyStop,
+    Event,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+)
 from gateway.legs import Rules
 from gateway.pacing import NS_PER_MS
 from gateway.supervisor import TRANSITIONS, IllegalEvent
@@ -204,6 +214,7 @@ EVENTS: dict[type[Event], Event] = {
     EmergencyStop: EmergencyStop(),
     BusOpened: BusOpened(),
     BusFailed: BusFailed("EIO"),
+    StoppedOutside: StoppedOutside(at_work=True),
     TimePassed: TimePassed(),
     ShutDown: ShutDown(),
 }
@@ -249,6 +260,7 @@ def test_what_may_not_come_when() -> None:
     assert illegal == {
         (Mode.STARTING, Command),
         (Mode.STARTING, Reset),
+        (Mode.STARTING, StoppedOutside),
         (Mode.IDLE, BusOpened),
         (Mode.ACTIVE, BusOpened),
         (Mode.ESTOPPED, BusOpened),

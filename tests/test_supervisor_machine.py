@@ -17,6 +17,7 @@ from gateway.events import (
     Event,
     Reset,
     ShutDown,
+    StoppedOutside,
     TimePassed,
     Transmit,
 )
@@ -154,6 +155,11 @@ class SupervisorMachine(RuleBasedStateMachine):
         """What comes from now on came one by one."""
         self.now_ns += 1
         self.instant_ns = None
+
+    @rule(rarely=st.integers(0, 3), at_work=st.booleans(), wait_ns=WAITS_NS)
+    def stop_servos(self, rarely: int, at_work: bool, wait_ns: int) -> None:
+        if StoppedOutside in TRANSITIONS[self.supervisor.mode] and (rarely == 0 or not at_work):
+            self.step(StoppedOutside(at_work), wait_ns)
 
     @rule(wait_ns=WAITS_NS)
     def bus_opens(self, wait_ns: int) -> None:

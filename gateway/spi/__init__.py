@@ -13,5 +13,8 @@ class SpiDevice(Protocol):
     def turn(self) -> AbstractContextManager[None]:
         """The time of one frame, in which no other program's transfers come between this one's."""
 
+    def stop_servos_at_work(self) -> bool:
+        """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
+
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""

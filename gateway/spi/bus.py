@@ -112,6 +112,10 @@ class Bus:
             raise
         self.frames += 1
 
+    def stop_servos_at_work(self) -> bool:
+        """Whether `stop-servos` stops the servos through the same device now."""
+        return self._device is not None and self._device.stop_servos_at_work()
+
     @property
     def preamble_ns(self) -> int:
         """How long a preamble takes, one zero in each turn of a loop."""

@@ -56,6 +56,10 @@ class GuardedDevice:
         """The device's turn."""
         return self._device.turn()
 
+    def stop_servos_at_work(self) -> bool:
+        """As the device sees it."""
+        return self._device.stop_servos_at_work()
+
     def close(self) -> None:
         """Release the device."""
         self._device.close()

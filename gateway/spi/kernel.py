@@ -9,6 +9,7 @@ from typing import Final
 
 from gateway.descriptors import Spare, ran_out
 from gateway.errors import SpiError
+from gateway.spi.outside import Listener
 
 PATIENCE_S: Final = 0.25
 PATIENCE_BESIDE_S: Final = 1.0
@@ -38,12 +39,14 @@ class KernelDevice:
         self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_BESIDE_S
         self._spare = spare
         self._spi = spidev.SpiDev()
+        self._listener: Listener | None = None
         # Whatever it raises is a fault of the device: spidev has raised SystemError and TypeError where a kernel did
         # what it had not expected, and the gateway must go on to its Stops.
         try:
             self._open(path)
             if exclusive:
                 fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._listener = Listener(self._spi.fileno())
             self._spi.mode = 0
             self._spi.bits_per_word = 8
             self._spi.lsbfirst = False
@@ -112,8 +115,13 @@ class KernelDevice:
         with suppress(OSError):
             fcntl.lockf(self._spi.fileno(), fcntl.LOCK_UN, 1, place)
 
+    def stop_servos_at_work(self) -> bool:
+        """Whether `stop-servos` stops the servos through the same device now, as its gateway sees it."""
+        return self._listener is not None and self._listener.look()
+
     def close(self) -> None:
         """Release the device."""
+        self._listener = None
         with suppress(Exception):  # nothing is left to be done about it
             self._spi.close()
         if self._spare is not None:

@@ -109,6 +109,10 @@ class SimulatedController:
         """No other program can reach this controller."""
         return nullcontext()
 
+    def stop_servos_at_work(self) -> bool:
+        """No other program can reach this controller."""
+        return False
+
     def close(self) -> None:
         """Nothing to release: the controller and its servos outlive the connection to them, and may be opened again."""
 

@@ -193,6 +193,30 @@ def test_hanging_with_a_stuck_journal(robot: Robot) -> None:
     assert robot.unit.properties("Result", "ExecMainStatus") == ["watchdog", str(int(signal.SIGABRT))]
 
 
+def test_stop_servos_beside_the_service(robot: Robot) -> None:
+    """By root and by somebody in the group spi, beside the sandboxed service: it takes its servos as stopped."""
+    robot.unit.systemctl("start")
+    node = robot.emulated
+    for user in ((), ("setpriv", "--reuid=65534", "--regid=spi", "--clear-groups")):
+        client, _ = start_moving(robot)
+        client.close()
+        with robot.journal() as journal:
+            command = (
+                *user,
+                "env",
+                *node,
+                f"/opt/{NAME}/venv/bin/{NAME}",
+                "stop-servos",
+                "--config",
+                "/box-out/stop.toml",
+            )
+            robot.box.write("/box-out/stop.toml", 'spi.framing = "plain"\n')
+            said = robot.box.run(*command).stdout
+            assert "The running gateway takes all servos as stopped" in said
+            journal.wait_for_output("stop-servos stopped all servos past the gateway")
+        assert "refused: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
+
+
 def test_no_framing(robot: Robot) -> None:
     """Neither the service nor stop-servos guesses: exit code 2, said twice in two lines, and nothing on the wire."""
     before = len(robot.bed.transfers)

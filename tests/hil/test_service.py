@@ -23,7 +23,7 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.gateway_process import COMMAND, Gateway, write_settings
 from tests.heard import events, states
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Replay, Wire, settings_for, start
+from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
 
 pytestmark = pytest.mark.hil
 
@@ -250,21 +250,11 @@ def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
     wire.expect_nothing()
 
 
-def test_stop_servos_beside_a_running_gateway(tmp_path: Path, wire: Wire) -> None:
-    with start(tmp_path, wire) as gateway, gateway.client() as client:
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
-        stop_servos(wire, config_for(tmp_path, wire))
-        for _ in range(4):
-            wire.expect_opening(*STOPS)
-        assert client.set_leg(3, 91, 45, 120).accepted  # the gateway does not know, and the controller ignores it
-        wire.expect(SET_3)
-
-
 def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     """A transfer between an announcement and its body would put the controller out of step, and Stops would be lost."""
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
     legs = {str(leg): leg_payload("start", (90, 90, 90)) for leg in range(1, 7)}
+    stops = {str(leg): leg_payload("stop") for leg in range(1, 7)}  # are taken also once it is known to be at work
     spi = {"frame_gap_us": 1000}  # half of the time is between the two
     watchdog = {"repeats": 25, "repeat_interval_ms": 1}
     config = write_settings(tmp_path / "stop.toml", settings_for(wire, spi=spi, watchdog=watchdog))
@@ -273,6 +263,7 @@ def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Pa
         child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
         while child.returncode is None:
             client.publish(keys.LEGS_COMMAND, {"legs": legs})
+            client.publish(keys.LEGS_COMMAND, {"legs": stops})
             time.sleep(0.01)  # its rhythm, as fast as the gateway may send
         assert child.wait(LATE_S) == 0, str(child)
         gateway.child.terminate()
@@ -295,13 +286,13 @@ def test_a_program_that_keeps_its_turn_for_ever_holds_nobody_up_for_long(
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
     node = Path(spi_testbed.environment["UMOCKDEV_DIR"]) / DEVICE.lstrip("/")
     with node.open("r+b") as hung:
-        fcntl.lockf(hung, fcntl.LOCK_EX)
+        fcntl.lockf(hung, fcntl.LOCK_EX, 2)  # the bytes of the turns
         with start(tmp_path, wire) as gateway, gateway.client() as client:
             assert client.estop().stop_frames == 6
             wire.expect(*STOPS)
             stop_servos(wire, config_for(tmp_path, wire))
-            for _ in range(4):
-                wire.expect_opening(*STOPS)
+            theirs = [each.data for each in wire.skip() if each.opening != 1]  # the gateway's own Stops beside them
+            assert theirs == opening_of(wire.framing, *STOPS) * 4
 
 
 # ---- whose device

@@ -324,7 +324,9 @@ class Model:
             self.remark = Remark(Tone.BAD, f"NO RESET: {ack.reason}: {visible(ack.detail or '')}", now_ns)
 
 
-_BAD: Final = frozenset({Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPING})
+_BAD: Final = frozenset(
+    {Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING}
+)
 
 
 def _started_s(state: GatewayState) -> float:

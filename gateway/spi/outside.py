@@ -1,0 +1,97 @@
+"""How a running gateway learns of `stop-servos` on its device: record locks on two bytes, as for the bus (`kernel`).
+
+`stop-servos` holds one byte from its first Stops on, and stays until no gateway waits to see it. A gateway holds the
+other from the moment it has the device, and lets go of it as long as it sees the first one held. So `stop-servos` has
+been seen when it leaves, and without a gateway it does not wait. Locks need no rights but those on the device, and end
+with their process.
+"""
+
+import fcntl
+import os
+import struct
+import time
+from contextlib import suppress
+from typing import Final
+
+PATIENCE_S: Final = 0.5
+"""How long `stop-servos` stays at most; a gateway looks ten times a second, and one that hangs is not waited for."""
+_LOOK_PAUSE_S: Final = 0.002
+_AT_WORK, _UNSEEN = 2, 3  # bytes of the device; 0 and 1 are the bus lock's
+_FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
+
+
+class Listener:
+    """The gateway's side, on the device that it has open."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
+
+    def look(self) -> bool:
+        """Whether `stop-servos` is at work; takes some microseconds. Never raises."""
+        # In this order: who finds nobody waiting after its last Stop was seen at work by the look before.
+        self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
+        at_work = _held(self._fd, _AT_WORK)
+        if at_work:
+            self._waits = not _lock(self._fd, fcntl.F_UNLCK, _UNSEEN)
+        return at_work
+
+
+class Notice:
+    """The side of `stop-servos`. It has a descriptor of its own, since the device is opened anew for each round."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._fd: int | None = None
+        self.gateway_runs = False
+        """Whether a gateway was there to see it."""
+
+    def give(self) -> None:
+        """Be seen at work from now on, as soon as there is a device. Never raises: the Stops are what matters."""
+        if self._fd is None:
+            with suppress(OSError):
+                self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
+                _lock(self._fd, fcntl.F_RDLCK, _AT_WORK)  # shared: two may be at work
+                self.gateway_runs = _held(self._fd, _UNSEEN)
+
+    def end(self) -> bool:
+        """Stay until a running gateway has seen it, and go; false: it has not, in time. Call it after all Stops."""
+        if self._fd is None:
+            return True
+        give_up_s = time.monotonic() + PATIENCE_S
+        seen = self._wait_for(self._fd, give_up_s, unseen=False)
+        _lock(self._fd, fcntl.F_UNLCK, _AT_WORK)
+        if self.gateway_runs and seen:
+            self._wait_for(self._fd, give_up_s, unseen=True)  # it has seen the end, too, and takes starts again
+        os.close(self._fd)
+        self._fd = None
+        return seen
+
+    @staticmethod
+    def _wait_for(fd: int, give_up_s: float, *, unseen: bool) -> bool:
+        while _held(fd, _UNSEEN) is not unseen:
+            if time.monotonic() > give_up_s:
+                return False
+            time.sleep(_LOOK_PAUSE_S)
+        return True
+
+
+def _lock(fd: int, kind: int, place: int) -> bool:
+    """Take or leave a lock without waiting; false where that cannot be.
+
+    Locks of the open file and not of the process: those end whenever the process closes the device anywhere.
+    """
+    try:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
+    except OSError:
+        return False
+    return True
+
+
+def _held(fd: int, place: int) -> bool:
+    """Whether another program holds a lock there."""
+    try:
+        answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
+    except OSError:  # nothing to lock: the device goes
+        return False
+    return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

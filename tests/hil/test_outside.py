@@ -1,0 +1,109 @@
+"""`stop-servos` beside a running gateway, each a process on the emulated device: what the gateway then says is true."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from schemas.telemetry import GatewayState, Kind, Mode, Reason
+from tests.child import Child
+from tests.gateway_process import COMMAND, Gateway, write_settings
+from tests.heard import events
+from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, settings_for, start
+
+pytestmark = pytest.mark.hil
+
+NOTICED = "The running gateway takes all servos as stopped"
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
+    with start(tmp_path, wire) as gateway:
+        yield gateway
+
+
+def stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:
+    settings = settings_for(wire, watchdog={"repeats": repeats, "repeat_interval_ms": 20})
+    child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(write_settings(folder / "stop.toml", settings))])
+    assert child.wait(LATE_S) == 0, str(child)
+    return child
+
+
+def running(state: GatewayState) -> set[int]:
+    return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
+
+
+def test_the_gateway_says_that_its_servos_are_stopped_and_a_start_moves_them_again(
+    tmp_path: Path, wire: Wire, gateway: Gateway
+) -> None:
+    with gateway.client() as client:
+        heard = events(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        own = wire.bed.transfers[-1].opening
+        child = stop_servos(tmp_path, wire)
+        assert NOTICED in child.stdout
+        # All of this holds at once when it has ended, not some time later.
+        state = client.state()
+        assert (state.mode, running(state)) == (Mode.IDLE, set())
+        assert "nothing moves until it is started again" in heard.wait(lambda e: e.kind is Kind.STOPPED_OUTSIDE).detail
+        assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
+        written = wire.skip()
+        ours = [each.data.hex() for each in written if each.opening == own and len(each.data) == 14]
+        theirs = [each.data.hex() for each in written if each.opening != own and len(each.data) == 14]
+        assert ours == STOPS, "one Stop of the gateway's own for each leg"
+        assert theirs == STOPS * 4
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        assert running(client.state()) == {31, 32, 33}
+        assert [event.kind for event in heard.all if event.kind is Kind.STOPPED_OUTSIDE] == [Kind.STOPPED_OUTSIDE]
+
+
+@pytest.mark.parametrize("repeats", [0, 5])
+def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
+    tmp_path: Path, wire: Wire, gateway: Gateway, repeats: int
+) -> None:
+    """Starts before, between and after its Stops: of each that was accepted, the state says what became of it."""
+    with gateway.client() as client:
+        over = threading.Event()
+        refused: set[str | None] = set()
+
+        def start_legs() -> None:
+            while not over.is_set():
+                for leg in range(1, 7):
+                    refused.add(client.start_leg(leg, 90, 45, 120).reason)
+
+        for _ in range(3):
+            over.clear()
+            starter = threading.Thread(target=start_legs)
+            starter.start()
+            try:
+                stop_servos(tmp_path, wire, repeats)
+            finally:
+                over.set()
+                starter.join(LATE_S)
+            replay = Replay(wire.framing)
+            replay.play(wire.bed.transfers)
+            assert replay.energised_for_good() == running(client.state())
+            assert not replay.controller.corruptions
+        assert refused <= {None, Reason.SERVO_STOPPED}
+        assert Reason.SERVO_STOPPED in refused, "while it is at work, nothing is started"
+
+
+def test_without_a_gateway_it_says_nothing_of_one(tmp_path: Path, wire: Wire) -> None:
+    assert stop_servos(tmp_path, wire).stdout.splitlines() == [
+        "Stop written to all six legs, 4 times each, on /dev/spidev0.0"
+    ]
+
+
+def test_a_gateway_that_hangs_is_not_waited_for(tmp_path: Path, wire: Wire, gateway: Gateway) -> None:
+    gateway.child.send_signal(signal.SIGSTOP)
+    try:
+        child = stop_servos(tmp_path, wire)
+    finally:
+        gateway.child.send_signal(signal.SIGCONT)
+    assert "has not noticed" in child.stdout
+    for _ in range(4):
+        wire.expect_opening(*STOPS)
