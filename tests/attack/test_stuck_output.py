@@ -230,9 +230,9 @@ def test_its_terminal_does_not_suspend_it(tmp_path: Path, tostop: str) -> None:
                 assert select.select([ours], [], [], 20)[0], said
                 said += os.read(ours, 4096)
 
-        wait_for(b"is ready")
-        number = int(said.partition(b"number ")[2].split()[0])
         try:
+            wait_for(b"is ready")
+            number = int(said.partition(b"number ")[2].split()[0])
             os.kill(number, signal.SIGTSTP)
             with Client(endpoint, timeout_s=ANSWER_S) as client:
                 assert client.estop().stop_frames == 6
