@@ -138,7 +138,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         deadline = loop.time() + END_S
         await _stop_the_robot(conductor, bus, settings.watchdog)
         conductor.close()
-        await _within(deadline - loop.time(), end.exit_code, doorkeeper.close, inbox.close, session.close)
+        await _within(deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close)
     finally:
         conductor.close()
         manager.close()
