@@ -1,7 +1,7 @@
 """The access control of the Zenoh files: one table of what people and a robot may say to each other.
 
 Keys are exact where others may declare: each declaration that is let in is kept and compared with all others, so an
-observer who may declare `hexapod/*` may declare 20 000 keys, and delay Stops by half a second. Where a message only
+observer who may declare `hexapod/*` may declare 20 000 keys, and Stops wait meanwhile. Where a message only
 passes, or the gateway itself declares, a wildcard costs nothing, and the contract wants it: a put on
 `hexapod/leg/*/cmd` means every leg.
 
