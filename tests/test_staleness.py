@@ -181,6 +181,13 @@ def test_bursts_with_pauses_between_them_never_pass_for_a_steady_way(staleness: 
     )
 
 
+def test_a_delay_of_just_what_is_allowed_is(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    assert publisher.arrives(1000) is None
+    assert publisher.arrives(1000, sent_at_ms=1000 - MAX_AGE_MS) is None
+    assert publisher.arrives(1000, sent_at_ms=1000 - MAX_AGE_MS - 0.5) is not None
+
+
 def test_commands_of_one_instant_may_come_in_any_order(staleness: Staleness) -> None:
     publisher = Publisher(staleness)
     publisher.streams(0, 1000)
@@ -315,6 +322,25 @@ def test_a_clock_first_heard_with_a_delay_lets_nothing_as_old_in_later(staleness
     assert not any(publisher.streams(3002, 9000))
     burst = [publisher.arrives(12_000 + index * 0.01, sent_at_ms=9000 + index * 20) for index in range(140)]
     assert all(late is not None for late in burst)
+
+
+def test_an_old_command_between_two_clocks_is_judged_by_the_one_heard_last(staleness: Staleness) -> None:
+    behind, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + 600)
+    for index in range(100):
+        assert behind.arrives(index * 20) is None
+        assert ahead.arrives(index * 20 + 10) is None
+    assert ahead.arrives(2000, sent_at_ms=2000 - 650) is not None, "by the other's clock it would be 50 ms old"
+
+
+def test_an_old_command_that_is_let_in_lets_no_older_one_of_another_clock_in(staleness: Staleness) -> None:
+    behind, ahead = Publisher(staleness, zero_ms=5e6 - 600), Publisher(staleness)
+    for index in range(100):
+        assert behind.arrives(index * 20) is None
+        assert ahead.arrives(index * 20 + 10) is None
+    assert behind.arrives(2000) is None
+    assert behind.arrives(2001, sent_at_ms=2001 - 150) is None
+    assert ahead.arrives(2002) is None
+    assert ahead.arrives(2003, sent_at_ms=2003 - 700) is not None
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 2**53), st.integers(0, 10**10)), max_size=60))

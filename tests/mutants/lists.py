@@ -2,6 +2,7 @@
 
 from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
+from tests.mutants.conductor import CONDUCTOR
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.intake import INTAKE
 from tests.mutants.legs import LEGS
@@ -16,6 +17,7 @@ SUBJECTS: tuple[Subject, ...] = (
     ZENOH_FILES,
     INTAKE,
     STALENESS,
+    CONDUCTOR,
     SUPERVISOR,
     LEGS,
     PACING,

@@ -59,8 +59,17 @@ STALENESS = Subject(
         Mutant(
             "        clock.newest_sent_ms = max(clock.newest_sent_ms, sent_ms)\n",
             "        clock.newest_sent_ms = sent_ms\n",
-            "after an old command, the order is forgotten",
-            equivalent="an old one fits in its order only where it is judged by its delay all the same",
+            "after an old command that is let in, an older one of another clock is let in, too",
+        ),
+        Mutant(
+            "            clock = max(near, key=_heard_last)\n",
+            "            clock = near[0]\n",
+            "an old command is judged by a clock that is behind its own",
+        ),
+        Mutant(
+            "        if delay_ms > self._max_age_ms:\n",
+            "        if delay_ms >= self._max_age_ms:\n",
+            "a delay of just what is allowed is rejected",
         ),
         Mutant(
             "        clock.baseline_ms = min(clock.baseline_ms, difference_ms)\n",

@@ -1,0 +1,299 @@
+"""Mutants of gateway/conductor.py: from received messages to written frames."""
+
+from tests.mutants.mutant import Mutant, Subject
+
+CONDUCTOR = Subject(
+    "gateway/conductor.py",
+    tests=(
+        "tests/test_conductor.py",
+        "tests/test_conductor_safety.py",
+        "tests/test_conductor_counts.py",
+        "tests/test_staleness.py",
+        "tests/test_preamble.py",
+        "tests/test_setting_effects.py",
+        "tests/test_stop.py",
+    ),
+    mutants=(
+        Mutant("FIRST_REOPEN_S: Final = 0.02", "FIRST_REOPEN_S: Final = 0.2", "after a fault, no Stop for 200 ms"),
+        Mutant("LAST_REOPEN_S: Final = 1.0", "LAST_REOPEN_S: Final = 5.0", "a device that is back is not looked for"),
+        Mutant("MAX_KEY: Final = 100", "MAX_KEY: Final = 100_000", "an event repeats what a stranger sent, at length"),
+        Mutant(
+            "        if fault is not None:\n            raise fault\n        self._arm()\n",
+            "        self._arm()\n",
+            "it starts although no Stop could be written",
+        ),
+        Mutant(
+            "        if fault is not None:\n            raise fault\n        self._arm()\n",
+            "        if fault is not None:\n            raise fault\n",
+            "the first Stops are not repeated",
+        ),
+        Mutant(
+            "            self._reopen()  # a last attempt",
+            "            pass  # a last attempt",
+            "a bus that has recovered gets no Stop at the end",
+        ),
+        Mutant(
+            "stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)\n        self._arm()\n",
+            "stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)\n",
+            "the last Stops are not repeated, and the end waits for ever",
+        ),
+        Mutant("return stop_frames >= len(LEGS)", "return True", "the end is taken for done though a leg got no Stop"),
+        Mutant("return stop_frames >= len(LEGS)", "return stop_frames > len(LEGS)", "the end is never taken for done"),
+        Mutant(
+            "            self._do_what_is_due(instant_ns)  # a full tick",
+            "            pass  # a full tick",
+            "a deadline waits for a tick that takes long",
+        ),
+        Mutant(
+            "            self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it\n        self._do_what_is_due(instant_ns)\n",
+            "            self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it\n",
+            "no watchdog while nobody commands",
+        ),
+        Mutant(
+            "            self._staleness.turned(now_ns)\n",
+            "            pass\n",
+            "every silence is taken for a pause of the gateway's own",
+        ),
+        Mutant(
+            "self._clock() >= self.supervisor.due_ns:",
+            "self._clock() > self.supervisor.due_ns:",
+            "woken when due, nothing is done",
+        ),
+        Mutant(
+            "self._clock() >= self.supervisor.due_ns:",
+            "instant_ns >= self.supervisor.due_ns:",
+            "a deadline waits for a tick that takes long",
+        ),
+        Mutant(
+            "            self._step(TimePassed(), instant_ns)\n",
+            "            self._step(TimePassed())\n",
+            "what a deadline stops is started by what the same tick had taken",
+        ),
+        Mutant(
+            "received.expression[:MAX_KEY]", "received.expression", "an event repeats what a stranger sent, at length"
+        ),
+        Mutant(
+            "source = intent.source or received.source",
+            "source = received.source or intent.source",
+            "a program cannot say who it is",
+        ),
+        Mutant(
+            "self._refuse(received.key, source, received.reply, Reason.STALE, too_old)\n            return\n",
+            "self._refuse(received.key, source, received.reply, Reason.STALE, too_old)\n",
+            "a delayed command is rejected and executed",
+        ),
+        Mutant(
+            "            self._step(Reset(number, source, received.key, intent.estop), instant_ns)\n",
+            "            self._step(Reset(number, source, received.key, intent.estop))\n",
+            "a reset beats an emergency stop of its instant",
+        ),
+        Mutant(
+            "Reset(number, source, received.key, intent.estop)",
+            "Reset(number, source, received.key)",
+            "no reset is taken within 2 s",
+        ),
+        Mutant(
+            "Reset(number, source, received.key, intent.estop)",
+            "Reset(number, source, received.key, self.supervisor.estops)",
+            "a reset that was sent before an emergency stop leaves it",
+        ),
+        Mutant(
+            "            self._step(Command(number, received.channel, intent.targets), instant_ns)\n",
+            "            self._step(Command(number, received.channel, intent.targets))\n",
+            "an older start overtakes a Stop of its instant",
+        ),
+        Mutant(
+            "Command(number, received.channel, intent.targets)",
+            "Command(number, received.key, intent.targets)",
+            "a put and a get of one key count as in order: a start overtakes a Stop",
+        ),
+        Mutant(
+            "Command(number, received.channel, intent.targets)",
+            'Command(number, "", intent.targets)',
+            "all keys count as in order: a start overtakes a Stop",
+        ),
+        Mutant(
+            "return None if intent.only_stops else too_old",
+            "return too_old",
+            "a Stop that was delayed on its way is rejected",
+        ),
+        Mutant("return None if intent.only_stops else too_old", "return None", "limits.max_age_ms is ignored"),
+        Mutant(
+            "        if self.supervisor.mode is Mode.BUS_FAULT:\n            self._reopen()\n        stop_frames",
+            "        stop_frames",
+            "an emergency stop waits until somebody looks for the device again",
+        ),
+        Mutant(
+            "self._step(EmergencyStop(received.source, received.key), instant_ns).count",
+            "self._step(EmergencyStop(received.source, received.key)).count",
+            "a reset beats an emergency stop of its instant",
+        ),
+        Mutant(
+            "latency_ns = max(0, self._clock() - received.received_ns)",
+            "latency_ns = 0",
+            "how long a Stop took is not told",
+        ),
+        Mutant(
+            "            self.metrics.emergency_stops.record(latency_ns)\n",
+            "            pass\n",
+            "how long a Stop took is not measured",
+        ),
+        Mutant(
+            "Ack(accepted=True, stop_frames=stop_frames,",
+            "Ack(accepted=True, stop_frames=6,",
+            "an answer says that six Stops were written though none was",
+        ),
+        Mutant(
+            "        if fault is not None:\n            self._bus_failed(fault)\n        self._tell_mode()\n        return written",
+            "        self._tell_mode()\n        return written",
+            "a bus that fails is used on as if nothing had happened",
+        ),
+        Mutant(
+            "            self._bus_failed(fault)\n        self._tell_mode()\n        return written",
+            "            self._bus_failed(fault)\n        return written",
+            "nobody hears of a change of mode",
+        ),
+        Mutant(
+            "if fault is not None and not effect.frame.is_stop:",
+            "if fault is not None:",
+            "when one Stop fails, the others are not tried",
+        ),
+        Mutant(
+            "if fault is not None and not effect.frame.is_stop:", "if False:", "after a failed Stop, servos are started"
+        ),
+        Mutant(
+            "first_repeat=repeats and not before)",
+            "first_repeat=False)",
+            "a repeated run of Stops finds a deaf controller",
+        ),
+        Mutant(
+            "first_repeat=repeats and not before)",
+            "first_repeat=repeats)",
+            "each repeated Stop waits for a preamble of its own",
+        ),
+        Mutant("first_repeat=repeats and not before)", "first_repeat=not before)", "a first Stop waits for a preamble"),
+        Mutant(
+            "                        fault = fault or error\n                        continue\n",
+            "                        fault = fault or error\n",
+            "a Stop that failed counts as written",
+        ),
+        Mutant("                    self.metrics.frames[effect.cause] += 1\n", "", "frames are not counted"),
+        Mutant(
+            "                        self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)\n",
+            "                        pass\n",
+            "how late a Stop was is not measured",
+        ),
+        Mutant(
+            "                case Settled() if fault is not None:\n",
+            "                case Settled() if False:\n",
+            "a command whose frame was not written is acknowledged",
+        ),
+        Mutant(
+            "                case Announce(kind=Kind.BUS_RECOVERED) if fault is not None:\n",
+            "                case Announce(kind=Kind.BUS_RECOVERED) if False:\n",
+            "a bus that did not take its Stops is told as recovered",
+        ),
+        Mutant("        if self._settings.telemetry.frames:\n", "        if True:\n", "telemetry.frames is ignored"),
+        Mutant("        self.bus.close()\n        effects", "        effects", "a device at fault is never released"),
+        Mutant(
+            "            effects = [effect for effect in effects if not isinstance(effect, Announce)]\n",
+            "            pass\n",
+            "one fault is told again and again",
+        ),
+        Mutant(
+            "        self._in_fault = True\n", "        self._in_fault = False\n", "one fault is told again and again"
+        ),
+        Mutant(
+            "        self._carry_out(effects)\n        if self.supervisor.mode is Mode.BUS_FAULT:\n",
+            "        if self.supervisor.mode is Mode.BUS_FAULT:\n",
+            "what was pending in a fault is never answered",
+        ),
+        Mutant(
+            "        if self.supervisor.mode is Mode.BUS_FAULT:\n            self._reopen_later()\n",
+            "",
+            "a device that is back is not looked for",
+        ),
+        Mutant(
+            "        self._bus_failed(fault)\n        self._tell_mode()\n        self._arm()\n",
+            "        self._tell_mode()\n        self._arm()\n",
+            "a zero that failed is forgotten",
+        ),
+        Mutant(
+            "self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)",
+            "pass",
+            "a device that is gone is looked for 50 times a second",
+        ),
+        Mutant(
+            "self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)",
+            "self._reopen_s = 2 * self._reopen_s",
+            "a device that is back is not looked for",
+        ),
+        Mutant(
+            '            logger.debug("the SPI device does not answer yet: %s", error)\n            self._reopen_later()\n',
+            '            logger.debug("the SPI device does not answer yet: %s", error)\n',
+            "a device that is back is looked for once only",
+        ),
+        Mutant("        self._step(BusOpened())\n", "        pass\n", "after a fault, servos go on as they were"),
+        Mutant(
+            "            self._in_fault = False\n            self._reopen_s",
+            "            self._reopen_s",
+            "a second fault is not told",
+        ),
+        Mutant(
+            "            self._reopen_s = FIRST_REOPEN_S\n            if",
+            "            if",
+            "after a second fault, no Stop for a second",
+        ),
+        Mutant("                self.done.set()\n", "                pass\n", "the end waits for its time to be over"),
+        Mutant(
+            "            if self.supervisor.mode is Mode.STOPPING:\n                self.done.set()\n",
+            "            self.done.set()\n",
+            "the end does not wait for the repeats",
+        ),
+        Mutant(
+            "and self._timer.when() <= due_s:",
+            "and False:",
+            "each command makes a new timer",
+            equivalent="only slower: the timer that is left alone comes early, and looks",
+        ),
+        Mutant("and self._timer.when() <= due_s:", "and True:", "a deadline that comes before the timer is overslept"),
+        Mutant("        self.metrics.accepted += 1\n", "", "accepted commands are not counted"),
+        Mutant("        self.metrics.coalesced += settled.coalesced\n", "", "replaced commands are not counted"),
+        Mutant(
+            "coalesced=True if settled.coalesced else None",
+            "coalesced=None",
+            "nobody is told that a target was replaced",
+        ),
+        Mutant("        self.metrics.rejected[reason] += 1\n", "", "rejected commands are not counted"),
+        Mutant(
+            "            self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))\n",
+            "            pass\n",
+            "who is rejected waits for an answer",
+        ),
+        Mutant(
+            "        if left_out is not None:\n            self._tell",
+            "        if True:\n            self._tell",
+            "a flood of rejected commands is a flood of events",
+        ),
+        Mutant(
+            "if received.key == keys.RESET and received.expression != keys.RESET:",
+            "if False:",
+            "a wildcard leaves the emergency stop",
+        ),
+        Mutant(
+            "    if received.verb is Verb.DELETE:\n        return stop_all_of(received.target)\n",
+            "",
+            "a delete stops nothing",
+        ),
+        Mutant(
+            "    if received.size > MAX_PAYLOAD_BYTES:\n        return too_large(received.size)\n",
+            "",
+            "a payload that was not read is called empty",
+        ),
+        Mutant(
+            "        if received.key == keys.ESTOP:\n",
+            "        if received.key == keys.ESTOP and received.verb is not Verb.DELETE:\n",
+            "a delete does not engage the emergency stop",
+        ),
+    ),
+)
