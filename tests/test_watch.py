@@ -83,6 +83,24 @@ def test_a_gateway_that_was_started_anew_is_noticed(uptime_s: float) -> None:
     assert model.rates() == Rates(10, 0, 0, 10)
 
 
+@pytest.mark.parametrize(("started_s", "restarted"), [(20.0, True), (0.0, False)])
+def test_a_restart_is_noticed_after_a_silence_whichever_has_run_for_longer(started_s: float, restarted: bool) -> None:
+    model = Model()
+    model.heard_state(state(0.4), 0, WALL)
+    model.heard_token(False, NS_PER_S, WALL)
+    model.heard_token(True, 2 * NS_PER_S, WALL)
+    model.heard_state(state(1.2, started_s=started_s), 2 * NS_PER_S, WALL)
+    model.heard_state(state(1.3, started_s=started_s), 3 * NS_PER_S, WALL)
+    assert kinds(model) == [*(["restarted"] if restarted else []), "back", "silent"]
+
+
+def test_others_that_answer_are_told_once() -> None:
+    model = Model()
+    for _ in range(3):
+        model.heard_others("2 programs answer", WALL)
+    assert kinds(model) == ["others_answer"]
+
+
 def test_an_answer_that_was_overtaken_changes_nothing() -> None:
     model = Model()
     model.heard_state(state(10.0, Mode.IDLE, frames=5), 0, WALL)

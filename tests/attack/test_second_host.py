@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import socket
 import time
 from collections.abc import Iterator
@@ -10,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client
 from gateway.errors import ZenohError
-from schemas import keys
 from schemas.telemetry import Mode
 from tests.child import Child
 from tests.gateway_process import COMMAND, Gateway, free_port
@@ -24,10 +24,11 @@ SLACK_S = 0.5
 """For a busy machine; on one at rest the difference was 0.00 to 0.21 s."""
 
 
-def hosts_file(folder: Path, *endpoints: str) -> Path:
+def hosts_file(folder: Path, *endpoints: str, open_timeout_ms: int = 1000) -> Path:
     """A laptop's Zenoh file with these hosts."""
     path = folder / f"{abs(hash(endpoints))}.json5"
-    path.write_text(json.dumps({"mode": "client", "connect": {"endpoints": endpoints}}))
+    transport = {"unicast": {"open_timeout": open_timeout_ms}}
+    path.write_text(json.dumps({"mode": "client", "connect": {"endpoints": endpoints}, "transport": transport}))
     return path
 
 
@@ -64,7 +65,7 @@ def test_a_stop_goes_by_the_second_host(tmp_path: Path, kind: str) -> None:
 def test_every_command_goes_by_the_second_host_and_ends_well(tmp_path: Path, command: list[str]) -> None:
     """The silent host is still being tried when the command ends: that must neither abort its end nor hold it up."""
     with Gateway(tmp_path) as gateway, no_way("silent") as nowhere:
-        config = hosts_file(tmp_path, nowhere, gateway.endpoint)
+        config = hosts_file(tmp_path, nowhere, gateway.endpoint, open_timeout_ms=60_000)
         child = Child([*COMMAND, *command, "--zenoh-config", str(config), "--timeout", "10"], os.environ)
         with closing(child):
             assert child.wait() == 0, child
@@ -86,9 +87,9 @@ def test_a_link_that_breaks_comes_back_by_the_other_host(tmp_path: Path, kind: s
     """The Stop, and what was subscribed to; the new gateway stands for the same one at its other address."""
     first, other = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     with no_way(kind) as nowhere:
-        config = hosts_file(tmp_path, first, nowhere, other)
+        config = hosts_file(tmp_path, nowhere, first, other)
         with Gateway(tmp_path, {"zenoh": {"listen": [first]}}) as before:
-            client = Client(None, zenoh_config=config, timeout_s=10)
+            client = Client(None, zenoh_config=config, timeout_s=20)
             heard = states(client)
             before.child.kill()
         with client, Gateway(tmp_path, {"zenoh": {"listen": [other]}}):
@@ -96,7 +97,21 @@ def test_a_link_that_breaks_comes_back_by_the_other_host(tmp_path: Path, kind: s
             count = len(heard.all)
             heard.wait(lambda _: True, count=count + 1)
             assert client.state().mode is Mode.ESTOPPED
-            client.publish(keys.leg_command(1), leg_payload("stop"))
+
+
+def test_a_stop_does_not_wait_until_a_link_that_is_dead_without_a_word_is_given_up(tmp_path: Path) -> None:
+    """A frozen gateway stands for the address that is lost, another one for the address that is left."""
+    with Gateway(tmp_path) as lost, Gateway(tmp_path) as left:
+        config = hosts_file(tmp_path, lost.endpoint, left.endpoint)
+        with Client(None, zenoh_config=config, timeout_s=20) as client:
+            client.state()
+            lost.child.send_signal(signal.SIGSTOP)
+            begun_s = time.monotonic()
+            assert client.estop().stop_frames == 6
+            took_s = time.monotonic() - begun_s
+            print(f"confirmed by the other host after {took_s:.3f} s")
+            assert took_s < LATER_S + SLACK_S
+            lost.child.send_signal(signal.SIGCONT)
 
 
 def test_nobody_anywhere_is_one_sentence_in_time(tmp_path: Path) -> None:

@@ -97,7 +97,8 @@ def test_a_gateway_behind_the_program_that_was_dialled_is_believed() -> None:
         assert client.answerers(keys.ESTOP) != {str(session.zid())}
 
 
-def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", [FALSE, "{}", '{"accepted": true}'])
+def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, text: str) -> None:
     """Zenoh's default asks a complete queryable alone, so a gateway that is a router's client would hear nothing."""
     router = f"tcp/127.0.0.1:{free_port()}"
     (tmp_path / "zenoh.json5").write_text('{ mode: "client" }')
@@ -105,11 +106,12 @@ def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path) -
     with (
         listening(router, "router"),
         Gateway(tmp_path, settings),
-        answering(router, FALSE, keys.ESTOP),
+        answering(router, text, keys.ESTOP),
         Client(router, timeout_s=20) as client,
     ):
         assert client.reset().accepted
-        client.estop()
+        for _ in range(TIMES):
+            assert client.estop().stop_frames == 6
         assert len(client.answerers(keys.ESTOP, wait_s=10)) == 2
         assert client.state().mode is Mode.ESTOPPED
 

@@ -116,6 +116,8 @@ class Model:
     _gone: bool = False
     _told: Presence = Presence.WAITING
     _samples: deque[_Sample] = field(default_factory=deque)
+    _back: bool = False
+    """It was silent, and no state has come since."""
     _warned: set[str] = field(default_factory=set)
     _asked_ns: int | None = None
     _pressed_ns: int = 0
@@ -127,11 +129,14 @@ class Model:
         """A state came, published or as an answer."""
         self._hear(now_ns, wall)
         known = self.state
-        if known is not None and state.uptime_s < known.uptime_s:
-            if abs(_started_s(state) - _started_s(known)) < SAME_START_S:
+        back, self._back = self._back, False
+        older = known is not None and state.uptime_s < known.uptime_s
+        if known is not None and (older or back):  # one that ended young may be outlived before the next is heard
+            if abs(_started_s(state) - _started_s(known)) >= SAME_START_S:
+                self._note(wall, "restarted", "the gateway was started anew", bad=True)
+                self._samples.clear()
+            elif older:
                 return  # an answer that a published state has overtaken
-            self._note(wall, "restarted", "the gateway was started anew", bad=True)
-            self._samples.clear()
         if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
             self._forget_remark_of_stop()
         self.state, self._state_ns, self.estop = state, now_ns, state.estop
@@ -191,6 +196,7 @@ class Model:
 
     def _hear(self, now_ns: int, wall: datetime) -> None:
         if self._told is Presence.SILENT and self._heard_ns is not None:
+            self._back = True
             away_s = (now_ns - self._heard_ns) / NS_PER_S
             self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
         self._heard_ns, self._gone, self._told, self.trouble = now_ns, False, Presence.LIVE, ""
