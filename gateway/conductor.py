@@ -82,7 +82,7 @@ class Conductor:
         self._loop = loop
         self._clock = clock
         self._simulated = simulated
-        self._started_ns = clock()
+        self._started_ns = self._instant_ns = clock()
         self._orders: dict[int, _Order] = {}
         self._numbers = itertools.count(1)
         self._refusals = RefusalLimit()
@@ -100,6 +100,8 @@ class Conductor:
         self.outbox = outbox
         self.take: Callable[[], Iterable[Received]] = tuple
         """Where messages come from; the service connects the inbox here once everything stands."""
+        self.instant_open: Callable[[], bool] = lambda: False
+        """Whether the next messages are of the same instant as the last; the inbox, as well."""
 
     # ---- start and end
 
@@ -139,8 +141,9 @@ class Conductor:
     # ---- what happens
 
     def tick(self) -> None:
-        """Take what came in and do what is due. One tick is one instant: nobody knows the order of what it takes."""
-        instant_ns = self.turn()
+        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
+        now_ns = self.turn()
+        instant_ns = self._instant_ns = self._instant_ns if self.instant_open() else now_ns
         for received in self.take():
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it

@@ -24,23 +24,27 @@ from zenoh.handlers import Handler, RingChannel
 
 from gateway.answers import Answers, Reply
 from gateway.realtime import WAITER_PRIORITY, prefer_thread
+from gateway.rings import RING_DEPTH, Receive, Rings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE, CommandKey
 
-RING_DEPTH: Final = 8
-"""Messages per key and tick: enough for a start, a stop and some setpoints sent in one go; more would only be older."""
 OTHER_DEPTH: Final = 16
 """The same for what names no key of ours; it is refused one by one, so there is no use in more."""
 LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """The doorbell can ring before the message has reached its key's own ring (two deliveries, one after the other, by a
 thread that may be interrupted in between). So a bell whose key had nothing is followed by some more looks."""
+LOOK_AFTER_FLOOD: Final = 2
+"""The first of these looks after wakeups were lost: later than the next tick of a flood, which looks anyway."""
+EARLY_S: Final = sum(LOOK_AGAIN_S)
+"""For how long a message's wakeup is expected after the message itself was taken."""
 
 FLOOD_PAUSE_S: Final = 0.001
 """How long a doorbell does not ring after a tick that found it full. Without it, ticks follow one another without a
 pause, and take the processor from the threads of Zenoh's that receive: what is in their sockets then grows old. A
 flooded leg's frames, p99, on a busy machine: 171 and 181 ms without the pause, 25 and 50 ms with it."""
 
-_PLACES: Final = {key: place for place, key in enumerate(COMMAND_KEYS)}
+_Item = zenoh.Sample | zenoh.Query
+_RING_KEYS: Final = COMMAND_KEYS.keys() - {ESTOP}
 
 logger = logging.getLogger(__name__)
 
@@ -141,19 +145,30 @@ class Inbox:
         self._estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._rung: set[str] = set()
-        self._missed: set[str] = set()
-        self._look_at: set[str] = set()
+        self._heard: dict[str, int] = {}
+        """How many messages of each key there are, by the wakeups since the last tick."""
+        self._missed: dict[str, int] = {}
+        """How many of them have been heard of before that, and not been taken yet."""
+        self._early: dict[str, int] = {}
+        """How many were taken before their wakeup was heard."""
+        self._early_until_s = 0.0
+        self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
+        self._look_at: Collection[str] = ()
         self._read_all = False
         self._look_again: asyncio.TimerHandle | None = None
         self._declared: list[Any] = []
         self._answers = Answers("answers")
         self._estop_answers = Answers("estop-answers")  # nobody else's answers are waited for
 
-        self._rings = {
-            key: (self._subscriber(session, key, RING_DEPTH), self._queryable(session, key, RING_DEPTH))
+        receivers: dict[str, tuple[Receive[_Item], Receive[_Item]]] = {
+            key: (
+                self._subscriber(session, key, RING_DEPTH).try_recv,
+                self._queryable(session, key, RING_DEPTH).try_recv,
+            )
             for key in COMMAND_KEYS
             if key != ESTOP
         }
+        self._rings = Rings[_Item](receivers, _may_stop)
         self._bells = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
@@ -174,26 +189,31 @@ class Inbox:
         self._threads += [self._answers.thread, self._estop_answers.thread]
 
     def take(self) -> Iterator[Received]:
-        """What the rings hold, at most a ring's depth per key: `legs`, then `leg`, then `servo`, then resets.
+        """What the rings hold: `legs`, then `leg`, then `servo`, then resets.
 
         The rings are read before the first message is dealt with: what is sent in answer to one of these messages is
         newer than all of them, and belongs to a later instant. Only the emergency stop is asked for before every
         message (its thread notes it by itself), so that nothing that waits comes before it.
         """
-        taken: set[str] = set()
+        taken: dict[str, int] = {}
         for received in self._take_commands():
             while self._estops:
                 yield self._estops.popleft()
-            taken.add(received.key)
+            if received.target is not None:
+                taken[received.key] = taken.get(received.key, 0) + 1
             yield received
         while self._estops:
             yield self._estops.popleft()
-        missed = self._rung - taken
-        self._missed = (self._missed | missed) - taken
-        if missed:
-            self._look(0)
+        self._compare(taken)
         self._rung.clear()
         self._read_all = False
+        if self._rings.instant_open:
+            self._loop.call_later(FLOOD_PAUSE_S, self._on_ring)  # to close it, if nothing else comes
+
+    @property
+    def instant_open(self) -> bool:
+        """Whether what is taken next is of the same instant as what was taken last."""
+        return self._rings.instant_open
 
     @property
     def hears(self) -> bool:
@@ -222,13 +242,13 @@ class Inbox:
 
     # ---- on the waiting threads
 
-    def _estop(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> Deal:
+    def _estop(self, item: _Item, received_ns: int) -> Deal:
         self._estops.append(_received(item, ESTOP, received_ns, self._estop_answers))
         return self._on_ring
 
     # ---- on the loop
 
-    def _bell(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> float | None:
+    def _bell(self, item: _Item, received_ns: int) -> float | None:
         # Empty the bells before the rings are read: a message that comes in between then rings again.
         self._note(item, received_ns)
         del item
@@ -242,58 +262,79 @@ class Inbox:
         self._on_ring()
         return FLOOD_PAUSE_S if flooded else None
 
-    def _note(self, item: "zenoh.Sample | zenoh.Query", received_ns: int) -> None:
+    def _note(self, item: _Item, received_ns: int) -> None:
         """A key of ours is read from its own ring; what names none of ours is refused from here."""
         key = str(item.key_expr)
-        if key in self._rings:
+        if key in _RING_KEYS:
             self._rung.add(key)
+            self._heard[key] = self._heard.get(key, 0) + 1
         elif key != ESTOP:
             named = (
                 {known for known in COMMAND_KEYS if item.key_expr.intersects(zenoh.KeyExpr(known))}
                 if "*" in key
                 else set[str]()
             )
-            self._rung |= named & self._rings.keys()
+            for each in named & _RING_KEYS:
+                self._rung.add(each)
+                self._heard[each] = self._heard.get(each, 0) + 1
             if not named:
                 self._others.append(_received(item, key, received_ns, self._answers))
                 return
         if isinstance(item, zenoh.Query):
             self._answers.let_go(item)
 
-    def _keys_to_read(self) -> Collection[str]:
-        """Those whose bell rang. All, where bells may have been lost, and where a timer woke the loop: a Stop whose
-        bell has not been heard yet goes before a frame whose turn has come. To look into all takes 30 µs.
-        """
-        if self._read_all or not (self._rung or self._look_at):
-            return self._rings
-        return sorted(self._rung | self._look_at, key=_PLACES.__getitem__)
-
     def _take_commands(self) -> list[Received]:
         now_ns = time.monotonic_ns()
-        found = [
-            _received(item, key, now_ns, self._answers)
-            for key in self._keys_to_read()
-            for ring in self._rings[key]
-            for item in _waiting_in(ring, RING_DEPTH)
-        ]
+        # Those whose bell rang. All, where bells may have been lost, and where a timer woke the loop: a Stop whose bell
+        # has not been heard yet goes before a frame whose turn has come. To look into all takes 4 µs.
+        keys = () if self._read_all else self._rung.union(self._look_at)
+        found: list[Received] = []
+        with suppress(zenoh.ZError):  # while the inbox closes, the loop still turns and may find its rings gone
+            found = [_received(item, key, now_ns, self._answers) for key, item in self._rings.read(keys)]
         found.extend(self._others)
         self._others.clear()
         return found
 
+    def _compare(self, taken: dict[str, int]) -> None:
+        """Look again, if more messages were heard of than taken: one of them has not reached its key's ring yet.
+
+        They are counted, since another message of the same key may have been taken in its place.
+        """
+        heard, self._heard = self._heard, {}
+        if self._read_all:
+            self._missed, self._early, self._lost_some = {}, {}, True
+            self._look(LOOK_AFTER_FLOOD)
+        elif taken != heard or self._early:
+            counts = (self._missed, heard, self._early, taken)
+            left = {
+                key: self._missed.get(key, 0) + heard.get(key, 0) - self._early.get(key, 0) - taken.get(key, 0)
+                for count in counts
+                for key in count
+            }
+            missed_more = any(count > self._missed.get(key, 0) for key, count in left.items())
+            self._missed = {key: count for key, count in left.items() if count > 0}
+            if not self._early:
+                self._early_until_s = self._loop.time() + EARLY_S
+            # No message may be forgotten for ever, because another was counted once too often.
+            late = self._loop.time() > self._early_until_s
+            self._early = {} if late else {key: -count for key, count in left.items() if count < 0}
+            if missed_more:
+                self._look(0)
+
     def _look(self, attempt: int) -> None:
         if self._look_again is not None:
             self._look_again.cancel()
-        if self._missed:
+        if self._missed or self._lost_some:
             self._look_again = self._loop.call_later(LOOK_AGAIN_S[attempt], self._looked, attempt)
 
     def _looked(self, attempt: int) -> None:
-        self._look_at = self._missed
+        self._look_at = () if self._lost_some else tuple(self._missed)
         self._on_ring()
-        self._look_at = set()
+        self._look_at = ()
         if attempt + 1 < len(LOOK_AGAIN_S):
             self._look(attempt + 1)
         else:
-            self._missed = set()  # it was taken with another of its key, before its own bell was heard
+            self._missed, self._lost_some = {}, False  # pushed out of its ring, or taken before its wakeup was heard
 
 
 def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:
@@ -307,7 +348,21 @@ def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:
     return found
 
 
-def _received(item: "zenoh.Sample | zenoh.Query", key: str, received_ns: int, answers: Answers) -> Received:
+def _may_stop(item: _Item) -> bool:
+    """Whether this may be a Stop: a quick look, which takes some others for one as well.
+
+    In JSON the word may be written with escapes, and each of them has a backslash.
+    """
+    if isinstance(item, zenoh.Sample) and item.kind == zenoh.SampleKind.DELETE:
+        return True
+    payload = item.payload
+    if payload is None or len(payload) > MAX_PAYLOAD_BYTES:
+        return False  # it is refused
+    data = payload.to_bytes()
+    return b"stop" in data or b"\\" in data
+
+
+def _received(item: _Item, key: str, received_ns: int, answers: Answers) -> Received:
     payload = item.payload
     size = len(payload) if payload is not None else 0
     if isinstance(item, zenoh.Query):

@@ -117,6 +117,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
         conductor.take = inbox.take
         doorkeeper = Doorkeeper(session)
+        conductor.instant_open = lambda: inbox.instant_open
         realtime.settle()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(

@@ -13,7 +13,7 @@ from gateway.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.robot import MS, Robot, leg, started, started_and_quiet
+from tests.robot import MS, Robot, leg, servo, started, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
@@ -150,6 +150,18 @@ async def test_a_servo_that_is_stopped_again_and_again_does_not_keep_its_legs_ot
     assert robot.controller.energised == {11, 12, 13}
     (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
     assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
+
+
+async def test_a_start_of_an_instant_that_is_still_open_does_not_come_after_its_stop() -> None:
+    robot = await started_and_quiet()
+    instant_open = True
+    robot.conductor.instant_open = lambda: instant_open
+    robot.put(keys.servo_command(31), servo("stop"))
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == set()
+    instant_open = False
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == {31, 32, 33}
 
 
 # ---- faults

@@ -1,12 +1,15 @@
-"""The doorbell: no message stays in its ring because its bell was lost, or because the loop was busy meanwhile.
+"""Wakeups: no message stays in its ring because its bell was lost, or because the loop was busy meanwhile.
 
 In one process, so that the loop can be held just while messages come in: a session's own messages take the same rings.
 """
 
 import asyncio
 import itertools
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import closing
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import Any
 
 import pytest
 import zenoh
@@ -15,7 +18,7 @@ from gateway.answers import Reply
 from gateway.inbox import OTHER_DEPTH, Inbox
 from gateway.settings import ZenohSettings
 from gateway.zenoh_setup import open_session, service_config
-from schemas.keys import COMMAND_KEYS, ESTOP
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP
 from tests.gateway_process import free_port
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
@@ -30,9 +33,9 @@ class Taker:
         self.ticks = 0
         self._changed = asyncio.Event()
         loop = asyncio.get_running_loop()
-        self.inbox = Inbox(session, loop, on_ring=self._tick, on_state_query=self._answer)
+        self.inbox = Inbox(session, loop, on_ring=self.tick, on_state_query=self._answer)
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
         self.ticks += 1
         self.taken += [received.key for received in self.inbox.take()]
         self._changed.set()
@@ -40,12 +43,15 @@ class Taker:
     def _answer(self, reply: Reply) -> None:
         reply(b"{}")
 
-    async def wait_for(self, *wanted: str) -> None:
-        """Until all these keys have been taken; forgets them."""
+    async def wait_until(self, condition: Callable[[], bool]) -> None:
         async with asyncio.timeout(PATIENCE_S):
-            while not set(wanted) <= set(self.taken):
+            while not condition():
                 self._changed.clear()
                 await self._changed.wait()
+
+    async def wait_for(self, *wanted: str) -> None:
+        """Until all these keys have been taken; forgets them."""
+        await self.wait_until(lambda: set(wanted) <= set(self.taken))
         self.taken.clear()
 
 
@@ -87,3 +93,75 @@ async def test_one_message_takes_one_tick(session: zenoh.Session, taker: Taker) 
         session.put(key, b"{}")
         await taker.wait_for(key)
         assert taker.ticks <= 2 * number, "a second look is rare, and ends"
+
+
+class LateRings:
+    """A session whose messages reach a wakeup's ring and their key's when the test says so."""
+
+    def __init__(self) -> None:
+        self.rings: dict[str, LateRing] = {}
+
+    def declare_subscriber(self, key: str, _: object) -> "LateRing":
+        return self.rings.setdefault(key, LateRing())
+
+    def declare_queryable(self, _key: str, _ring: object) -> "LateRing":
+        return LateRing()
+
+
+class LateRing:
+    """A subscriber and its ring in one."""
+
+    def __init__(self) -> None:
+        self.handler = self
+        self._items: SimpleQueue[Sample | None] = SimpleQueue()
+
+    def put(self, item: "Sample | None") -> None:
+        self._items.put(item)
+
+    def recv(self) -> "Sample":
+        item = self._items.get()
+        if item is None:
+            raise zenoh.ZError("closed")
+        return item
+
+    def try_recv(self) -> "Sample | None":
+        return None if self._items.empty() else self._items.get()
+
+    def undeclare(self) -> None:
+        self.put(None)
+
+
+@dataclass
+class Sample:
+    """As much of one as the inbox looks at."""
+
+    key_expr: str
+    payload: None = None
+    encoding: None = None
+    source_info: None = None
+    kind = zenoh.SampleKind.PUT
+
+
+@pytest.mark.parametrize("early", [0, 1])
+@pytest.mark.parametrize("beside", [0, 1])
+async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: int, beside: int) -> None:
+    """Also when another of the same key is taken in its place, or was taken before its own wakeup was heard."""
+    key, other = KEYS[3], KEYS[4]
+    late: Any = LateRings()
+    taker = Taker(late)
+    wakeups = late.rings[ALL_COMMANDS]
+    try:
+        for _ in range(early):
+            late.rings[key].put(Sample(key))
+            taker.tick()
+        for _ in range(beside):
+            late.rings[key].put(Sample(key))
+        late.rings[other].put(Sample(other))
+        # One of them is in the thread's hands while the first tick takes the others: here that of the other key.
+        for each in (key, other, *[key] * (early + beside)):
+            wakeups.put(Sample(each))
+        await taker.wait_until(lambda: len(taker.taken) == early + beside + 1)
+        late.rings[key].put(Sample(key))
+        await taker.wait_until(lambda: len(taker.taken) == early + beside + 2)
+    finally:
+        await asyncio.to_thread(taker.inbox.close)
