@@ -90,7 +90,8 @@ _SUPERVISOR_FIELDS: Final = {
     "mode",
     "due_ns",
 }
-_LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_orders", "_queue", "instant_ns"}
+# The last follows from what `due_ns` finds.
+_LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_orders", "_queue", "instant_ns", "repeat_ns"}
 
 
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
