@@ -7,15 +7,17 @@ WHEELS ?= dist/wheels
 # terminal, and a systemd to start in a box of its own.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus
 
-.PHONY: help run test check bench soak mutants schemas format clean wheels debian-packages
+.PHONY: help run quick test check bench soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller (makes $(VENV))"
-	@echo "make test     all tests"
+	@echo "make quick    ruff, mypy and the tests that start no process: under a minute, no root"
+	@echo "make test     all tests; installs Debian packages for the hardware tests (APT=no: does not)"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  faults made by hand in the modules that keep the robot safe: does a test fail for each?"
+	@echo "make docs     the Python API as HTML, in build/docs"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
@@ -24,6 +26,9 @@ help:
 run: $(VENV)/run
 	@$(BIN)/hexapod-gateway run --sim
 
+quick: check
+	$(BIN)/pytest -q tests/unit
+
 test: $(VENV)/dev debian-packages
 	$(BIN)/pytest $(PYTEST_ARGS)
 
@@ -31,6 +36,7 @@ check: $(VENV)/dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/mypy examples
 	$(BIN)/python -m schemas --check
 
 bench: $(VENV)/dev debian-packages
@@ -41,6 +47,10 @@ soak: $(VENV)/dev
 
 mutants: $(VENV)/dev
 	$(BIN)/python -m tests.mutants $(MUTANTS)
+
+docs: $(VENV)/dev
+	$(BIN)/pdoc --output-directory build/docs --no-show-source gateway.client schemas
+	@echo "open build/docs/index.html"
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas
@@ -74,14 +84,19 @@ $(VENV)/dev: $(VENV)/bin/python pyproject.toml
 		echo "spidev could not be built (python3-dev and gcc?); the hardware tests will be skipped"
 	@touch $@ $(VENV)/run
 
-# Root, or sudo without a password, installs what is missing; anyone else is told by the skipped tests.
+# Root, or sudo without a password, installs what is missing; anyone else is told by the skipped tests. `APT=no` installs
+# nothing.
+APT ?= yes
 debian-packages:
 	@missing=$$(dpkg-query -W -f='$${db:Status-Status} $${Package}\n' $(DEBIAN_PACKAGES) 2>/dev/null \
 		| awk '$$1 == "installed" {print $$2}' | sort > $(VENV)/.have; \
 		printf '%s\n' $(DEBIAN_PACKAGES) | sort | comm -23 - $(VENV)/.have | tr '\n' ' '); \
-	if [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
+	if [ -n "$$missing" ] && [ "$(APT)" = no ]; then \
+		echo "Not installed (APT=no), so the tests that need them are skipped: $$missing"; \
+	elif [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
 		if [ "$$(id -u)" = 0 ]; then sudo=; elif sudo -n true 2>/dev/null; then sudo=sudo; else exit 0; fi; \
-		echo "Installing Debian packages for the hardware tests: $$missing"; \
+		echo "Installing Debian packages (make test APT=no does not): $$missing"; \
+		echo "They emulate a kernel SPI device, make network namespaces, a terminal and a systemd of the tests' own."; \
 		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive \
 			apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
 	fi

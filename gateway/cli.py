@@ -71,7 +71,7 @@ def run(
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
-    Stops all six legs, then takes send. Exit codes: 0 stopped on request, 2 configuration, 3 SPI device, 4 Zenoh.
+    Stops all six legs, then takes commands. Exit codes: 0 stopped on request, 2 configuration, 3 SPI device, 4 Zenoh.
     """
     from gateway import settings
     from gateway.tools import serve

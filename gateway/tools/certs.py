@@ -15,7 +15,8 @@ app = typer.Typer(
     help="Certificates: who may reach the robot over the network, and as what.\n\n"
     "`init` makes a private CA and the robot's files, once; `issue` makes a laptop's, and the robot stays as it is. "
     "An operator commands and watches, an observer only watches, anyone else gets nothing.\n\n"
-    "Keep the folder on a machine you trust, not on the robot: whoever has its ca.key can let anyone in.",
+    "Keep the folder on a machine you trust, not on the robot: whoever has its ca.key can let anyone in.\n\n"
+    "Exit codes: 0 done, 2 an argument or the folder is wrong, and nothing was changed.",
 )
 
 Directory = Annotated[

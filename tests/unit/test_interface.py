@@ -1,0 +1,153 @@
+"""docs/interface.md is true and complete: each of its tables is compared with the code."""
+
+import json
+import re
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import annotated_types
+import pytest
+import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from gateway.cli import app
+from gateway.errors import ConfigError
+from gateway.settings import ServoLimits, Settings, load
+from schemas import keys
+from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason, WatchdogState
+
+INTERFACE = (Path(__file__).parents[2] / "docs" / "interface.md").read_text()
+
+
+def rows(heading: str) -> list[list[str]]:
+    """The cells of the table below a heading, its head left out."""
+    _, _, section = INTERFACE.partition(f"\n{heading}\n")
+    assert section, f"docs/interface.md has no heading {heading!r}"
+    table = re.search(r"(?:^\|.*\n)+", section.partition("\n#")[0] + "\n", re.MULTILINE)
+    assert table is not None, f"nothing stands in a table below {heading!r}"
+    lines = table[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def names(heading: str) -> list[str]:
+    """The first column, without its backticks."""
+    return [row[0].strip("`") for row in rows(heading)]
+
+
+def parts(annotation: Any) -> list[Any]:
+    """What a type is made of: `float | None` → float, None; `tuple[A, ...]` → A."""
+    if get_origin(annotation) in (Annotated, Union, UnionType, tuple):
+        return [part for argument in get_args(annotation) for part in parts(argument)]
+    return [annotation]
+
+
+def fields(model: type[BaseModel]) -> set[str]:
+    """The fields of a payload, those of the objects inside as `legs[].leg` and `spi.device`."""
+    found: set[str] = set()
+    for name, field in model.model_fields.items():
+        inner = {part for part in parts(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)}
+        joint = "[]." if get_origin(field.annotation) is tuple else "."
+        found |= {f"{name}{joint}{deeper}" for part in inner for deeper in fields(part)} or {name}
+    return found
+
+
+@pytest.mark.parametrize("model", [Ack, GatewayState, Event, FrameRecord])
+def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
+    assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
+
+
+def test_what_comes_in_has_these_fields() -> None:
+    assert set(names("### ServoCommand")) == set(MoveCommand.model_fields) | set(StopCommand.model_fields)
+    for model in (LegCommand, LegsCommand, ResetCommand):
+        assert set(names(f"### {model.__name__}")) == set(model.model_fields)
+
+
+@pytest.mark.parametrize("values", [Reason, Mode, Kind, Cause, WatchdogState])
+def test_these_are_all_values(values: Any) -> None:
+    assert sorted(names(f"### {values.__name__}")) == sorted(values)
+
+
+def test_these_are_all_keys() -> None:
+    written = {row[0].strip("`"): row[1] for row in rows("## Keys")}
+    spelled = {"leg/{1..6}": [f"leg/{leg}" for leg in LEGS], "servo/{11..63}": [f"servo/{each}" for each in SERVO_IDS]}
+    found: dict[str, str] = {}
+    for key, direction in written.items():
+        pattern = next((pattern for pattern in spelled if pattern in key), None)
+        for name in spelled[pattern] if pattern else [""]:
+            found[key.replace(pattern, name) if pattern else key] = direction
+    assert {key for key, direction in found.items() if direction == "in"} == set(keys.COMMAND_KEYS)
+    out = {value for name, value in vars(keys).items() if name.isupper() and isinstance(value, str)}
+    out -= {keys.ROOT, keys.ALL_COMMANDS, *keys.COMMAND_KEYS}
+    assert {key for key, direction in found.items() if direction == "out"} == out
+
+
+def settings() -> dict[str, FieldInfo]:
+    """Every setting by its dotted name."""
+    found: dict[str, FieldInfo] = {}
+    for section, table in Settings.model_fields.items():
+        assert isinstance(table.annotation, type)
+        for name, field in table.annotation.model_fields.items():
+            if (section, name) == ("limits", "servos"):
+                found |= {f"limits.servos.N.{inner}": each for inner, each in ServoLimits.model_fields.items()}
+            else:
+                found[f"{section}.{name}"] = field
+    return found
+
+
+def ends(field: FieldInfo) -> str:
+    """A setting's range as the table writes it: `0 to 1000`, or its words."""
+    constraints = [each for part in field.metadata for each in getattr(part, "metadata", [part])]
+    low = [each.ge for each in constraints if isinstance(each, annotated_types.Ge)]
+    high = [each.le for each in constraints if isinstance(each, annotated_types.Le)]
+    if low or high:
+        return f"{low[0]} to {high[0]}"
+    words: list[str] = []
+    for part in parts(field.annotation):
+        words += [str(word) for word in (get_args(part) or getattr(part, "__members__", {}).values())]
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -> None:
+    (tmp_path / "empty.toml").touch()
+    written = {row[0].strip("`"): row for row in rows("## Settings")}
+    found = settings()
+    assert sorted(written) == sorted(found)
+    for name, (_, default, limits, *_rest) in written.items():
+        field = found[name]
+        if name == "spi.framing":  # the one that has to be said for a real device
+            with pytest.raises(ConfigError, match="spi.framing"):
+                load(tmp_path / "empty.toml")
+            assert default == f'none; `"{load(tmp_path / "empty.toml", simulated=True).spi.framing}"` with `--sim`'
+        else:
+            assert json.loads(default.strip("`")) == json.loads(json.dumps(field.default)), name
+        assert limits == ends(field), name
+
+
+def commands() -> dict[str, str]:
+    """Every command with its help; a group's help where a command's own does not speak of exit codes."""
+    found: dict[str, str] = {}
+
+    def walk(command: Any, path: list[str], above: str) -> None:
+        text = command.help or ""
+        if hasattr(command, "commands"):
+            for name, inner in command.commands.items():
+                walk(inner, [*path, name], text)
+        else:
+            found[" ".join(path)] = text if "Exit codes" in text else above
+
+    walk(typer.main.get_command(app), [], "")
+    return found
+
+
+def test_these_are_all_commands_with_their_exit_codes() -> None:
+    written = {row[0].strip("`"): row[2] for row in rows("## Commands")}
+    found = commands()
+    assert sorted(written) == sorted(found)
+    for name, codes in written.items():
+        said = found[name].partition("Exit codes:")[2]
+        assert said, f"the help of {name} does not say its exit codes"
+        assert set(re.findall(r"\b\d\b", said)) == set(re.findall(r"\b\d\b", codes)), name
