@@ -131,6 +131,12 @@ class SimulatedController:
         """The ids of the servos whose PWM output is on now."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
 
+    @property
+    def missing(self) -> int:
+        """Bytes of a body that it still waits for; 0 where it awaits a length."""
+        self._expire_receive(self._clock())
+        return self._body_len - len(self._body)
+
     # ---- faults to order
 
     def fail_next(self, count: int) -> None:

@@ -1,0 +1,44 @@
+"""A byte is lost, or the machine stalls: the controller is out of step, and nothing comes back that could say so.
+
+A sample of a minute's faults on the simulated controller; `python -m tests.deaf` tries all of them (docs/deaf.md).
+"""
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from tests.deaf.faults import Tally, lose_bytes, recorded, stretch_gaps
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> Iterator[None]:
+    """A gateway says of each stop that it stopped, thousands of times here."""
+    logging.disable(logging.CRITICAL)
+    yield
+    logging.disable(logging.NOTSET)
+
+
+def check(tally: Tally) -> None:
+    assert tally.stops_after_repeat == [], "each Stop is executed at the latest with its first repeat"
+    assert tally.left_on == []
+    assert tally.deaf_ms <= 1000, "a stream is in step again within resync_ms"
+    assert [what for what in tally.unasked if "out of step" in what] == [], "nothing moves but by half a body"
+
+
+@pytest.mark.parametrize("tick_phase_ns", [0, 437_000])
+def test_a_byte_lost_anywhere(tick_phase_ns: int) -> None:
+    tally = lose_bytes(recorded(), every=61, tick_phase_ns=tick_phase_ns)
+    assert tally.faults > 1000
+    assert tally.missed_first_stops > 100, "which the repeats are for"
+    check(tally)
+
+
+@pytest.mark.parametrize("in_pause", [False, True])
+def test_a_stall_anywhere(in_pause: bool) -> None:
+    for tally in stretch_gaps(every=331, first=16 + in_pause, in_pause=in_pause).values():
+        check(tally)
+        # A stall that nothing could see costs the body behind it, which is then sent again.
+        assert tally.most_missed <= (0 if in_pause else 1), "no repeat and no stream has to come first"
+        assert not tally.unasked, "no half of a body is written"
+        assert not tally.corruptions

@@ -1,0 +1,42 @@
+"""python -m tests.deaf [--every N]: every byte of a minute lost once, every gap stretched; some minutes each."""
+
+import argparse
+import logging
+import sys
+import time
+
+from tests.deaf.faults import lose_bytes, recorded, stretch_gaps
+
+PHASES_NS = (0, 437_000)
+"""How far a tick of the controller's clock has gone when the scene begins."""
+
+
+def main() -> int:
+    """Print the figures; 1 where a Stop was missed together with its first repeat, or a servo left on."""
+    parser = argparse.ArgumentParser(description="Lost bytes and stalls, on the simulated controller.")
+    parser.add_argument("--every", type=int, default=1, help="one fault in so many (default: all)")
+    parser.add_argument("--only", choices=("bytes", "gaps"))
+    options = parser.parse_args()
+    logging.disable(logging.CRITICAL)  # what a stalled gateway says is not what is looked for
+    begun_s, bad = time.monotonic(), False
+    log = recorded()
+    print(f"{len(log)} transfers, {sum(len(each.data) for each in log)} bytes in a minute")
+    for phase_ns in PHASES_NS:
+        if options.only != "gaps":
+            lost = lose_bytes(log, every=options.every, tick_phase_ns=phase_ns)
+            bad |= bool(lost.stops_after_repeat)
+            print(f"bytes lost, ticks at {phase_ns} ns: {lost.text}", flush=True)
+        if options.only != "bytes":
+            in_pause = phase_ns > 0
+            where = "in the bus's pauses" if in_pause else "just before the first bit"
+            for stall_ms, stalled in stretch_gaps(
+                every=options.every, tick_phase_ns=phase_ns, in_pause=in_pause
+            ).items():
+                bad |= bool(stalled.stops_after_repeat or stalled.left_on)
+                print(f"stalls of {stall_ms:g} ms {where}, ticks at {phase_ns} ns: {stalled.text}", flush=True)
+    print(f"{time.monotonic() - begun_s:.0f} s")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,242 @@
+"""The real gateway, from received messages to the controller, in virtual time and without asyncio's loop: so the whole
+scene can be copied at any moment, and each copy be given another fault."""
+
+import asyncio
+import copy
+import heapq
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, NamedTuple, Self, cast
+
+from pydantic import BaseModel
+
+from gateway.conductor import Conductor
+from gateway.inbox import Received, Verb
+from gateway.protocol.frames import Frame
+from gateway.protocol.framing import Framing
+from gateway.service import rules
+from gateway.settings import Settings
+from gateway.spi.bus import Bus
+from gateway.spi.simulator import SimulatedController
+from gateway.supervisor import Supervisor
+from schemas import keys
+from tests.deaf.minute import Message
+from tests.deaf.watcher import Watcher
+
+MS = 1_000_000
+BEGIN_NS = 10_000 * MS
+TRANSFER_NS = 45_000
+"""Of a ONE LEG frame at 2.5 MHz, and about what the system call takes for any other."""
+SLEEP_LATE_NS = 60_000
+"""By how much a sleep takes longer than asked."""
+
+
+class Timer:
+    """A call that is due at a time."""
+
+    def __init__(self, when_ns: int, callback: Callable[..., object], arguments: tuple[object, ...]) -> None:
+        self.when_ns = when_ns
+        self._call: tuple[Callable[..., object], tuple[object, ...]] | None = (callback, arguments)
+
+    def when(self) -> float:
+        return self.when_ns / 1e9
+
+    def cancel(self) -> None:
+        self._call = None
+
+    def cancelled(self) -> bool:
+        return self._call is None
+
+    def run(self) -> None:
+        if self._call is not None:
+            callback, arguments = self._call
+            callback(*arguments)
+
+
+class VirtualLoop:
+    """What a conductor wants of a loop, in virtual time; unlike asyncio's, it can be copied."""
+
+    def __init__(self) -> None:
+        self.clock_ns = BEGIN_NS
+        self._timers: list[tuple[int, int, Timer]] = []
+        self._count = 0
+
+    @property
+    def next_ns(self) -> float:
+        """When the next timer is due."""
+        return self._timers[0][0] if self._timers else math.inf
+
+    def now_ns(self) -> int:
+        return self.clock_ns
+
+    def time(self) -> float:
+        return self.clock_ns / 1e9
+
+    def at_ns(self, when_ns: int, callback: Callable[..., object], *arguments: object) -> Timer:
+        timer = Timer(when_ns, callback, arguments)
+        self._count += 1
+        heapq.heappush(self._timers, (when_ns, self._count, timer))
+        return timer
+
+    def call_at(self, when_s: float, callback: Callable[..., object], *arguments: object) -> Timer:
+        return self.at_ns(round(when_s * 1e9), callback, *arguments)
+
+    def call_later(self, delay_s: float, callback: Callable[..., object], *arguments: object) -> Timer:
+        return self.at_ns(self.clock_ns + round(delay_s * 1e9), callback, *arguments)
+
+    def call_soon(self, callback: Callable[..., object], *arguments: object) -> Timer:
+        return self.at_ns(self.clock_ns, callback, *arguments)
+
+    def step(self) -> None:
+        """Run the next timer."""
+        when_ns, _, timer = heapq.heappop(self._timers)
+        self.clock_ns = max(self.clock_ns, when_ns)
+        timer.run()
+
+
+class Written(NamedTuple):
+    """A transfer as it was recorded."""
+
+    at_ns: int
+    data: bytes
+    repeat: bool
+    """Whether it is part of a repeated run of Stops."""
+
+
+class MarkedBus(Bus):
+    """A bus that says of each frame whether it repeats a Stop."""
+
+    repeating = False
+
+    def write(self, frame: Frame, *, first_repeat: bool = False) -> None:
+        self.repeating = (first_repeat or self.repeating) and frame.is_stop
+        super().write(frame, first_repeat=first_repeat)
+
+
+class Scene:
+    """A gateway, its controller, and a watcher of both; messages come at their times."""
+
+    def __init__(self, messages: Sequence[Message], *, resync_ms: float = 1000, tick_phase_ns: int = 0) -> None:
+        self.settings = Settings.model_validate({"spi": {"framing": "length-prefixed", "resync_ms": resync_ms}})
+        self.loop = VirtualLoop()
+        self.controller = SimulatedController(
+            Framing.LENGTH_PREFIXED, clock=self.loop.now_ns, tick_phase_ns=tick_phase_ns
+        )
+        self.watcher = Watcher(self.controller)
+        self.log: list[Written] = []
+        self._messages = messages
+        self._next_message = 0
+        self.transfers = 0
+        self._stall: tuple[int, int, bool] | None = None
+        self._waiting: list[Received] = []
+        spi = self.settings.spi
+        self.bus = MarkedBus(
+            self._open,
+            spi.framing,
+            frame_gap_ns=round(spi.frame_gap_us * 1000),
+            resync_ns=round(spi.resync_ms * 1e6),
+            clock=self.loop.now_ns,
+            pause=self._pause,
+        )
+        self.conductor = Conductor(
+            self.settings,
+            Supervisor(rules(self.settings)),
+            self.bus,
+            self,
+            cast(asyncio.AbstractEventLoop, self.loop),
+            clock=self.loop.now_ns,
+            simulated=True,
+        )
+        self.conductor.take = self._take
+        self.conductor.start()
+
+    # ---- the gateway's surroundings
+
+    def publish(self, key: str, report: BaseModel) -> None:
+        """The outbox's side: nobody listens."""
+
+    def _take(self) -> Iterator[Received]:
+        while self._waiting:
+            yield self._waiting.pop(0)
+
+    def _receive(self, message: Message) -> None:
+        fields: dict[str, Any] = {
+            "key": message.key,
+            "expression": message.key,
+            "target": keys.COMMAND_KEYS.get(message.key),
+            "verb": Verb.PUT,
+            "payload": message.payload,
+            "size": len(message.payload),
+            "encoding": "application/json",
+            "source": None,
+            "received_ns": self.loop.now_ns(),
+        }
+        self._waiting.append(Received(**fields))
+        self.conductor.tick()
+
+    def _open(self) -> Self:
+        return self
+
+    def _pause(self, duration_s: float) -> None:
+        self.loop.clock_ns += round(duration_s * 1e9) + SLEEP_LATE_NS
+        if self._stall is not None and self._stall[2]:
+            self._stand_still()
+
+    # ---- the device
+
+    def transfer(self, data: bytes) -> None:
+        self._stand_still()
+        repeat = self.bus.repeating and len(data) > 1
+        self.log.append(Written(self.loop.clock_ns, data, repeat))
+        self.controller.transfer(data)
+        self.watcher.saw(self.loop.clock_ns, data, repeat=repeat)
+        self.transfers += 1
+        self.loop.clock_ns += TRANSFER_NS
+
+    def _stand_still(self) -> None:
+        if self._stall is not None and self.transfers == self._stall[0]:
+            self.loop.clock_ns += self._stall[1]
+            self.watcher.fault_ns = self.loop.clock_ns
+            self._stall = None
+
+    def turn(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def close(self) -> None:
+        pass
+
+    # ---- time
+
+    def step(self) -> bool:
+        """The next message or timer; false where neither will ever come."""
+        self.bus.repeating = False
+        message_ns = math.inf
+        if self._next_message < len(self._messages):
+            message = self._messages[self._next_message]
+            message_ns = BEGIN_NS + round(message.at_ms * MS)
+        if message_ns < self.loop.next_ns:
+            self._next_message += 1
+            self.loop.clock_ns = max(self.loop.clock_ns, int(message_ns))
+            self._receive(message)
+        elif self.loop.next_ns < math.inf:
+            self.loop.step()
+        else:
+            return False
+        return True
+
+    def run_until(self, end_ns: int) -> None:
+        while self.loop.clock_ns < end_ns and self.step():
+            pass
+
+    def copy(self) -> "Scene":
+        """Another one that goes on from here by itself. What only counts, or is never changed, is shared."""
+        self.log.clear()
+        self.controller.transfers.clear()
+        shared = (self.settings, self._messages, self.conductor.metrics, self.bus.transfer_latency)
+        return copy.deepcopy(self, {id(each): each for each in shared})
+
+    def stall_at(self, transfer: int, duration_ns: int, *, in_pause: bool) -> None:
+        """Let the machine stand still before that transfer, counted from the start: in the bus's pause, where there is
+        one, or only when the bus has last looked at the clock."""
+        self._stall = transfer, duration_ns, in_pause
