@@ -15,7 +15,7 @@ from gateway.conductor import Conductor
 from gateway.inbox import Received, Verb
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import Framing
-from gateway.service import rules
+from gateway.service import BEAT_S, rules
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from gateway.spi.simulator import SimulatedController
@@ -150,8 +150,14 @@ class Scene:
         )
         self.conductor.take = self._take
         self.conductor.start()
+        self._beat()
 
     # ---- the gateway's surroundings
+
+    def _beat(self) -> None:
+        """The service's."""
+        self.conductor.turn()
+        self.loop.call_later(BEAT_S, self._beat)
 
     def publish(self, key: str, report: BaseModel) -> None:
         """The outbox's side: nobody listens."""
@@ -202,6 +208,9 @@ class Scene:
 
     def turn(self) -> AbstractContextManager[None]:
         return nullcontext()
+
+    def stop_servos_at_work(self) -> bool:
+        return False
 
     def close(self) -> None:
         pass
