@@ -10,7 +10,7 @@ check_framing() {
 		fail "$ETC may be looked into by root only: sudo $0 --dry-run"
 	fi
 	if [ -e $file ]; then
-		found=$(framing_in $file) || fail "$file is not TOML, or its [spi] no table; mend it first"
+		found=$(framing_in $file) || fail "$file is not TOML, or its [spi] no table; fix it first"
 	else
 		file=$HERE/gateway.toml
 	fi

@@ -147,7 +147,7 @@ build_venv() {
 }
 
 clean_up() {
-	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is mended" >&2
+	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is fixed" >&2
 	rm -rf ${sources:+"$sources"} ${said_framing:+"$said_framing"}
 	if [ -n "$unfinished" ]; then
 		rm -rf "$unfinished"

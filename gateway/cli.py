@@ -106,7 +106,7 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Leave the emergency stop. Nothing moves until it is started again.
 
-    Exit codes: 0 accepted, 1 refused, 4 no gateway answers.
+    Exit codes: 0 accepted, 1 rejected, 4 no gateway answers.
     """
     from gateway.tools import send
 
@@ -115,7 +115,7 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 @app.command()
 def check(config: ConfigOption = None) -> None:
-    """Say whether this machine can run the service, line by line, and how to mend what it lacks.
+    """Say whether this machine can run the service, line by line, and how to fix what it lacks.
 
     Looks only: nothing reaches the robot, and a running gateway is not disturbed. Exit codes: 0 it can, 1 it cannot,
     2 spi.framing is not set.
@@ -127,7 +127,7 @@ def check(config: ConfigOption = None) -> None:
 
 @app.command()
 def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Show the robot live in the terminal: legs, servos, rates, refusals, events; SPACE is the emergency stop.
+    """Show the robot live in the terminal: legs, servos, rates, rejections, events; SPACE is the emergency stop.
 
     A gateway that is not there is waited for; q ends it. Exit codes: 0; 1 the terminal cannot show it; 2 there is no
     terminal, or the --zenoh-config is faulty.
@@ -155,7 +155,7 @@ app.add_typer(certs.app, name="certs")
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "A leg that is started once is stopped again by the watchdog (after 250 ms, by default); --hold repeats the "
-    "command every 50 ms. Exit codes: 0 accepted, 1 refused (the reason is printed), 4 no gateway answers.",
+    "command every 50 ms. Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,
 )
 app.add_typer(send_app, name="send")
@@ -234,7 +234,7 @@ def main() -> None:
 
 def _end(code: int) -> NoReturn:
     """End with this exit code, without waiting for what still tries to reach another host."""
-    hosts = sys.modules.get("gateway.hosts")
+    hosts = sys.modules.get("gateway.edge.hosts")
     if hosts is not None and hosts.under_way():
         sys.stdout.flush()
         sys.stderr.flush()

@@ -22,10 +22,10 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 import zenoh
 from pydantic import BaseModel, Field, ValidationError
 
+from gateway.edge.hosts import Hosts
+from gateway.edge.question import JSON, Question
+from gateway.edge.session import client_config
 from gateway.errors import ZenohError
-from gateway.hosts import Hosts
-from gateway.question import JSON, Question
-from gateway.zenoh_setup import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack, Event, GatewayState
@@ -130,7 +130,7 @@ class Client:
     # ---- commands, fire and forget
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
-        """Send one command without waiting; a refusal shows on `hexapod/event` only."""
+        """Send one command without waiting; a rejection shows on `hexapod/event` only."""
         self.session.put(key, self._payload(key, payload), encoding=JSON, express=True)
 
     # ---- watching

@@ -15,25 +15,26 @@ from typing import Any, NoReturn, TypeVar
 
 import zenoh
 
-from gateway import descriptors, exposition, logs, realtime
-from gateway.conductor import Conductor
-from gateway.descriptors import Spare
-from gateway.doorkeeper import Doorkeeper
+from gateway.core.legs import Rules
+from gateway.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.core.supervisor import Supervisor
+from gateway.edge.doorkeeper import Doorkeeper
+from gateway.edge.inbox import Inbox
+from gateway.edge.outbox import ZenohOutbox
+from gateway.edge.session import open_session, service_config
 from gateway.errors import GatewayError
-from gateway.inbox import Inbox
-from gateway.legs import Rules
-from gateway.notify import Manager
-from gateway.outbox import ZenohOutbox
-from gateway.pacing import NS_PER_MS, NS_PER_S
+from gateway.host import descriptors, logs, realtime
+from gateway.host.descriptors import Spare
+from gateway.host.systemd import SystemdNotifier
 from gateway.protocol.frames import centidegrees
+from gateway.runtime import prometheus as exposition
+from gateway.runtime.conductor import Conductor
 from gateway.settings import Settings, WatchdogSettings
 from gateway.spi import SpiDevice
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
 from gateway.spi.simulator import SimulatedController
-from gateway.stop import MOST_PAUSE_MS, stop_once
-from gateway.supervisor import Supervisor
-from gateway.zenoh_setup import open_session, service_config
+from gateway.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.keys import STATE
 from schemas.robot import LEGS
 
@@ -82,7 +83,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = l
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     descriptors.ensure()
     realtime.prefer_process()
-    realtime.share_heaps()
+    realtime.limit_malloc_arenas()
     logs.set_up(settings.log)
     logs.keep_stacks()
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
@@ -93,7 +94,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = l
 async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None]) -> None:
     loop = asyncio.get_running_loop()
     end = _End(loop)
-    manager = Manager()
+    notifier = SystemdNotifier()
     config = service_config(settings.zenoh)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
     outbox = ZenohOutbox()
@@ -108,32 +109,32 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         first: tuple[asyncio.Future[Any], ...] = (opening, ended)
         await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
         if not opening.done():
-            manager.stopping()
+            notifier.stopping()
             await _stop_the_robot(conductor, bus, settings.watchdog)
             _leave(end.exit_code)
         ended.cancel()
         session = opening.result()
         outbox.open(session)
-        inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
+        inbox = Inbox(session, loop, on_wakeup=conductor.tick, on_state_query=conductor.answer_state)
         conductor.take = inbox.take
         doorkeeper = Doorkeeper(session)
         conductor.instant_open = lambda: inbox.instant_open
-        realtime.settle()
+        realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         conductor.announce_start()
-        manager.ready("takes commands")
+        notifier.ready("takes commands")
         on_ready()
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
-            asyncio.create_task(_beat(manager, conductor, inbox, end)),
+            asyncio.create_task(_beat(notifier, conductor, inbox, end)),
         ]
         for task in tasks:
             task.add_done_callback(end.task_done)
         await end.wait()
-        manager.stopping()
+        notifier.stopping()
         for task in tasks:
             task.cancel()
         deadline = loop.time() + END_S
@@ -142,7 +143,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         await _within(deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close)
     finally:
         conductor.close()
-        manager.close()
+        notifier.close()
     if end.failure is not None:
         raise GatewayError(end.failure)
 
@@ -238,13 +239,13 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
             outbox.publish(STATE, conductor.state())
 
 
-async def _beat(manager: Manager, conductor: Conductor, inbox: Inbox, end: _End) -> None:
+async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, end: _End) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell the manager that the loop turns and hears."""
     loop = asyncio.get_running_loop()
-    period_s = min(BEAT_S, manager.ping_period_s or BEAT_S)
+    period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
-        manager.alive()
-        conductor.turn()
+        notifier.alive()
+        conductor.lock()
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))

@@ -51,7 +51,7 @@ class SpiSettings(Section):
     framing: Framing = Framing.PLAIN
     # At most a millisecond: the pause holds the loop, six legs at a time.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 100.0
-    # At most ten seconds: a controller that is out of step hears no Set, and no first Stop, until then.
+    # At most ten seconds: a controller that is out of sync hears no Set, and no first Stop, until then.
     resync_ms: Annotated[float, Finite, Field(ge=0, le=10_000)] = 1000.0
 
     @field_validator("device")

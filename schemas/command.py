@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 MAX_PAYLOAD_BYTES: Final = 4096
-"""A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is refused unread."""
+"""A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is rejected unread."""
 
 MAX_SENT_MS: Final = 2**53
 """285 000 years; beyond it a double has no whole milliseconds. What is larger is a clock in other units."""
@@ -33,7 +33,7 @@ EstopNumber = Annotated[
 
 
 class Closed(BaseModel):
-    """Strict and frozen, and refuses fields it does not know."""
+    """Strict and frozen, and rejects fields it does not know."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
@@ -72,7 +72,7 @@ class LegCommand(LegSetpoint, Sender):
 
 
 class LegsCommand(Sender):
-    """The payload of `hexapod/legs/cmd`: one to six legs, accepted or refused as a whole."""
+    """The payload of `hexapod/legs/cmd`: one to six legs, accepted or rejected as a whole."""
 
     legs: Annotated[dict[Literal["1", "2", "3", "4", "5", "6"], LegSetpoint], Field(min_length=1)]
 

@@ -18,7 +18,7 @@ class Report(BaseModel):
 
 
 class Reason(StrEnum):
-    """Why a command was refused."""
+    """Why a command was rejected."""
 
     TOO_LARGE = "too_large"
     BAD_ENCODING = "bad_encoding"

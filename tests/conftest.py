@@ -6,14 +6,13 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import get_context
 from multiprocessing.pool import AsyncResult
-from pathlib import Path
 
 import async_solipsism
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from tests.model_check import CONFIGURATIONS, Report, check
+from tests.support.model_check import CONFIGURATIONS, Report, check
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(
@@ -46,5 +45,5 @@ def _search_ahead(request: pytest.FixtureRequest) -> None:
     Not beside tests with hardware, network or systemd, which have folders of their own and run before all others.
     """
     wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
-    if wanted and request.path.parent == Path(__file__).parent:
+    if wanted and request.path.parent.name in ("unit", "zenoh"):
         request.getfixturevalue("searches")

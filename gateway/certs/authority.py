@@ -158,7 +158,7 @@ def _sign(
         .public_key(key)
         .serial_number(x509.random_serial_number())
         .not_valid_before(max(now - BACKDATE, issuer.not_valid_before_utc))
-        # A leaf that outlives its CA would be refused while the list still calls it good.
+        # A leaf that outlives its CA would be rejected while the list still calls it good.
         .not_valid_after(min(now + dt.timedelta(days=days), issuer.not_valid_after_utc))
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_key_usage(ca=False), critical=True)

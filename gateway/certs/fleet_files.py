@@ -3,7 +3,7 @@
 Zenoh's access control compares a certificate's common name whole and cannot put it into a key expression, so the
 router's file has one block for each robot, and is made anew when a robot is added. Who is whom: `robot.NAME` the
 gateway of a robot, `operator.NAME` and `observer.NAME` its people, `gateway` the routers themselves.
-tests/test_fleet.py has the gateways, a router and people as processes of their own.
+tests/zenoh/test_fleet.py has the gateways, a router and people as processes of their own.
 """
 
 import json
@@ -28,7 +28,7 @@ _ROUTER = """\
     shared_memory: { enabled: false },
     link: {
       protocols: ["tls"],
-      // Who asks and does not read loses the link after 20 ms. With Zenoh's own 5 s, one such laptop held up everything
+      // Who asks and does not read loses the link after 20 ms. With Zenoh's own 5 s, one such laptop delayed everything
       // that the router receives, and all robots' links with it.
       tx: { lease: 1000, queue: { congestion_control: { block: { wait_before_close: 20000 } } } },
       // No message is put together to more than this many bytes, whoever sends it.

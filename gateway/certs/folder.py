@@ -247,11 +247,11 @@ def _port_and_namespace(config: Path) -> tuple[int, str]:
         read = zenoh.Config.from_file(str(config))
     except zenoh.ZError as error:
         reason = str(error).splitlines()[0]
-        raise ConfigError(f"cannot read {config}: {reason}; restore it, or mend what it names") from error
+        raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
     found = re.search(r'"tls/[^"]*:(\d+)', read.get_json("listen/endpoints"))
     if found is None:
         raise ConfigError(
-            f"{config} listens on no tls endpoint with a port: mend listen.endpoints, such as tls/[::]:7447"
+            f"{config} listens on no tls endpoint with a port: fix listen.endpoints, such as tls/[::]:7447"
         )
     return int(found[1]), json.loads(read.get_json("namespace")) or ""
 

@@ -1,8 +1,8 @@
 """The Zenoh files that go with the certificates: gateway.json5 for the robot, NAME.json5 for a laptop.
 
-Paths in them are relative and meant from the file's own folder (gateway/zenoh_config.py), so the folder can be made
+Paths in them are relative and meant from the file's own folder (gateway/edge/config_file.py), so the folder can be made
 on a laptop, copied to a robot, zipped, unzipped elsewhere. Every rule below has a test against real sessions
-(tests/test_certs_zenoh.py).
+(tests/zenoh/test_certs_zenoh.py).
 """
 
 import ipaddress
@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 
 from gateway.certs import access
-from gateway.zenoh_limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
+from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
 
 DEFAULT_PORT = 7447
 
@@ -121,7 +121,7 @@ Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it i
 In Python:
 
   import zenoh
-  from gateway.zenoh_config import load_client_config
+  from gateway.edge.config_file import load_client_config
   session = zenoh.open(load_client_config("path/to/@NAME@.json5"))
 
 Other Zenoh programs read the paths in @NAME@.json5 from the folder they are started in: start them in this one.

@@ -10,7 +10,7 @@ class SpiDevice(Protocol):
     def transfer(self, data: bytes) -> None:
         """Write `data` in one transaction. Raises `SpiError` when the device reports a fault."""
 
-    def turn(self) -> AbstractContextManager[None]:
+    def lock(self) -> AbstractContextManager[None]:
         """The time of one frame, in which no other program's transfers come between this one's."""
 
     def stop_servos_at_work(self) -> bool:

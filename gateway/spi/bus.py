@@ -1,11 +1,11 @@
 """The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters.
 
-In LENGTH_PREFIXED framing a controller can be out of step: a pause of a second between an announcement and its body, or
+In LENGTH_PREFIXED framing a controller can be out of sync: a pause of a second between an announcement and its body, or
 one lost byte, and it takes bodies for lengths and hears nothing, for as long as traffic goes on. Nothing comes back on
 the wire that could say so. So it is resynchronised, by the preamble's zeros (`Framing.preamble`):
 
 * after opening, and after a failed transfer: nobody knows what the controller saw;
-* before each repeated run of Stops, so that what put it out of step before cannot keep it from these;
+* before each repeated run of Stops, so that what put it out of sync before cannot keep it from these;
 * where an announcement is too old for its body: then both are written anew, behind the zeros;
 * once in `resync_ns` of a stream that goes on. An idle second does the same by itself.
 
@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Final
 
+from gateway.core.latency import Latency
 from gateway.errors import SpiError
-from gateway.latency import Latency
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.settings import SpiSettings
@@ -54,21 +54,21 @@ class Bus:
         *,
         frame_gap_ns: int,
         resync_ns: int = 0,
-        beside: bool = False,
+        shared_device: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
         """`resync_ns` 0: a stream that goes on is not resynchronised.
 
-        `beside` another program that writes: it does not know of our frames, so the pause is made on both sides.
+        `shared_device`: another program writes, and it does not know of our frames, so the pause is made on both sides.
         """
         self._open_device = open_device
         self._framing = framing
         self.announces = framing is Framing.LENGTH_PREFIXED
-        """Whether a controller can be out of step at all."""
+        """Whether a controller can be out of sync at all."""
         self._frame_gap_ns = frame_gap_ns
         self._resync_ns = resync_ns
-        self._beside = beside
+        self._shared_device = shared_device
         self._clock = clock
         self._pause = pause
         self._device: SpiDevice | None = None
@@ -89,7 +89,7 @@ class Bus:
         try:
             self._device = GuardedDevice(self._open_device(), self._framing)
             if self.announces:
-                with self._turn():
+                with self._bus_lock():
                     self._resynchronise()
         except SpiError:
             self.errors += 1
@@ -102,7 +102,7 @@ class Bus:
         Raises SpiError; the device stays open, for the next frame may be a Stop.
         """
         try:
-            with self._turn():
+            with self._bus_lock():
                 if self.announces:
                     self._write_announced(frame, first_repeat=first_repeat)
                 else:
@@ -128,7 +128,7 @@ class Bus:
         """
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
             try:
-                with self._turn():
+                with self._bus_lock():
                     self._zero()
             except SpiError:
                 self.errors += 1
@@ -149,25 +149,25 @@ class Bus:
         self._synchronised = self.resync_due = False
         self._zeros = 0
 
-    def _turn(self) -> AbstractContextManager[None]:
-        return self._device_turn() if self.announces else _AT_ONCE
+    def _bus_lock(self) -> AbstractContextManager[None]:
+        return self._device_lock() if self.announces else _AT_ONCE
 
     @contextmanager
-    def _device_turn(self) -> Iterator[None]:
+    def _device_lock(self) -> Iterator[None]:
         if self._device is None:
             raise SpiError("the SPI device is closed")
-        with self._device.turn():
-            if self._beside:
+        with self._device.lock():
+            if self._shared_device:
                 self._pause(self._frame_gap_ns / 1e9)
             yield
-            if self._beside:
+            if self._shared_device:
                 self._pause(self._frame_gap_ns / 1e9)
 
     def _write_announced(self, frame: Frame, *, first_repeat: bool) -> None:
         zeros_fault: SpiError | None = None
         if self._wants_preamble(frame, first_repeat=first_repeat):
             if frame.is_stop:
-                # Whatever comes of the zeros, the Stop is tried: the controller may be in step, and then it hears it.
+                # Whatever comes of the zeros, the Stop is tried: a synchronised controller hears it.
                 zeros_fault = self._fault_of_zeros()
             else:
                 self._resynchronise()
@@ -256,7 +256,7 @@ def bus_for(
     settings: SpiSettings,
     open_device: Callable[[], SpiDevice],
     *,
-    beside: bool = False,
+    shared_device: bool = False,
     clock: Callable[[], int] = time.monotonic_ns,
     pause: Callable[[float], None] = time.sleep,
 ) -> Bus:
@@ -266,7 +266,7 @@ def bus_for(
         settings.framing,
         frame_gap_ns=round(settings.frame_gap_us * 1000),
         resync_ns=round(settings.resync_ms * 1e6),
-        beside=beside,
+        shared_device=shared_device,
         clock=clock,
         pause=pause,
     )

@@ -1,6 +1,6 @@
 """The guard at the device's edge: nothing but legal frames, their announcements and the preamble reach SPI.
 
-The encoder cannot build anything else, so whatever is refused here is a bug of the gateway's own. The controller would
+The encoder cannot build anything else, so whatever is rejected here is a bug of the gateway's own. The controller would
 pay for it with its memory (it checks neither ids nor lengths), which is why the check is made once more, on the bytes.
 """
 
@@ -26,7 +26,7 @@ class IllegalTransferError(RuntimeError):
 
 
 class GuardedDevice:
-    """An SPI device that refuses, before the device sees a byte, all that `framing` cannot make of a legal frame.
+    """An SPI device that rejects, before the device sees a byte, all that `framing` cannot make of a legal frame.
 
     PLAIN: frames. Length-prefixed, where the controller may be in one of three states, so far as was written:
 
@@ -52,9 +52,9 @@ class GuardedDevice:
         self._device.transfer(data)
         self._announced_len, self._filled = announced_len, filled
 
-    def turn(self) -> AbstractContextManager[None]:
+    def lock(self) -> AbstractContextManager[None]:
         """The device's turn."""
-        return self._device.turn()
+        return self._device.lock()
 
     def stop_servos_at_work(self) -> bool:
         """As the device sees it."""

@@ -7,15 +7,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.descriptors import Spare, ran_out
 from gateway.errors import SpiError
+from gateway.host.descriptors import Spare, ran_out
 from gateway.spi.outside import Listener
 
 PATIENCE_S: Final = 0.25
-PATIENCE_BESIDE_S: Final = 1.0
+PATIENCE_SHARED_S: Final = 1.0
 """How long a turn is waited for, once: by the gateway, and by one beside it. A frame with its pauses takes 4 ms, on a
 busy machine some tens; who holds its turn for longer hangs, and Stops do not wait for that."""
-TURN_PAUSE_S: Final = 0.000_2
+LOCK_PAUSE_S: Final = 0.000_2
 _QUEUE, _TURN = 0, 1  # bytes of the device on which the locks lie; it has no bytes of its own to be locked
 
 
@@ -25,7 +25,7 @@ class KernelDevice:
     def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
 
-        `exclusive`: refuse a device that another gateway holds, since two writers would undo each other's Stops.
+        `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.
         `spare`: descriptors that are kept for this device while it is closed.
         """
         try:
@@ -36,7 +36,7 @@ class KernelDevice:
                 "or try --sim for a simulated controller"
             ) from error
         self._path = path
-        self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_BESIDE_S
+        self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_SHARED_S
         self._spare = spare
         self._spi = spidev.SpiDev()
         self._listener: Listener | None = None
@@ -77,7 +77,7 @@ class KernelDevice:
             raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Keep other programs that use turns from writing between the transfers of one frame.
 
         A Stop from `stop-servos` between an announcement and its body would be lost, and all that follows misread. The
@@ -104,7 +104,7 @@ class KernelDevice:
                 if time.monotonic() > give_up_s:
                     self._patience_s = 0.0
                     return False
-                time.sleep(TURN_PAUSE_S)
+                time.sleep(LOCK_PAUSE_S)
             except OSError:  # nothing to lock: the device goes, and the transfer will say so
                 return False
             else:

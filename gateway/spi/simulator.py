@@ -105,7 +105,7 @@ class SimulatedController:
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
 
-    def turn(self) -> AbstractContextManager[None]:
+    def lock(self) -> AbstractContextManager[None]:
         """No other program can reach this controller."""
         return nullcontext()
 

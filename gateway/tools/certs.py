@@ -41,7 +41,7 @@ def init(
         list[str],
         typer.Option(
             metavar="HOST",
-            help="A name or address by which laptops dial the robot; repeat it for each. Laptops refuse a robot "
+            help="A name or address by which laptops dial the robot; repeat it for each. Laptops reject a robot "
             "that they reach by any other. Example: --host robot.local --host 192.0.2.7",
             show_default=False,
         ),
@@ -60,7 +60,7 @@ def init(
 ) -> None:
     """Make a private CA, the robot's certificate, and the Zenoh configuration that lets in only its own.
 
-    Refuses a folder that has a CA already; never overwrites a file; leaves nothing half made.
+    Rejects a folder that has a CA already; never overwrites a file; leaves nothing half made.
     """
     certs.init(directory, host, days=days, port=port, namespace=namespace)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")

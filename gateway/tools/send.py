@@ -89,7 +89,7 @@ def estop(connect: Connection) -> int:
         stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
         if stopped:
             say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
-            hint("All commands are refused until `hexapod-gateway reset`.")
+            hint("All commands are rejected until `hexapod-gateway reset`.")
         else:
             written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
             say(f"latched, but {written}: switch the servos' power off")
@@ -121,5 +121,5 @@ def _report(ack: Ack, accepted: str) -> int:
     if ack.accepted:
         say(accepted + (" (a newer command replaced it while it waited)" if ack.coalesced else ""))
         return 0
-    say(f"refused: {ack.reason}: {ack.detail}")
+    say(f"rejected: {ack.reason}: {ack.detail}")
     return 1

@@ -1,7 +1,7 @@
 """`stop-servos`: the last resort, which must work when nothing else does, and at once."""
 
 from gateway.settings import Settings
-from gateway.stop import stop_servos as stop
+from gateway.spi.stop_all import stop_servos as stop
 from gateway.tools.terminal import say
 
 

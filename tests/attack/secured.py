@@ -9,9 +9,9 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client
-from gateway.zenoh_config import load_config
-from tests.gateway_process import Gateway, free_port
+from gateway.edge.config_file import load_config
 from tests.hil.bed import SpiTestbed
+from tests.support.gateway_process import Gateway, free_port
 
 HOST = "127.0.0.1"
 

@@ -1,4 +1,4 @@
-"""A byte is lost, or the machine stalls: the controller is out of step, and nothing comes back that could say so.
+"""A byte is lost, or the machine stalls: the controller is out of sync, and nothing comes back that could say so.
 
 A sample of a minute's faults on the simulated controller; `python -m tests.deaf` tries all of them (docs/deaf.md).
 """
@@ -22,8 +22,8 @@ def _quiet() -> Iterator[None]:
 def check(tally: Tally) -> None:
     assert tally.stops_after_repeat == [], "each Stop is executed at the latest with its first repeat"
     assert tally.left_on == []
-    assert tally.deaf_ms <= 1000, "a stream is in step again within resync_ms"
-    assert [what for what in tally.unasked if "out of step" in what] == [], "nothing moves but by half a body"
+    assert tally.deaf_ms <= 1000, "a stream is synchronised again within resync_ms"
+    assert [what for what in tally.unasked if "out of sync" in what] == [], "nothing moves but by half a body"
 
 
 @pytest.mark.parametrize("tick_phase_ns", [0, 437_000])

@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway.descriptors import NEEDED
-from gateway.doorkeeper import VISITORS
-from gateway.zenoh_limits import MAX_SESSIONS
+from gateway.edge.doorkeeper import VISITORS
+from gateway.host.descriptors import NEEDED
+from gateway.limits import MAX_SESSIONS
 from schemas.telemetry import Mode
 from tests.attack.secured import HOST, Secured
-from tests.gateway_process import Gateway
-from tests.heard import states
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS
+from tests.support.gateway_process import Gateway
+from tests.support.heard import states
 
 LIMIT = NEEDED + 60
 """Enough to start, and few enough to be taken quickly."""

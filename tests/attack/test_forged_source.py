@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client, leg_payload
-from gateway.staleness import SOURCES
+from gateway.core.staleness import SOURCES
 from schemas import keys
 from schemas.telemetry import Reason
-from tests.gateway_process import Gateway
+from tests.support.gateway_process import Gateway
 
 START = leg_payload("start", (90, 45, 120))
 DAY_MS = 86_400_000.0

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.gateway_process import COMMAND
+from tests.support.gateway_process import COMMAND
 
 
 @pytest.mark.parametrize("command", ["run", "stop-servos", "check"])

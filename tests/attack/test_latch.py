@@ -13,9 +13,9 @@ import zenoh
 from gateway.client import Client, leg_payload
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode, Reason
-from tests.cuttable import Link
-from tests.gateway_process import Gateway
-from tests.heard import Heard, events
+from tests.support.cuttable import Link
+from tests.support.gateway_process import Gateway
+from tests.support.heard import Heard, events
 
 START = leg_payload("start", (90, 45, 120))
 HELD_S = 0.7
@@ -67,7 +67,7 @@ def put(client: Client, key: str, payload: dict[str, Any]) -> None:
     )
 
 
-def refused(heard: Heard[Event], key: str, count: int = 1) -> Event:
+def rejected(heard: Heard[Event], key: str, count: int = 1) -> Event:
     return heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED and event.key == key, count=count)
 
 
@@ -89,9 +89,9 @@ def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
         pass_time(0.3)
         second = bystander.estop().estop
         assert (first, second) == (2 * attempt - 1, 2 * attempt)
-        link.mend()
-        refused(heard, keys.RESET, count=3 * attempt)
-        refused(heard, keys.leg_command(1), count=attempt)
+        link.fix()
+        rejected(heard, keys.RESET, count=3 * attempt)
+        rejected(heard, keys.leg_command(1), count=attempt)
         state = bystander.state()
         assert (state.mode, state.estop) == (Mode.ESTOPPED, second)
         assert not running(bystander)
@@ -109,8 +109,8 @@ def test_a_start_from_behind_a_cut_link_moves_nothing(
         link.cut()
         laptop.publish(keys.leg_command(1), START)
         pass_time(HELD_S)
-        link.mend()
-        event = refused(heard, keys.leg_command(1), count=attempt)
+        link.fix()
+        event = rejected(heard, keys.leg_command(1), count=attempt)
         assert (event.reason, event.source) == (Reason.STALE, "laptop")
         assert not running(bystander)
     assert laptop.start_leg(1, 90, 45, 120).accepted
@@ -128,7 +128,7 @@ def test_a_gateway_that_was_frozen_executes_nothing_that_waited_in_it(
         pass_time(FROZEN_S)
         gateway.child.send_signal(signal.SIGCONT)
         for leg in (2, 3, 4):
-            assert refused(heard, keys.leg_command(leg), count=attempt).reason is Reason.STALE
+            assert rejected(heard, keys.leg_command(leg), count=attempt).reason is Reason.STALE
         assert set(running(bystander)) <= {11, 12, 13}
         assert laptop.start_leg(2, 90, 45, 120).accepted, "its clock says that this one is fresh"
         assert bystander.stop().accepted

@@ -18,7 +18,7 @@ import pytest
 from gateway.client import Client, leg_payload, servo_payload
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
 from tests.benchmarks.subjects import program
-from tests.gateway_process import Gateway
+from tests.support.gateway_process import Gateway
 
 SETTINGS = {
     "telemetry": {"state_hz": 0},
@@ -71,7 +71,7 @@ def overtaken(client: Client, pairs: list[tuple[Way, Way]], tries: int) -> Count
     chance = random.Random(1)  # noqa: S311
     for pair in itertools.islice(itertools.cycle(pairs), tries):
         assert client.stop(1).accepted
-        for _ in range(chance.randrange(3)):  # tries are not to stay in step with the traffic
+        for _ in range(chance.randrange(3)):  # tries are not to stay synchronised with the traffic
             client.state()
         start, stop = pair
         send(client, start, STARTS)

@@ -14,10 +14,10 @@ import pytest
 from gateway.client import Client
 from gateway.errors import ZenohError
 from schemas.telemetry import Mode
-from tests.child import Child
-from tests.gateway_process import COMMAND, Gateway, free_port
-from tests.heard import states
-from tests.tmux import Terminal, need_tmux
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import states
+from tests.support.tmux import Terminal, need_tmux
 
 LATER_S = 0.5
 SLACK_S = 0.5
@@ -37,7 +37,7 @@ def no_way(kind: str) -> Iterator[str]:
     """An endpoint that leads nowhere; `silent`: it accepts, and then says nothing."""
     if kind == "unresolvable":
         yield "tcp/robot.invalid:7447"
-    elif kind == "refusing":
+    elif kind == "rejecting":
         yield f"tcp/127.0.0.1:{free_port()}"
     else:
         with socket.create_server(("127.0.0.1", 0)) as server:
@@ -52,7 +52,7 @@ def stop_s(config: Path) -> float:
         return time.monotonic() - begun_s
 
 
-@pytest.mark.parametrize("kind", ["unresolvable", "refusing", "silent"])
+@pytest.mark.parametrize("kind", ["unresolvable", "rejecting", "silent"])
 def test_a_stop_goes_by_the_second_host(tmp_path: Path, kind: str) -> None:
     with Gateway(tmp_path) as gateway, no_way(kind) as nowhere:
         first_s = min(stop_s(hosts_file(tmp_path, gateway.endpoint, nowhere)) for _ in range(3))
@@ -82,7 +82,7 @@ def test_watch_shows_and_stops_by_the_second_host(tmp_path: Path) -> None:
             terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
 
 
-@pytest.mark.parametrize("kind", ["refusing", "silent"])
+@pytest.mark.parametrize("kind", ["rejecting", "silent"])
 def test_a_link_that_breaks_comes_back_by_the_other_host(tmp_path: Path, kind: str) -> None:
     """The Stop, and what was subscribed to; the new gateway stands for the same one at its other address."""
     first, other = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
@@ -115,11 +115,11 @@ def test_a_stop_does_not_wait_until_a_link_that_is_dead_without_a_word_is_given_
 
 
 def test_nobody_anywhere_is_one_sentence_in_time(tmp_path: Path) -> None:
-    with no_way("silent") as silent, no_way("refusing") as refusing:
+    with no_way("silent") as silent, no_way("rejecting") as rejecting:
         begun_s = time.monotonic()
         with pytest.raises(ZenohError) as error:
-            Client(None, zenoh_config=hosts_file(tmp_path, silent, refusing), timeout_s=0.5)
+            Client(None, zenoh_config=hosts_file(tmp_path, silent, rejecting), timeout_s=0.5)
         assert time.monotonic() - begun_s < 0.5 + SLACK_S
         assert str(error.value) == (
-            f"no gateway answers on {silent}, {refusing}; is it running, and does it know your certificate?"
+            f"no gateway answers on {silent}, {rejecting}; is it running, and does it know your certificate?"
         )

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.exposition import MOST_REQUESTS
+from gateway.runtime.prometheus import MOST_REQUESTS
 from schemas.telemetry import Cause
-from tests.gateway_process import Gateway, free_port
-from tests.heard import frames
-from tests.test_metrics import read, value
+from tests.support.gateway_process import Gateway, free_port
+from tests.support.heard import frames
+from tests.zenoh.test_metrics import read, value
 
 SILENT = 300
 DESCRIPTORS = 260

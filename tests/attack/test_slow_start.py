@@ -5,7 +5,7 @@ import re
 import time
 from pathlib import Path
 
-from tests.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 
 STOPPED = r"servo \d\d stopped"
 

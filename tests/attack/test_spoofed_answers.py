@@ -11,12 +11,12 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload
+from gateway.edge.session import client_config, open_session
 from gateway.errors import ZenohError
-from gateway.zenoh_setup import client_config, open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
-from tests.gateway_process import COMMAND, Gateway, free_port
-from tests.tmux import Terminal, need_tmux
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.tmux import Terminal, need_tmux
 
 FALSE = '{"accepted": true, "stop_frames": 6, "latency_us": 1}'
 NONSENSE = ["{}", "nonsense", '{"accepted": true}', '{"accepted": true, "stop_frames": 6}', "[]", ""]

@@ -18,12 +18,12 @@ from typing import Any, Self
 import pytest
 
 from gateway.client import Client
-from gateway.outlet import KEPT
+from gateway.host.outlet import KEPT
 from schemas import keys
 from schemas.telemetry import Ack, Cause
-from tests.gateway_process import COMMAND, free_port, write_settings
-from tests.heard import frames
-from tests.test_metrics import read, value
+from tests.support.gateway_process import COMMAND, free_port, write_settings
+from tests.support.heard import frames
+from tests.zenoh.test_metrics import read, value
 
 ANSWER_S = 3.0
 """For an answer, or a Stop, that takes some milliseconds: without the fix, neither came at all."""
@@ -131,7 +131,7 @@ def check_stops_come(gateway: Unread, client: Client) -> None:
     """The watchdog's, the emergency stop's, and those of the end, with exit code 0."""
     heard = frames(client)
     assert client.start_leg(3, 90, 45, 120).accepted
-    assert not refused(client).accepted
+    assert not rejected(client).accepted
     heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, timeout_s=ANSWER_S)
     assert client.estop().stop_frames == 6
     begun = time.monotonic()
@@ -141,7 +141,7 @@ def check_stops_come(gateway: Unread, client: Client) -> None:
     assert time.monotonic() - begun < 1.5
 
 
-def refused(client: Client) -> Ack:
+def rejected(client: Client) -> Ack:
     """A command that is said in the log."""
     return client.ask(keys.leg_command(1), {"servos": []})
 
@@ -191,7 +191,7 @@ def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Pat
             lines = stuck.lines()
             said = next(json.loads(line)["message"] for line in lines if "left out" in line)
             assert said == f"{dropped:.0f} lines were left out here, since nobody read them in time"
-            assert not refused(client).accepted
+            assert not rejected(client).accepted
             assert "command_rejected" in next(line for line in lines if "rejected" in line), "it flows again"
         gateway.process.terminate()
         assert any("stopping" in line for line in lines), "to the end"

@@ -20,18 +20,18 @@ from pathlib import Path
 from statistics import median
 from types import FrameType
 
-from gateway.conductor import Conductor
-from gateway.inbox import Inbox
-from gateway.outbox import ZenohOutbox
+from gateway.core.supervisor import Supervisor
+from gateway.edge.inbox import Inbox
+from gateway.edge.outbox import ZenohOutbox
+from gateway.edge.session import open_session, service_config
+from gateway.runtime.conductor import Conductor
 from gateway.service import rules
 from gateway.settings import Settings
 from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
-from gateway.supervisor import Supervisor
-from gateway.zenoh_setup import open_session, service_config
 from tests.benchmarks.table import Row
-from tests.child import Child
-from tests.gateway_process import free_port
+from tests.support.child import Child
+from tests.support.gateway_process import free_port
 
 RUN_S = 4.0
 HZ = 40
@@ -81,7 +81,7 @@ async def _measure() -> tuple[float, float]:
     session = open_session(service_config(settings.zenoh))
     outbox.open(session)
     threading.setprofile(counter)  # the inbox's threads, which start now
-    inbox = Inbox(session, loop, on_ring=conductor.tick, on_state_query=conductor.answer_state)
+    inbox = Inbox(session, loop, on_wakeup=conductor.tick, on_state_query=conductor.answer_state)
     conductor.take = inbox.take
     command = [sys.executable, "-m", "tests.benchmarks.publisher", endpoint, "--legs", "3", "--hz", str(HZ)]
     with ExitStack() as stack:

@@ -21,7 +21,7 @@ from zenoh.handlers import RingChannel
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.zenoh_config import load_config
+from gateway.edge.config_file import load_config
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import (
@@ -36,8 +36,8 @@ from schemas.telemetry import (
     WatchdogState,
 )
 from tests.benchmarks.processes import cpu_ns, rss_kb
-from tests.child import Child
-from tests.gateway_process import free_port
+from tests.support.child import Child
+from tests.support.gateway_process import free_port
 
 HOST = "127.0.0.1"
 SIZES = (1, 10, 30)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from gateway.latency import percentile
-from tests.child import Child
+from gateway.core.latency import percentile
 from tests.hil.bed import PROGRAM, SYSTEM_PYTHON
+from tests.support.child import Child
 
 
 def cpu_ns(pid: int) -> int:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.zenoh_setup import client_config
+from gateway.edge.session import client_config
 from schemas.keys import LEGS_COMMAND, leg_command
 
 ANGLES = 180_00

@@ -24,8 +24,8 @@ from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
 from schemas.keys import leg_command
 from tests.benchmarks.processes import Figures, cpu_ns, fds, rss_kb, threads
-from tests.child import Child
-from tests.gateway_process import Gateway, free_port
+from tests.support.child import Child
+from tests.support.gateway_process import Gateway, free_port
 
 ASKS_HZ = 100
 SAMPLE_S = 5.0
@@ -120,7 +120,7 @@ def verdict(minutes: list[Minute]) -> str:
         lines.append(f"{name:18} {before:9.2f} {after:9.2f}  {aim}: {'met' if met else 'NOT MET'}")
     lines.append(
         f"p99 over all minutes: {min(p99s):.2f} to {max(p99s):.2f} ms, median {statistics.median(p99s):.2f} ms;"
-        f" {last.accepted} commands accepted, {last.rejected} refused"
+        f" {last.accepted} commands accepted, {last.rejected} rejected"
     )
     return "\n".join(lines)
 

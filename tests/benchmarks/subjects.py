@@ -10,8 +10,8 @@ from typing import Any
 from gateway.client import Client
 from tests.benchmarks.processes import OnDevice, Written
 from tests.benchmarks.publisher import number_of, read_log
-from tests.child import Child
-from tests.gateway_process import COMMAND, READY, free_port, write_settings
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
 
 SETTLE_S = 0.3
 """After a round: what is still under way arrives, and the gateway's watchdog has stopped the legs."""

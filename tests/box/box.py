@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from tests.child import Child
+from tests.support.child import Child
 
 PROGRAM = Path(__file__).with_name("systemd-box")
 SHARED_INSIDE = Path("/box-out")

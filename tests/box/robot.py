@@ -12,8 +12,8 @@ import pytest
 from gateway.protocol.frames import stop_leg
 from schemas.robot import LEGS
 from tests.box.box import SHARED_INSIDE, Box, Unit
-from tests.child import Child
 from tests.hil.bed import SpiTestbed
+from tests.support.child import Child
 
 REPOSITORY = Path(__file__).parents[2]
 NAME = "hexapod-gateway"

@@ -1,4 +1,4 @@
-"""The installer, from end to end on a bare system in a box: what it refuses, what it writes, what it leaves alone."""
+"""The installer, from end to end on a bare system in a box: what it rejects, what it writes, what it leaves alone."""
 
 import re
 from collections.abc import Iterator
@@ -97,7 +97,7 @@ def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
     assert shown == {name for section in sections for name in type(section).model_fields} - {"servos"}
 
 
-def test_refusals(bare: Machine) -> None:
+def test_rejections(bare: Machine) -> None:
     """One sentence each, and nothing half made."""
     box = bare.box
     assert bare.install(check=False, python="/nonexistent")[0].startswith("install.sh: /nonexistent is no Python")
@@ -228,7 +228,7 @@ def test_a_terminal_is_asked(bare: Machine) -> None:
 
 
 def test_a_framing_stays_as_it_is(bare: Machine) -> None:
-    """Installed again it needs no option, takes the same one, and refuses another before anything is changed."""
+    """Installed again it needs no option, takes the same one, and rejects another before anything is changed."""
     wheels = ("--wheels", bare.wheels)
     bare.run(*wheels, *LENGTH_PREFIXED)
     written = bare.box.read(CONFIGURATION)

@@ -1,4 +1,4 @@
-"""The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
+"""The service unit under a real systemd: it starts, is armed, is stopped from outside after every end, gives up."""
 
 import signal
 import subprocess
@@ -10,8 +10,8 @@ import pytest
 from gateway.protocol.frames import Op, decode, stop_leg
 from tests.box.box import Unit
 from tests.box.robot import CONFIGURATION, NAME, REPOSITORY, STOPS, Robot
-from tests.child import Child
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
+from tests.support.child import Child
 
 pytestmark = pytest.mark.systemd
 
@@ -164,9 +164,9 @@ def stuck_journal(robot: Robot) -> Iterator[None]:
 
 @pytest.mark.usefixtures("stuck_journal")
 def test_a_stuck_journal_holds_no_stop(robot: Robot) -> None:
-    """Refused commands are logged, and nobody reads that: the watchdog's Stop comes, and those of the end."""
+    """Rejected commands are logged, and nobody reads that: the watchdog's Stop comes, and those of the end."""
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
-    assert "refused" in robot.gateway("send", "leg", "1", "set", "1", "1", "1", check=False)
+    assert "rejected" in robot.gateway("send", "leg", "1", "set", "1", "1", "1", check=False)
     moved = len(robot.bed.transfers)
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
     opening = robot.bed.transfers[-1].opening
@@ -214,7 +214,7 @@ def test_stop_servos_beside_the_service(robot: Robot) -> None:
             said = robot.box.run(*command).stdout
             assert "The running gateway takes all servos as stopped" in said
             journal.wait_for_output("stop-servos stopped all servos past the gateway")
-        assert "refused: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
+        assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
 
 
 def test_no_framing(robot: Robot) -> None:

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel
 
-from gateway.conductor import Conductor
-from gateway.inbox import Received, Verb
+from gateway.core.message import Received, Verb
+from gateway.core.supervisor import Supervisor
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import Framing
+from gateway.runtime.conductor import Conductor
 from gateway.service import BEAT_S, rules
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from gateway.spi.simulator import SimulatedController
-from gateway.supervisor import Supervisor
 from schemas import keys
 from tests.deaf.minute import Message
 from tests.deaf.watcher import Watcher
@@ -156,7 +156,7 @@ class Scene:
 
     def _beat(self) -> None:
         """The service's."""
-        self.conductor.turn()
+        self.conductor.lock()
         self.loop.call_later(BEAT_S, self._beat)
 
     def publish(self, key: str, report: BaseModel) -> None:
@@ -206,7 +206,7 @@ class Scene:
             self.watcher.fault_ns = self.loop.clock_ns
             self._stall = None
 
-    def turn(self) -> AbstractContextManager[None]:
+    def lock(self) -> AbstractContextManager[None]:
         return nullcontext()
 
     def stop_servos_at_work(self) -> bool:

@@ -42,7 +42,7 @@ class Watcher:
         self._state = now
         if executed == 1 and not self._astray and now == _after(before, said):
             return
-        how = "by half a body" if not self.misread else "out of step"
+        how = "by half a body" if not self.misread else "out of sync"
         for servo_id in SERVO_IDS:
             self._compare(servo_id, before[servo_id], now[servo_id], said.get(servo_id), now_ns, how)
         self.misread |= executed > 0

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from gateway import intake
+from gateway.core import intake
 from gateway.protocol import frames
 from gateway.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.protocol.framing import Framing

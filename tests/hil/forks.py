@@ -16,9 +16,10 @@ import sys
 from collections.abc import Sequence
 
 import gateway
-from gateway import cli, logs
-from tests.child import Child
+from gateway import cli
+from gateway.host import logs
 from tests.hil.bed import SpiTestbed
+from tests.support.child import Child
 
 
 class Forks:

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState
-from tests.child import Child
-from tests.gateway_process import Gateway
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.child import Child
+from tests.support.gateway_process import Gateway
 
 CLIENTS: Final = 50
 QUESTIONS_HZ: Final = 100
@@ -85,9 +85,9 @@ def crowd(endpoint: str) -> Iterator[Child]:
             child.wait_for_output("ready", timeout_s=30)
             return child
 
-        program("tests.load_crowd", "clients", CLIENTS)
-        questions = program("tests.load_crowd", "state", QUESTIONS_HZ)
-        program("tests.load_crowd", "flood", FLOODED_LEG)
+        program("tests.support.load_crowd", "clients", CLIENTS)
+        questions = program("tests.support.load_crowd", "state", QUESTIONS_HZ)
+        program("tests.support.load_crowd", "flood", FLOODED_LEG)
         for _ in range(os.cpu_count() or 1):
             stack.callback(Child([sys.executable, "-c", "while True: pass"], os.environ).close)
         yield questions

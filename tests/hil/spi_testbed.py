@@ -307,7 +307,7 @@ class Testbed:
     def refuse_open(self, code: int) -> None:
         """Opening answers `code`, EACCES or ENXIO; descriptors already open go on. At most 50 times a child."""
         if code not in (errno.EACCES, errno.ENXIO):
-            raise ValueError("the node can refuse with EACCES or ENXIO only")
+            raise ValueError("the node can reject with EACCES or ENXIO only")
         self.restore_node()
         if code == errno.EACCES:
             self._node.chmod(0)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.child import Child
-from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.hil.bed import DEVICE, SpiTestbed
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 
 pytestmark = pytest.mark.hil
 

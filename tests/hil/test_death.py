@@ -22,11 +22,11 @@ import pytest
 from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.protocol.framing import Framing
 from schemas.robot import LEGS
-from tests.child import Child
-from tests.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.forks import Forks
 from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 
 pytestmark = pytest.mark.hil
 

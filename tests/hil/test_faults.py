@@ -1,6 +1,6 @@
 """A device that fails, goes and comes back, or is slow: the emulated kernel device does it to the service.
 
-Afterwards the robot stands, whatever was under way has been refused, and whoever wants it to move must start it again.
+Afterwards the robot stands, whatever was under way has been rejected, and whoever wants it to move must start it again.
 """
 
 import errno
@@ -19,8 +19,6 @@ from gateway.client import Client, leg_payload
 from gateway.protocol.framing import Framing
 from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
-from tests.gateway_process import COMMAND, Gateway, write_settings
-from tests.heard import Heard, events, states
 from tests.hil.bed import Opened, SpiTestbed, Transfer
 from tests.hil.wire import (
     LATE_S,
@@ -35,6 +33,8 @@ from tests.hil.wire import (
     start,
     transfers_of,
 )
+from tests.support.gateway_process import COMMAND, Gateway, write_settings
+from tests.support.heard import Heard, events, states
 
 pytestmark = pytest.mark.hil
 
@@ -60,8 +60,8 @@ class Scene:
 
     def touch(self) -> None:
         """A Set for the running leg, whose frame meets the fault that was ordered; so does what waits."""
-        refused = self.client.set_leg(3, 91, 45, 120)
-        assert (refused.accepted, refused.reason) == (False, Reason.BUS_FAULT)
+        rejected = self.client.set_leg(3, 91, 45, 120)
+        assert (rejected.accepted, rejected.reason) == (False, Reason.BUS_FAULT)
         assert self._waiting.result(LATE_S).reason is Reason.BUS_FAULT
 
     def recovered(self, *, mode: Mode = Mode.IDLE) -> list[Transfer]:
@@ -134,8 +134,8 @@ def test_transfers_that_fail_for_five_seconds(tmp_path: Path, spi_testbed: SpiTe
     with scene(tmp_path, wire) as at:
         spi_testbed.fail()
         at.touch()
-        for refused in (at.client.start_leg(3, 1, 2, 3), at.client.stop(), at.client.reset()):
-            assert refused.reason is Reason.BUS_FAULT
+        for rejected in (at.client.start_leg(3, 1, 2, 3), at.client.stop(), at.client.reset()):
+            assert rejected.reason is Reason.BUS_FAULT
         assert at.client.state().mode is Mode.BUS_FAULT
         fault_ns = next(each.monotonic_ns for each in spi_testbed.transfers if each.errno)
         # The last try before five seconds are over is made after 4.54 s.
@@ -154,11 +154,11 @@ def test_only_the_body_of_an_announced_frame_fails(tmp_path: Path, spi_testbed: 
     with scene(tmp_path, wire, spi={"frame_gap_us": 1000}) as at:
         spi_testbed.delay_ms(300)  # time to order the fault between the announcement and the body
         with ThreadPoolExecutor(1) as pool:
-            refused = pool.submit(at.client.set_leg, 3, 91, 45, 120)
+            rejected = pool.submit(at.client.set_leg, 3, 91, 45, 120)
             spi_testbed.wait_for_data(b"\x0e", since=len(spi_testbed.transfers), timeout_s=LATE_S)
             spi_testbed.delay_ms(0)
             spi_testbed.fail(count=1)
-            assert refused.result(LATE_S).reason is Reason.BUS_FAULT
+            assert rejected.result(LATE_S).reason is Reason.BUS_FAULT
         at.heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED)
         wire.expect_transfers([b"\x0e"])
         wire.expect_transfers([bytes.fromhex(SET_3)], errno=errno.EIO)
@@ -194,7 +194,7 @@ def test_the_device_vanishes_and_comes_back(tmp_path: Path, wire: Wire) -> None:
         at.goes_on()
 
 
-def test_opening_is_refused_for_a_while(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+def test_opening_is_rejected_for_a_while(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     wire = Wire(spi_testbed)
     with scene(tmp_path, wire, log={"level": "debug"}) as at:
         spi_testbed.refuse_open(errno.ENXIO)
@@ -319,7 +319,7 @@ def test_transfers_of_300_ms_delay_a_stop_and_lose_none(tmp_path: Path, wire: Wi
         wire.expect(START_3)
 
 
-def test_what_waited_while_a_transfer_took_300_ms_is_refused_as_old(tmp_path: Path, wire: Wire) -> None:
+def test_what_waited_while_a_transfer_took_300_ms_is_rejected_as_old(tmp_path: Path, wire: Wire) -> None:
     with start(tmp_path, wire, limits={"max_age_ms": 100}) as gateway, gateway.client() as client:
         heard = events(client)
         assert client.start_leg(3, 90, 45, 120).accepted

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from schemas.telemetry import GatewayState, Kind, Mode, Reason
-from tests.child import Child
-from tests.gateway_process import COMMAND, Gateway, write_settings
-from tests.heard import events
 from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, settings_for, start
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, write_settings
+from tests.support.heard import events
 
 pytestmark = pytest.mark.hil
 

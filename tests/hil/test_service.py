@@ -20,10 +20,10 @@ from gateway.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.gateway_process import COMMAND, Gateway, write_settings
-from tests.heard import events, states
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
+from tests.support.gateway_process import COMMAND, Gateway, write_settings
+from tests.support.heard import events, states
 
 pytestmark = pytest.mark.hil
 
@@ -251,7 +251,7 @@ def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
 
 
 def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    """A transfer between an announcement and its body would put the controller out of step, and Stops would be lost."""
+    """A transfer between an announcement and its body would put the controller out of sync, and Stops would be lost."""
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
     legs = {str(leg): leg_payload("start", (90, 90, 90)) for leg in range(1, 7)}
     stops = {str(leg): leg_payload("stop") for leg in range(1, 7)}  # are taken also once it is known to be at work
@@ -298,7 +298,7 @@ def test_a_program_that_keeps_its_turn_for_ever_holds_nobody_up_for_long(
 # ---- whose device
 
 
-def test_a_second_gateway_on_the_same_device_is_refused(tmp_path: Path, gateway: Gateway, wire: Wire) -> None:
+def test_a_second_gateway_on_the_same_device_is_rejected(tmp_path: Path, gateway: Gateway, wire: Wire) -> None:
     with Gateway(tmp_path, settings_for(wire), bed=wire.bed, wait=False) as second:
         assert second.child.wait(LATE_S) == 3
         assert second.child.stderr == f"hexapod-gateway: {DEVICE} is held by another gateway; stop that one first\n"

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.child import Child
 from tests.hil.bed import DEVICE, PROGRAM, SYSTEM_PYTHON, Opened, Segment, Setting, SpiTestbed, Transfer
+from tests.support.child import Child
 
 pytestmark = pytest.mark.hil
 
@@ -113,7 +113,7 @@ def test_a_message_carries_its_own_speed(spi_testbed: SpiTestbed, peer: Peer) ->
     assert spi_testbed.transfers[0].segments == (Segment(b"\x0e", 1_000_000, 8, 7, False),)
 
 
-def test_what_a_raspberry_pi_refuses_to_set(spi_testbed: SpiTestbed, peer: Peer) -> None:
+def test_what_a_raspberry_pi_rejects_to_set(spi_testbed: SpiTestbed, peer: Peer) -> None:
     assert peer.call("set", "lsbfirst", True) == failed(errno.EINVAL)
     assert peer.call("set", "bits_per_word", 16) == failed(errno.EINVAL)
     assert [(setting.kind, setting.value, setting.errno) for setting in spi_testbed.settings] == [
@@ -220,7 +220,7 @@ def test_a_descriptor_from_before_stays_dead(spi_testbed: SpiTestbed, peer: Peer
 
 
 @pytest.mark.parametrize(("code", "privileged"), [(errno.ENXIO, True), (errno.EACCES, False)])
-def test_opening_is_refused(spi_testbed: SpiTestbed, peer: Peer, code: int, privileged: bool) -> None:
+def test_opening_is_rejected(spi_testbed: SpiTestbed, peer: Peer, code: int, privileged: bool) -> None:
     late = Peer(spi_testbed, opened=False, privileged=privileged)
     spi_testbed.refuse_open(code)
     assert [late.call("open_path", DEVICE) for _ in range(40)] == [failed(code)] * 40

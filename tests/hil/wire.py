@@ -8,8 +8,8 @@ from gateway.protocol.frames import stop_leg
 from gateway.protocol.framing import Framing
 from gateway.spi.simulator import SimulatedController
 from schemas.robot import LEGS
-from tests.gateway_process import Gateway
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.gateway_process import Gateway
 
 STOPS = [stop_leg(leg).to_bytes().hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""

@@ -4,7 +4,7 @@ from tests.mutants.mutant import Mutant, Subject
 
 ACCESS = Subject(
     "gateway/certs/access.py",
-    tests=("tests/test_access.py",),
+    tests=("tests/unit/test_access.py",),
     mutants=(
         Mutant(
             '("put", "delete", "query"), (ALL_COMMANDS,), operators_only=True)',
@@ -125,7 +125,7 @@ ACCESS = Subject(
 
 ZENOH_FILES = Subject(
     "gateway/certs/zenoh_files.py",
-    tests=("tests/test_access.py", "tests/test_certs.py"),
+    tests=("tests/unit/test_access.py", "tests/unit/test_certs.py"),
     mutants=(
         Mutant(
             "enable_mtls: true,\n        verify_name_on_connect: true,\n        close_link",

@@ -5,12 +5,12 @@ from tests.mutants.mutant import Mutant, Subject
 BUS = Subject(
     "gateway/spi/bus.py",
     tests=(
-        "tests/test_bus_preamble.py",
-        "tests/test_bus.py",
-        "tests/test_bus_device.py",
-        "tests/test_setting_effects.py",
-        "tests/test_preamble.py",
-        "tests/test_conductor_safety.py",
+        "tests/unit/test_bus_preamble.py",
+        "tests/unit/test_bus.py",
+        "tests/unit/test_bus_device.py",
+        "tests/unit/test_setting_effects.py",
+        "tests/unit/test_preamble.py",
+        "tests/unit/test_conductor_safety.py",
     ),
     mutants=(
         Mutant(
@@ -21,7 +21,7 @@ BUS = Subject(
         Mutant(
             "STALE_ANNOUNCEMENT_NS: Final = 500_000_000",
             "STALE_ANNOUNCEMENT_NS: Final = 1_500_000_000",
-            "a body that nobody awaits puts the controller out of step",
+            "a body that nobody awaits puts the controller out of sync",
         ),
         Mutant(
             "LOST_BODY_NS: Final = 900_000_000",
@@ -32,17 +32,17 @@ BUS = Subject(
         Mutant(
             "IDLE_NS: Final = 1_100_000_000",
             "IDLE_NS: Final = 100_000_000",
-            "a controller out of step stays deaf in a slow stream",
+            "a controller out of sync stays deaf in a slow stream",
         ),
         Mutant("EARLY_SHARE: Final = 8", "EARLY_SHARE: Final = 1", "zeros fill every pause of a stream"),
         Mutant(
-            "            if self.announces:\n                with self._turn():\n                    self._resynchronise()\n        except",
+            "            if self.announces:\n                with self._bus_lock():\n                    self._resynchronise()\n        except",
             "            pass\n        except",
             "the first frames after opening may not be heard",
         ),
         Mutant(
-            "            if self.announces:\n                with self._turn():\n                    self._resynchronise()\n        except",
-            "            with self._turn():\n                self._resynchronise()\n        except",
+            "            if self.announces:\n                with self._bus_lock():\n                    self._resynchronise()\n        except",
+            "            with self._bus_lock():\n                self._resynchronise()\n        except",
             "in plain framing, zeros are written that nobody asked for",
         ),
         Mutant(
@@ -102,22 +102,22 @@ BUS = Subject(
             "a device opened again gets no preamble",
         ),
         Mutant(
-            "return self._device_turn() if self.announces else _AT_ONCE",
+            "return self._device_lock() if self.announces else _AT_ONCE",
             "return _AT_ONCE",
             "another program's frame comes between announcement and body",
         ),
         Mutant(
-            "        with self._device.turn():\n            if self._beside:\n                self._pause(self._frame_gap_ns / 1e9)\n            yield",
-            "        with self._device.turn():\n            yield",
+            "        with self._device.lock():\n            if self._shared_device:\n                self._pause(self._frame_gap_ns / 1e9)\n            yield",
+            "        with self._device.lock():\n            yield",
             "no pause before the first frame beside another program",
         ),
         Mutant(
-            "            yield\n            if self._beside:\n                self._pause(self._frame_gap_ns / 1e9)\n",
+            "            yield\n            if self._shared_device:\n                self._pause(self._frame_gap_ns / 1e9)\n",
             "            yield\n",
             "no pause behind the last frame beside another program",
         ),
         Mutant(
-            "            if self._beside:\n                self._pause(self._frame_gap_ns / 1e9)\n            yield",
+            "            if self._shared_device:\n                self._pause(self._frame_gap_ns / 1e9)\n            yield",
             "            self._pause(self._frame_gap_ns / 1e9)\n            yield",
             "each Stop waits for a pause that nobody needs",
         ),
@@ -237,7 +237,7 @@ BUS = Subject(
         ),
         Mutant("resync_ns=round(settings.resync_ms * 1e6)", "resync_ns=0", "spi.resync_ms is ignored"),
         Mutant(
-            "        beside=beside,\n        clock=clock,\n        pause=pause,\n    )\n",
+            "        shared_device=shared_device,\n        clock=clock,\n        pause=pause,\n    )\n",
             "        clock=clock,\n        pause=pause,\n    )\n",
             "stop-servos beside a gateway makes no pauses",
         ),
@@ -246,7 +246,7 @@ BUS = Subject(
 
 GUARD = Subject(
     "gateway/spi/guard.py",
-    tests=("tests/test_guard.py", "tests/test_guard_agrees.py", "tests/test_bus_device.py"),
+    tests=("tests/unit/test_guard.py", "tests/unit/test_guard_agrees.py", "tests/unit/test_bus_device.py"),
     mutants=(
         Mutant(
             "frozenset((bytes((6,)), bytes((14,))))",
@@ -264,7 +264,7 @@ GUARD = Subject(
         Mutant(
             "self._announces = framing is Framing.LENGTH_PREFIXED",
             "self._announces = False",
-            "a frame without its announcement puts the controller out of step",
+            "a frame without its announcement puts the controller out of sync",
         ),
         Mutant(
             "self._announces = framing is Framing.LENGTH_PREFIXED",
@@ -286,7 +286,7 @@ GUARD = Subject(
             "        self._announced_len, self._filled = None, filled\n",
             "a body of another length than was announced passes",
         ),
-        Mutant("        return self._device.turn()\n", "        raise NotImplementedError\n", "no frame is written"),
+        Mutant("        return self._device.lock()\n", "        raise NotImplementedError\n", "no frame is written"),
         Mutant("        self._device.close()\n", "        pass\n", "the device is never released"),
         Mutant("if self._announces and data == _ZERO:", "if data == _ZERO:", "a plain controller gets zeros"),
         Mutant(

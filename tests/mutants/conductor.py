@@ -1,17 +1,17 @@
-"""Mutants of gateway/conductor.py: from received messages to written frames."""
+"""Mutants of gateway/runtime/conductor.py: from received messages to written frames."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 CONDUCTOR = Subject(
-    "gateway/conductor.py",
+    "gateway/runtime/conductor.py",
     tests=(
-        "tests/test_conductor.py",
-        "tests/test_conductor_safety.py",
-        "tests/test_conductor_counts.py",
-        "tests/test_staleness.py",
-        "tests/test_preamble.py",
-        "tests/test_setting_effects.py",
-        "tests/test_stop.py",
+        "tests/unit/test_conductor.py",
+        "tests/unit/test_conductor_safety.py",
+        "tests/zenoh/test_conductor_counts.py",
+        "tests/unit/test_staleness.py",
+        "tests/unit/test_preamble.py",
+        "tests/unit/test_setting_effects.py",
+        "tests/unit/test_stop.py",
     ),
     mutants=(
         Mutant("FIRST_REOPEN_S: Final = 0.02", "FIRST_REOPEN_S: Final = 0.2", "after a fault, no Stop for 200 ms"),
@@ -78,8 +78,8 @@ CONDUCTOR = Subject(
             "a program cannot say who it is",
         ),
         Mutant(
-            "self._refuse(received.key, source, received.reply, Reason.STALE, too_old)\n            return\n",
-            "self._refuse(received.key, source, received.reply, Reason.STALE, too_old)\n",
+            "self._reject(received.key, source, received.reply, Reason.STALE, too_old)\n            return\n",
+            "self._reject(received.key, source, received.reply, Reason.STALE, too_old)\n",
             "a delayed command is rejected and executed",
         ),
         Mutant(
@@ -184,8 +184,8 @@ CONDUCTOR = Subject(
             "how late a Stop was is not measured",
         ),
         Mutant(
-            "                case Settled() if fault is not None:\n",
-            "                case Settled() if False:\n",
+            "                case Completed() if fault is not None:\n",
+            "                case Completed() if False:\n",
             "a command whose frame was not written is acknowledged",
         ),
         Mutant(
@@ -258,9 +258,9 @@ CONDUCTOR = Subject(
         ),
         Mutant("and self._timer.when() <= due_s:", "and True:", "a deadline that comes before the timer is overslept"),
         Mutant("        self.metrics.accepted += 1\n", "", "accepted commands are not counted"),
-        Mutant("        self.metrics.coalesced += settled.coalesced\n", "", "replaced commands are not counted"),
+        Mutant("        self.metrics.coalesced += completed.coalesced\n", "", "replaced commands are not counted"),
         Mutant(
-            "coalesced=True if settled.coalesced else None",
+            "coalesced=True if completed.coalesced else None",
             "coalesced=None",
             "nobody is told that a target was replaced",
         ),

@@ -1,18 +1,18 @@
-"""Mutants of gateway/exposure.py: who could reach the gateway."""
+"""Mutants of gateway/edge/exposure.py: who could reach the gateway."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 EXPOSURE = Subject(
-    "gateway/exposure.py",
-    tests=("tests/test_exposure.py",),
+    "gateway/edge/exposure.py",
+    tests=("tests/unit/test_exposure.py",),
     mutants=(
         Mutant('{"unixsock-stream", "unixpipe"}', '{"unixsock-stream", "unixpipe", "serial"}', "a cable is a way in"),
         Mutant('{"unixsock-stream", "unixpipe"}', '{"unixpipe"}', "a Unix socket needs a certificate"),
-        Mutant('{"tcp", "udp", "tls", "quic", "ws"}', '{"tcp", "tls", "quic", "ws"}', "local UDP is refused"),
+        Mutant('{"tcp", "udp", "tls", "quic", "ws"}', '{"tcp", "tls", "quic", "ws"}', "local UDP is rejected"),
         Mutant(
             '_TLS_LINKS: Final = frozenset({"tls", "quic"})',
             '_TLS_LINKS: Final = frozenset({"tls"})',
-            "QUIC is refused",
+            "QUIC is rejected",
         ),
         Mutant(
             '_TLS_LINKS: Final = frozenset({"tls", "quic"})',

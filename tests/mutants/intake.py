@@ -1,12 +1,12 @@
-"""Mutants of gateway/intake.py: what a payload means, and why not."""
+"""Mutants of gateway/core/intake.py: what a payload means, and why not."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 INTAKE = Subject(
-    "gateway/intake.py",
-    tests=("tests/test_intake.py", "tests/test_conductor.py", "tests/test_conductor_safety.py"),
+    "gateway/core/intake.py",
+    tests=("tests/unit/test_intake.py", "tests/unit/test_conductor.py", "tests/unit/test_conductor_safety.py"),
     mutants=(
-        Mutant('"application/json", "zenoh/bytes"}', '"application/json"}', "a plain put is refused"),
+        Mutant('"application/json", "zenoh/bytes"}', '"application/json"}', "a plain put is rejected"),
         Mutant('"application/json", "zenoh/bytes"}', '"application/json", "zenoh/bytes", ""}', "no encoding is any"),
         Mutant(
             "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
@@ -16,7 +16,7 @@ INTAKE = Subject(
         Mutant(
             "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
             "False",
-            "a Stop that was delayed on its way is refused",
+            "a Stop that was delayed on its way is rejected",
         ),
         Mutant(
             "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
@@ -40,12 +40,12 @@ INTAKE = Subject(
             "an emergency stop with a payload is none",
         ),
         Mutant(
-            "if len(payload) > MAX_PAYLOAD_BYTES:", "if len(payload) >= MAX_PAYLOAD_BYTES:", "4096 bytes are refused"
+            "if len(payload) > MAX_PAYLOAD_BYTES:", "if len(payload) >= MAX_PAYLOAD_BYTES:", "4096 bytes are rejected"
         ),
         Mutant("if len(payload) > MAX_PAYLOAD_BYTES:", "if False:", "anything is parsed, however long"),
         Mutant("if encoding not in ENCODINGS:", "if False:", "an image is parsed as JSON"),
         Mutant("if colons > _MAX_COLONS:", "if False:", "a payload of nothing but fields holds the loop"),
-        Mutant("if colons > _MAX_COLONS:", "if colons >= _MAX_COLONS:", "the fullest legal command is refused"),
+        Mutant("if colons > _MAX_COLONS:", "if colons >= _MAX_COLONS:", "the fullest legal command is rejected"),
         Mutant(
             "if colons > _fields(key.target, intent) else None",
             "if False else None",
@@ -121,8 +121,8 @@ INTAKE = Subject(
         Mutant(
             '"start": Op.START, "set": Op.SET}', '"start": Op.SET, "set": Op.START}', "set energises, start does not"
         ),
-        Mutant("(2 + 2 * len(JOINTS)) + 64\n", "(2 + 2 * len(JOINTS)) + 6\n", "a source with colons is refused"),
-        Mutant("3 + len(LEGS) * (2 +", "0 + len(LEGS) * (2 +", "the fullest legal command is refused"),
+        Mutant("(2 + 2 * len(JOINTS)) + 64\n", "(2 + 2 * len(JOINTS)) + 6\n", "a source with colons is rejected"),
+        Mutant("3 + len(LEGS) * (2 +", "0 + len(LEGS) * (2 +", "the fullest legal command is rejected"),
         Mutant(
             """    try:
         from_json(payload)
@@ -142,7 +142,7 @@ INTAKE = Subject(
         Mutant("(intent.source is not None) + (", "1 + (", "a name given twice passes where no source is"),
         Mutant("+ (intent.sent_ms is not None)", "+ 1", "a name given twice passes where no sent_ms is"),
         Mutant("        if name in seen:\n", "        if False:\n", "names may be given twice"),
-        Mutant("object_pairs_hook=_refuse_doubles", "object_hook=lambda found: None", "names may be given twice"),
+        Mutant("object_pairs_hook=_reject_doubles", "object_hook=lambda found: None", "names may be given twice"),
         Mutant(
             'if first["type"] == "json_invalid":',
             'if first["type"] == "never":',

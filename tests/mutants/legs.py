@@ -1,17 +1,17 @@
-"""Mutants of gateway/legs.py: how a leg's commands become frames, and its Stops."""
+"""Mutants of gateway/core/legs.py: how a leg's commands become frames, and its Stops."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 LEGS = Subject(
-    "gateway/legs.py",
+    "gateway/core/legs.py",
     tests=(
-        "tests/test_supervisor.py",
-        "tests/test_supervisor_stops.py",
-        "tests/test_supervisor_faults.py",
-        "tests/test_legs.py",
-        "tests/test_conductor.py",
-        "tests/test_preamble.py",
-        "tests/test_supervisor_machine.py",
+        "tests/unit/test_supervisor.py",
+        "tests/unit/test_supervisor_stops.py",
+        "tests/unit/test_supervisor_faults.py",
+        "tests/unit/test_legs.py",
+        "tests/unit/test_conductor.py",
+        "tests/unit/test_preamble.py",
+        "tests/unit/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(
@@ -82,7 +82,7 @@ LEGS = Subject(
         ),
         Mutant("return self.heard_ns + timeout_ns if", "return self.heard_ns if", "each leg is stopped at once"),
         Mutant(
-            "if self.heard_ns is not None and self.watched else None",
+            "if self.heard_ns is not None and self.armed else None",
             "if self.heard_ns is not None else None",
             "the watchdog tells again and again of a leg that does nothing",
         ),
@@ -165,13 +165,13 @@ LEGS = Subject(
             "a leg that was stopped on command is shown as expired",
         ),
         Mutant(
-            "return effects + self._empty_queue(command.order)",
+            "return effects + self._empty_start_queue(command.number)",
             "return effects",
             "whoever stops one leg sees another start a moment later",
         ),
         Mutant(
-            "return effects + self._empty_queue(command.order)",
-            "return effects + self._empty_queue()",
+            "return effects + self._empty_start_queue(command.number)",
+            "return effects + self._empty_start_queue()",
             "a command that stops one leg and starts another rejects itself",
         ),
         Mutant(
@@ -266,12 +266,12 @@ LEGS = Subject(
             "what the gateway stops counts as running",
         ),
         Mutant(
-            "return [*transmits, *self.drop(servos, reason, detail), *self._empty_queue()]",
-            "return [*transmits, *self._empty_queue()]",
+            "return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]",
+            "return [*transmits, *self._empty_start_queue()]",
             "a pending start comes after the watchdog's Stop",
         ),
         Mutant(
-            "return [*transmits, *self.drop(servos, reason, detail), *self._empty_queue()]",
+            "return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]",
             "return [*transmits, *self.drop(servos, reason, detail)]",
             "after a watchdog's Stop another leg starts a moment later",
         ),
@@ -287,20 +287,22 @@ LEGS = Subject(
         ),
         Mutant("servo.repeats_left = self._rules.repeats\n", "servo.repeats_left = 1\n", "watchdog.repeats is ignored"),
         Mutant(
-            "        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n\n    def _empty_queue",
-            "        servo.repeat_ns = now_ns\n\n    def _empty_queue",
+            "        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n\n    def _empty_start_queue",
+            "        servo.repeat_ns = now_ns\n\n    def _empty_start_queue",
             "the first repeat comes at once",
         ),
         Mutant(
-            "if servo.waiting is not None and servo.waiting.order != own]",
+            "if servo.waiting is not None and servo.waiting.number != own]",
             "if servo.waiting is not None]",
             "a command that stops one leg and starts another rejects itself",
         ),
-        Mutant("        self._orders[older.order].coalesced = True\n", "", "nobody is told that a target was replaced"),
+        Mutant(
+            "        self._pending[older.number].coalesced = True\n", "", "nobody is told that a target was replaced"
+        ),
         Mutant("        order.targets -= 1\n", "        order.targets -= 2\n", "a command is acknowledged too early"),
         Mutant(
-            "        for servo in self.servos.values():  # what is refused here must not take effect on another leg\n",
-            "        for servo in servos:  # what is refused here must not take effect on another leg\n",
+            "        for servo in self.servos.values():  # what is rejected here must not take effect on another leg\n",
+            "        for servo in servos:  # what is rejected here must not take effect on another leg\n",
             "what was rejected for one leg still moves another",
         ),
         Mutant(

@@ -1,10 +1,10 @@
-"""Mutants of gateway/staleness.py: what is too old to be executed."""
+"""Mutants of gateway/core/staleness.py: what is too old to be executed."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 STALENESS = Subject(
-    "gateway/staleness.py",
-    tests=("tests/test_staleness.py",),
+    "gateway/core/staleness.py",
+    tests=("tests/unit/test_staleness.py",),
     mutants=(
         Mutant("SOURCES: Final = 256", "SOURCES: Final = 100_000", "invented names fill the memory"),
         Mutant("CLOCKS: Final = 8", "CLOCKS: Final = 800", "invented clocks fill the memory"),

@@ -1,16 +1,16 @@
-"""Mutants of gateway/supervisor.py: the rules of safety."""
+"""Mutants of gateway/core/supervisor.py: the rules of safety."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 SUPERVISOR = Subject(
-    "gateway/supervisor.py",
+    "gateway/core/supervisor.py",
     tests=(
-        "tests/test_supervisor.py",
-        "tests/test_supervisor_stops.py",
-        "tests/test_supervisor_faults.py",
-        "tests/test_legs.py",
-        "tests/test_conductor_safety.py",
-        "tests/test_supervisor_machine.py",
+        "tests/unit/test_supervisor.py",
+        "tests/unit/test_supervisor_stops.py",
+        "tests/unit/test_supervisor_faults.py",
+        "tests/unit/test_legs.py",
+        "tests/unit/test_conductor_safety.py",
+        "tests/unit/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(
@@ -58,7 +58,7 @@ SUPERVISOR = Subject(
         Mutant("            effects += self.legs.repeat_stops(now_ns)\n", "", "no Stop is repeated"),
         Mutant("            effects += self.legs.take_slots(now_ns)\n", "", "what is pending is never sent"),
         Mutant(
-            "        if self.mode in _REFUSING:\n            return _REFUSING[self.mode]\n        moves",
+            "        if self.mode in _REJECTING:\n            return _REJECTING[self.mode]\n        moves",
             "        moves",
             "commands are taken while the emergency stop is engaged",
         ),
@@ -130,7 +130,7 @@ SUPERVISOR = Subject(
             "a second emergency stop sends nothing",
         ),
         Mutant(
-            "if self.mode in _REFUSING and self.mode is not Mode.ESTOPPED:",
+            "if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:",
             "if False:",
             "a reset is accepted while the bus is at fault",
         ),
@@ -197,7 +197,7 @@ SUPERVISOR = Subject(
             "watchdog.scope is ignored",
         ),
         Mutant(
-            "if leg.number in due and leg.watched]",
+            "if leg.number in due and leg.armed]",
             "if leg.number in due]",
             "legs that did nothing are shown as expired",
         ),

@@ -29,7 +29,7 @@ def hosts_network() -> Iterator[Network]:
 def network(hosts_network: Network) -> Network:
     """The same, with all links up."""
     for number in hosts_network.laptops:
-        hosts_network.mend(number)
+        hosts_network.fix(number)
     return hosts_network
 
 

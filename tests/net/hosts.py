@@ -13,10 +13,10 @@ from typing import Any, Self
 from gateway.client import Client
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord
-from tests.child import Child
-from tests.gateway_process import Gateway
-from tests.heard import events, frames
 from tests.net.namespaces import Network
+from tests.support.child import Child
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames
 
 PORT = 7447
 ANSWER_S = 20
@@ -33,7 +33,7 @@ class Robot(AbstractContextManager["Robot"]):
     A leg may be commanded far more often than the laptops do it, so that no command waits, and a frame is on the wire
     as soon as its command is accepted. Stops are not repeated: each is one frame. The state comes so often that a
     laptop that no longer reads is soon full. The lease is shorter than Zenoh's own 10 s, so that a laptop gives up
-    sooner. Unless a test wants it, commands have no age limit: what is refused then shows the other rules.
+    sooner. Unless a test wants it, commands have no age limit: what is rejected then shows the other rules.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Robot(AbstractContextManager["Robot"]):
 
     @property
     def rejected(self) -> int:
-        """How many commands it has refused."""
+        """How many commands it has rejected."""
         return self.client.state().commands.rejected
 
     @property

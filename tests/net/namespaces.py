@@ -5,9 +5,9 @@
         gateway = Gateway(folder, {"zenoh": {"listen": [endpoint], "allow_insecure": True}}, prefix=network.robot)
         laptop = Child([*network.laptop(0), sys.executable, "-m", "tests.net.publisher", …], os.environ)
         network.cut(0)
-        network.mend(0)
+        network.fix(0)
 
-What a program on the robot sends to a laptop that does not read is held up soon: buffers that way are small.
+What a program on the robot sends to a laptop that does not read is delayed soon: buffers that way are small.
 Nothing of it shows outside: the links exist in the namespaces only. `ip netns exec` becomes the program that it starts,
 so a signal to the child is a signal to that program. Monotonic clocks are the same in all of them.
 """
@@ -47,7 +47,7 @@ class Network(AbstractContextManager["Network"]):
                 _ip("-n", self._robot, "address", "add", f"{self.robot_address(number)}/24", "dev", _link(number))
                 _ip("-n", namespace, "address", "add", f"{self._laptop_address(number)}/24", "dev", "robot")
                 _ip("-n", namespace, "link", "set", "robot", "up")
-                self.mend(number)
+                self.fix(number)
                 _limit_buffers(namespace, "tcp_rmem")
             _limit_buffers(self._robot, "tcp_wmem")
         except BaseException:
@@ -114,7 +114,7 @@ class Network(AbstractContextManager["Network"]):
         """Nothing comes through between this laptop and the robot any more; neither is told by the other."""
         _ip("-n", self._robot, "link", "set", _link(laptop), "down")
 
-    def mend(self, laptop: int) -> None:
+    def fix(self, laptop: int) -> None:
         """The link is back."""
         _ip("-n", self._robot, "link", "set", _link(laptop), "up")
 

@@ -62,7 +62,7 @@ class Sent:
 
     sent: int = 0
     accepted: int = 0
-    refused: int = 0
+    rejected: int = 0
     unanswered: int = 0
     last_ns: int = 0
     """When the last one was sent (of `ask`: answered), on the monotonic clock."""
@@ -189,7 +189,7 @@ class Laptop:
             self._sent.unanswered += 1
         else:
             self._sent.accepted += accepted
-            self._sent.refused += not accepted
+            self._sent.rejected += not accepted
             self._sent.slowest_ms = max(self._sent.slowest_ms, (time.monotonic_ns() - asked_ns) / 1e6)
 
     def _ask_unheard(self, legs: Sequence[str]) -> None:

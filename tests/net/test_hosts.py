@@ -16,10 +16,10 @@ import pytest
 
 from schemas.robot import LEGS
 from schemas.telemetry import Mode
-from tests.child import Child
-from tests.gateway_process import COMMAND, Gateway
 from tests.net.hosts import PORT, TIMEOUT_MS, Laptop
 from tests.net.namespaces import Network
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.net
 

@@ -1,4 +1,4 @@
-"""The network itself: it is there, it is cut and mended, and it never outlives the test."""
+"""The network itself: it is there, it is cut and fixed, and it never outlives the test."""
 
 import os
 import subprocess
@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from tests.child import Child
 from tests.net.namespaces import Network
+from tests.support.child import Child
 
 pytestmark = pytest.mark.net
 
@@ -31,7 +31,7 @@ def test_each_laptop_has_a_link_of_its_own_and_all_is_removed_at_the_end() -> No
         assert (carrier(network, 0), carrier(network, 1)) == ("1", "1")
         network.cut(0)
         assert (carrier(network, 0), carrier(network, 1)) == ("0", "1")
-        network.mend(0)
+        network.fix(0)
         assert carrier(network, 0) == "1"
     assert network.robot[-1] not in namespaces()
     assert network.laptop(1)[-1] not in namespaces()

@@ -36,11 +36,11 @@ def test_a_cut_link_stops_every_leg_in_time(network: Network, robot: Robot, lapt
         late_ms += robot.wait_for_stops(*LEGS)
         assert not robot.running
         laptop.ask("pause")
-        network.mend(0)
+        network.fix(0)
     check_lateness("cut", late_ms)
 
 
-def test_sets_that_were_queued_while_the_link_was_cut_are_refused(
+def test_sets_that_were_queued_while_the_link_was_cut_are_rejected(
     network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
 ) -> None:
     """The cut is shorter than Zenoh's lease, so the session lives, and what TCP held back comes all at once."""
@@ -55,11 +55,11 @@ def test_sets_that_were_queued_while_the_link_was_cut_are_refused(
     robot.forget()
     queued = laptop.ask(f"pause {before + round(1.5 * HZ * len(LEGS))}")["sent"] - before
     assert robot.rejected == rejected
-    network.mend(0)
-    # Nothing is sent any more, so what is refused now was sent while the link was cut.
+    network.fix(0)
+    # Nothing is sent any more, so what is rejected now was sent while the link was cut.
     robot.wait_for_event(lambda event: event.reason is Reason.SERVO_STOPPED and event.source == laptop.source)
     laptop.ask("state")  # comes by the same way, behind them
-    print(f"{queued} Sets while the link was cut; {robot.rejected - rejected} were read afterwards, and refused")
+    print(f"{queued} Sets while the link was cut; {robot.rejected - rejected} were read afterwards, and rejected")
     assert not robot.running
     assert not robot.seen(is_command(*LEGS))
     check_a_start_moves_it(robot, laptop)
@@ -79,7 +79,7 @@ def test_a_publisher_that_lost_the_gateway_comes_back_by_itself_and_moves_nothin
     laptop.ask("out-of-reach")
     robot.forget()
     mended_s = time.monotonic()
-    network.mend(0)
+    network.fix(0)
     laptop.ask("in-reach")
     print(f"back {time.monotonic() - mended_s:.2f} s after the link was")
     robot.wait_for_event(lambda event: event.reason is Reason.SERVO_STOPPED and event.source == laptop.source)
@@ -111,7 +111,7 @@ def test_with_an_age_limit_not_even_queued_starts_move_a_leg_and_another_laptop_
         lost.ask(f"pause {lost.ask('sent')['sent'] + HZ // 2 * len(FIRST)}")
         robot.forget()
         other.ask(f"sent {other.ask('sent')['sent'] + HZ // 2}")  # half a second later, so that none of it is young
-        network.mend(0)
+        network.fix(0)
         robot.wait_for_event(lambda event: event.reason is Reason.STALE and event.source == lost.source)
         lost.ask("state")
         assert not robot.seen(is_from(lost))
@@ -136,7 +136,7 @@ def test_two_laptops_at_once_and_one_is_cut_off(network: Network, robot: Robot, 
     assert not robot.seen(is_command(*FIRST))
     assert other.ask("stop")["accepted"]
     assert not robot.running
-    network.mend(0)
+    network.fix(0)
 
 
 def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(
@@ -188,7 +188,7 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
     rejected = robot.rejected
     robot.wait_for_event(lambda event: event.reason is Reason.ESTOPPED and event.source == flood.source)
     sent = flood.ask("pause")
-    print(f"flood: {sent['sent']} Sets, {robot.rejected - rejected} of them refused after the emergency stop,")
+    print(f"flood: {sent['sent']} Sets, {robot.rejected - rejected} of them rejected after the emergency stop,")
     print(f"which took {engaged['latency_us'] / 1000:.2f} ms, {engaged['answered_ms']:.1f} ms as the laptop saw it")
     assert not robot.running
     assert not robot.seen(is_command(*LEGS))

@@ -119,7 +119,7 @@ def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -
     for name, (_, default, limits, *_rest) in written.items():
         field = found[name]
         if name == "spi.framing":  # the one that has to be said for a real device
-            with pytest.raises(ConfigError, match="spi.framing"):
+            with pytest.raises(ConfigError, match=r"spi\.framing"):
                 load(tmp_path / "empty.toml")
             assert default == f'none; `"{load(tmp_path / "empty.toml", simulated=True).spi.framing}"` with `--sim`'
         else:

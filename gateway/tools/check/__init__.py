@@ -1,4 +1,4 @@
-"""`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to mend it.
+"""`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to fix it.
 
 It looks, and changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
 """
@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.text import Text
 
 from gateway import settings as settings_file
+from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
-from gateway.exposure import listen_endpoints
 from gateway.settings import FramingNotSetError, Settings
 from gateway.tools.check import device, machine, network
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
@@ -62,8 +62,8 @@ def run(config: Path | None) -> Iterator[Result]:
 
 def _unreadable(error: ConfigError) -> Iterator[Result]:
     for fault in str(error).splitlines():
-        yield failure("configuration", fault, "mend it there, and check again")
-    yield warning("the rest", "device, ports and certificates were not looked at", "mend the configuration first")
+        yield failure("configuration", fault, "fix it there, and check again")
+    yield warning("the rest", "device, ports and certificates were not looked at", "fix the configuration first")
 
 
 def _configuration(config: Path | None) -> Result:
@@ -88,10 +88,10 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
 
 
 def line(result: Result) -> Text:
-    """`verdict  what  sentence → mend`, in columns."""
+    """`verdict  what  sentence → fix`, in columns."""
     text = Text().append(f"{result.verdict:8}", _STYLES[result.verdict]).append(f" {result.name:14} ", "bold")
     text.append(_one_line(result.sentence))
-    return text.append(f" → {_one_line(result.mend)}", "cyan") if result.mend else text
+    return text.append(f" → {_one_line(result.fix)}", "cyan") if result.fix else text
 
 
 def _one_line(text: str) -> str:

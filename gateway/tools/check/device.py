@@ -36,7 +36,7 @@ def device(spi: SpiSettings) -> Result:
         KernelDevice(spi.device, spi.speed_hz).close()
     except SpiError as error:
         if isinstance(error.__cause__, BlockingIOError):
-            return ok(_NAME, f"{path} {_HELD}; a second one would be refused")
+            return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
         return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
     return ok(_NAME, f"{path} opens, as {_user()}{_other_user()}")
 
@@ -59,12 +59,12 @@ def _node(path: Path) -> Result | None:
         return failure(_NAME, f"{path} cannot be looked at ({error.strerror})", "check the folder's permissions")
     except OSError:
         others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
-        mend = (
+        fix = (
             f"set spi.device; here there is {', '.join(others)}"
             if others
             else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
         )
-        return failure(_NAME, f"{path} does not exist", mend)
+        return failure(_NAME, f"{path} does not exist", fix)
     return None if stat.S_ISCHR(mode) else failure(_NAME, f"{path} is no device node", "set spi.device to one")
 
 
@@ -75,12 +75,12 @@ def _permission(path: Path) -> Result | None:
     group = _group(status.st_gid)
     rights = stat.filemode(status.st_mode)
     may_join = status.st_gid and (status.st_mode & 0o060) == 0o060
-    mend = (
+    fix = (
         f"sudo usermod -aG {group} {_user()}, then log in again"
         if may_join
         else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
     )
-    return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", mend)
+    return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)
 
 
 def speed(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:

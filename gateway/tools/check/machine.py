@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from gateway.realtime import LOOP_PRIORITY
+from gateway.host.realtime import LOOP_PRIORITY
 from gateway.tools.check.result import Result, failure, ok, warning
 
 UNIT: Final = "hexapod-gateway"
@@ -41,11 +41,11 @@ def clock() -> Result:
 
 def clock_result(adjtimex: int) -> Result:
     """Of what adjtimex(2) returned. No decision of the gateway depends on the clock, but certificates do."""
-    mend = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
+    fix = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
     if adjtimex == _UNSYNCHRONISED:
-        return warning("clock", "is not synchronised", mend)
+        return warning("clock", "is not synchronised", fix)
     if adjtimex < 0:
-        return warning("clock", "does not say whether it is synchronised", mend)
+        return warning("clock", "does not say whether it is synchronised", fix)
     return ok("clock", "is synchronised")
 
 
@@ -114,6 +114,6 @@ def realtime(priority: int = LOOP_PRIORITY) -> Result:
         )
     return warning(
         name,
-        f"priority {priority} is refused by this kernel ({faults[0].strerror}): on a busy machine a Stop may be late",
+        f"priority {priority} is rejected by this kernel ({faults[0].strerror}): on a busy machine a Stop may be late",
         "use a kernel without CONFIG_RT_GROUP_SCHED, or keep other work off this machine",
     )

@@ -15,11 +15,11 @@ from pydantic import ValidationError
 
 from gateway import certs
 from gateway.client import Client
+from gateway.edge.config_file import certificate_files
+from gateway.edge.session import service_config
 from gateway.errors import ConfigError, GatewayError
 from gateway.settings import ZenohSettings
 from gateway.tools.check.result import Result, failure, ok, warning
-from gateway.zenoh_config import certificate_files
-from gateway.zenoh_setup import service_config
 
 WARN_DAYS: Final = 30
 _ANSWER_S: Final = 1.0
@@ -40,7 +40,7 @@ def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, l
         try:
             config = service_config(settings)
         except ConfigError as error:
-            return None, [failure("Zenoh", line, "mend it there") for line in str(error).splitlines()]
+            return None, [failure("Zenoh", line, "fix it there") for line in str(error).splitlines()]
     told = [warning("Zenoh", line, "see Security in the README") for line in warnings]
     return config, told or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
 
@@ -102,13 +102,13 @@ def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -
 def _verdict(where: str, setting: str, error: OSError | None) -> Result:
     if error is None:
         return ok("port", f"{where} is free")
-    sentence, mend = {
+    sentence, fix = {
         errno.EADDRINUSE: ("is taken by another program", f"see whose it is (ss -ltnp), or set another {setting}"),
         errno.EADDRNOTAVAIL: ("is no address of this machine", f"set another {setting} (ip address shows them)"),
         errno.EACCES: ("may not be listened on by this user", f"set {setting} to a port above 1023"),
         errno.EAFNOSUPPORT: ("needs IPv6, which this kernel lacks", f"in {setting}, write 0.0.0.0 for [::]"),
     }.get(error.errno or 0, (f"cannot be listened on: {error.strerror}", f"set another {setting}"))
-    return failure("port", f"{where} {sentence}", mend)
+    return failure("port", f"{where} {sentence}", fix)
 
 
 def _gateway_at(found: re.Match[str]) -> str:
@@ -141,7 +141,7 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
 def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
     name, path = "certificates", certificate.path
     until = f"good until {certificate.not_after:%Y-%m-%d}"
-    mend = (
+    fix = (
         "make a new CA (hexapod-gateway certs init, in another folder) and issue all certificates again"
         if certificate.role == "ca"
         else f"hexapod-gateway certs renew {certificate.role}, where ca.key is, and copy {path.name} here"
@@ -152,9 +152,9 @@ def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
             name, f"{path} is good only from {certificate.not_before:%Y-%m-%d}", "set the clock (timedatectl)"
         )
     if left_days < 0:
-        return failure(name, f"{path} expired on {certificate.not_after:%Y-%m-%d}", mend)
+        return failure(name, f"{path} expired on {certificate.not_after:%Y-%m-%d}", fix)
     if left_days < WARN_DAYS:
-        return warning(name, f"{path} is {until}, {left_days} days more", mend)
+        return warning(name, f"{path} is {until}, {left_days} days more", fix)
     return ok(name, f"{path} is {until}")
 
 

@@ -14,12 +14,12 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One line: what was looked at, how it stands, and what mends it ("" where nothing needs mending)."""
+    """One line: what was looked at, how it stands, and what fixes it ("" where nothing needs mending)."""
 
     name: str
     verdict: Verdict
     sentence: str
-    mend: str = ""
+    fix: str = ""
 
 
 def ok(name: str, sentence: str) -> Result:
@@ -27,11 +27,11 @@ def ok(name: str, sentence: str) -> Result:
     return Result(name, Verdict.OK, sentence)
 
 
-def warning(name: str, sentence: str, mend: str) -> Result:
+def warning(name: str, sentence: str, fix: str) -> Result:
     """It runs, but somebody should know."""
-    return Result(name, Verdict.WARNING, sentence, mend)
+    return Result(name, Verdict.WARNING, sentence, fix)
 
 
-def failure(name: str, sentence: str, mend: str) -> Result:
+def failure(name: str, sentence: str, fix: str) -> Result:
     """It does not run like this."""
-    return Result(name, Verdict.FAILURE, sentence, mend)
+    return Result(name, Verdict.FAILURE, sentence, fix)

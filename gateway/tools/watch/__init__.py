@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from gateway.client import DEFAULT_ENDPOINT, Client
+from gateway.edge.session import client_config
 from gateway.errors import ConfigError
 from gateway.tools.terminal import hint
-from gateway.zenoh_setup import client_config
 
 
 def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> NoReturn:

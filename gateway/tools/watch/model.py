@@ -100,8 +100,8 @@ class Model:
     trouble: str = ""
     """Why no connection comes about, as long as none does."""
     remark: Remark | None = None
-    refused: Counter[str] = field(default_factory=Counter)
-    """Commands refused since we watch, by source, with those that the gateway left out of its events."""
+    rejected: Counter[str] = field(default_factory=Counter)
+    """Commands rejected since we watch, by source, with those that the gateway left out of its events."""
     reasons: dict[str, str] = field(default_factory=dict)
     """The latest reason, by source."""
     lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_EVENTS))
@@ -159,8 +159,8 @@ class Model:
         source = visible(event.source or NAMELESS)
         text = visible(event.detail)
         if event.kind is Kind.COMMAND_REJECTED:
-            known = source if source in self.refused or len(self.refused) < SOURCES else OTHERS
-            self.refused[known] += 1 + event.left_out
+            known = source if source in self.rejected or len(self.rejected) < SOURCES else OTHERS
+            self.rejected[known] += 1 + event.left_out
             if event.reason is not None:
                 self.reasons[known] = event.reason
             text = f"{source}: {text}"
@@ -344,6 +344,6 @@ def visible(text: str) -> str:
     return text if text.isprintable() else "".join(char if char.isprintable() else "�" for char in text)
 
 
-def top_refused(refused: Mapping[str, int], count: int) -> list[tuple[str, int]]:
-    """The sources with most refusals, most first; equals by name, so that lines do not dance."""
-    return sorted(refused.items(), key=lambda item: (-item[1], item[0]))[:count]
+def top_rejected(rejected: Mapping[str, int], count: int) -> list[tuple[str, int]]:
+    """The sources with most rejections, most first; equals by name, so that lines do not dance."""
+    return sorted(rejected.items(), key=lambda item: (-item[1], item[0]))[:count]

@@ -9,7 +9,7 @@ from typing import Final
 from rich.cells import cell_len
 from rich.text import Text
 
-from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_refused, visible
+from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_rejected, visible
 from schemas.telemetry import GatewayState, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
@@ -39,7 +39,7 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
     body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
     numbers = [] if model.state is None else [*blank, *_numbers(model.state, model.rates(), live)]
     room = max(0, height - len(top) - len(body) - 1)
-    rest = [*numbers, *_refusals(model), *blank, *_events(model, width, room)][:room]
+    rest = [*numbers, *_rejections(model), *blank, *_events(model, width, room)][:room]
     lines = [*top, *body, *rest][: height - 1]
     lines += [Text()] * (height - 1 - len(lines))
     lines.append(_keys())
@@ -181,7 +181,7 @@ def bar(share: float, columns: int, style: str) -> Text:
     return Text().append("━" * full + "╸" * half, style).append("─" * (columns - full - half), "dim")
 
 
-# ---- numbers, refusals, events
+# ---- numbers, rejections, events
 
 
 def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
@@ -194,7 +194,7 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
         if stops.p50 is None or stops.p99 is None or stops.max is None
         else f"p50 {stops.p50 / 1e3:.1f} p99 {stops.p99 / 1e3:.1f} max {stops.max / 1e3:.1f} ms"
     )
-    head = Text("           accepted  refused replaced   frames ", "dim")
+    head = Text("           accepted  rejected replaced   frames ", "dim")
     head.append(f"  {spi.errors} SPI error{'' if spi.errors == 1 else 's'}", "bold red" if spi.errors else "dim")
     head.append(f" ({spi.framing}, {'simulated' if state.simulated else spi.device})", "dim")
     rate = Text().append("per second ", "dim")
@@ -211,15 +211,15 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
     return [head, rate, total]
 
 
-def _refusals(model: Model) -> list[Text]:
-    line = Text().append("refused    ", "dim")
-    if not model.refused:
+def _rejections(model: Model) -> list[Text]:
+    line = Text().append("rejected    ", "dim")
+    if not model.rejected:
         return [line.append("nobody, since this view began", "dim")]
-    for source, count in top_refused(model.refused, _MAX_SOURCES):
+    for source, count in top_rejected(model.rejected, _MAX_SOURCES):
         line.append(f"{source} ", "yellow").append(f"{count} ", "bold yellow")
         line.append(f"({model.reasons.get(source, '?')})  ", "dim")
-    if len(model.refused) > _MAX_SOURCES:
-        line.append(f"and {len(model.refused) - _MAX_SOURCES} more sources", "dim")
+    if len(model.rejected) > _MAX_SOURCES:
+        line.append(f"and {len(model.rejected) - _MAX_SOURCES} more sources", "dim")
     return [line]
 
 

@@ -1,0 +1,288 @@
+"""From what Zenoh delivered to what somebody wants, or why not. Nothing else here knows the commands' JSON."""
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from gateway.protocol.frames import STOP, Op, ServoOp, centidegrees, servo_ids_of
+from schemas.command import (
+    MAX_ESTOP,
+    MAX_PAYLOAD_BYTES,
+    MAX_SENT_MS,
+    SERVO_COMMAND,
+    LegCommand,
+    LegsCommand,
+    Move,
+    ResetCommand,
+    Stop,
+)
+from schemas.keys import CommandKey, Target
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.telemetry import Reason
+
+ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
+"""JSON, and what Zenoh says when the publisher said nothing."""
+
+Targets = tuple[tuple[int, ServoOp], ...]
+_OPS: Final = {"start": Op.START, "set": Op.SET}
+_SERVO_OPS: Final = ("start", "set", "stop")
+
+
+class Intent(NamedTuple):
+    """What a good command asks for: an operation for each servo that it names (none for a reset)."""
+
+    targets: Targets = ()
+    source: str | None = None
+    sent_ms: float | None = None
+    estop: int | None = None
+    """Of a reset: the number of the emergency stop that it leaves."""
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether it stops servos and does nothing else. A reset stops none."""
+        return bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Why a command is rejected, and a sentence that helps whoever sent it."""
+
+    reason: Reason
+    detail: str
+
+
+def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
+    """Read the payload that came on `key`. Any bytes will do: what is wrong is returned, never raised."""
+    if key.target is Target.ESTOP:
+        return Intent()  # whatever it is, somebody wants the robot to stop
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return too_large(len(payload))
+    if encoding not in ENCODINGS:
+        return Rejection(
+            Reason.BAD_ENCODING, f"the encoding is {_name(encoding)}; it must be application/json, or left out"
+        )
+    colons = payload.count(b":")
+    if colons > _MAX_COLONS:
+        return _too_many_fields(payload)
+    try:
+        intent = _READERS[key.target](key.number, payload)
+    except ValidationError as error:
+        return _explain(error)
+    # Each field takes a colon: where there are no more colons, no name is given twice. Spares most a second look.
+    twice = _name_given_twice(payload) if colons > _fields(key.target, intent) else None
+    if twice is not None:
+        return Rejection(Reason.INVALID, f"{_name(twice)} is given twice in one object; which one counts is not clear")
+    return intent
+
+
+def stop_all_of(key: CommandKey) -> Intent | Rejection:
+    """What a `delete` on `key` asks for: Stops for the servos that the key names."""
+    match key.target:
+        case Target.SERVO:
+            return Intent(((key.number, STOP),))
+        case Target.LEG:
+            return Intent(tuple((servo_id, STOP) for servo_id in servo_ids_of(key.number)))
+        case Target.LEGS:
+            return Intent(tuple((servo_id, STOP) for servo_id in SERVO_IDS))
+        case _:
+            # Leaving the emergency stop is a deliberate act; deleting a key (perhaps by a wildcard) is not.
+            return Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
+
+
+def too_large(size: int) -> Rejection:
+    """The answer to a payload that is not even looked at."""
+    return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {MAX_PAYLOAD_BYTES} are read")
+
+
+def _read_servo(servo_id: int, payload: bytes) -> Intent:
+    command = SERVO_COMMAND.validate_json(payload)
+    return Intent(((servo_id, _op(command)),), command.source, command.sent_ms)
+
+
+def _read_leg(leg: int, payload: bytes) -> Intent:
+    command = LegCommand.model_validate_json(payload)
+    targets = tuple(zip(servo_ids_of(leg), map(_op, command.servos), strict=True))
+    return Intent(targets, command.source, command.sent_ms)
+
+
+def _read_legs(_: int, payload: bytes) -> Intent:
+    command = LegsCommand.model_validate_json(payload)
+    targets = tuple(
+        (servo_id, _op(setpoint))
+        for leg in LEGS
+        if str(leg) in command.legs
+        for servo_id, setpoint in zip(servo_ids_of(leg), command.legs[str(leg)].servos, strict=True)  # type: ignore[index]
+    )
+    return Intent(targets, command.source, command.sent_ms)
+
+
+def _read_reset(_: int, payload: bytes) -> Intent:
+    command = ResetCommand.model_validate_json(payload or b"{}")
+    return Intent((), command.source, command.sent_ms, command.estop)
+
+
+_READERS: Final = {
+    Target.SERVO: _read_servo,
+    Target.LEG: _read_leg,
+    Target.LEGS: _read_legs,
+    Target.RESET: _read_reset,
+}
+
+
+def _op(setpoint: Move | Stop) -> ServoOp:
+    return ServoOp(_OPS[setpoint.op], centidegrees(setpoint.angle_deg)) if isinstance(setpoint, Move) else STOP
+
+
+_MAX_COLONS: Final = 3 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
+"""A LegsCommand with all its fields (legs, source, sent_ms; for a leg its number, servos and three times op and
+angle_deg), and a source that is nothing but colons.
+
+What has more is rejected without a look at each field: pydantic notes every single one that is wrong, and a payload
+made of nothing else would hold the loop for 1.4 ms.
+"""
+
+
+def _too_many_fields(payload: bytes) -> Rejection:
+    try:
+        from_json(payload)
+    except ValueError as error:
+        return _malformed(str(error))
+    return Rejection(Reason.INVALID, "the payload has more fields than any command has")
+
+
+def _fields(target: Target, intent: Intent) -> int:
+    """How many fields a payload with this content has at least."""
+    moves = len([op for _, op in intent.targets if op is not STOP])
+    around = {Target.LEG: 1, Target.LEGS: 1 + 2 * len(intent.targets) // len(JOINTS)}.get(target, 0)
+    optional = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
+    return len(intent.targets) + moves + around + optional
+
+
+class _GivenTwiceError(Exception):
+    """Ends the reading of a payload, with the name that one of its objects has twice."""
+
+
+def _name_given_twice(payload: bytes) -> str | None:
+    """The first name that an object of this (valid) payload has twice; pydantic keeps the last and says nothing.
+
+    Two answers to one question are a mistake of the sender's, and a robot is no place to guess which one was meant.
+    """
+    if payload:
+        try:
+            json.loads(payload, object_pairs_hook=_reject_doubles)
+        except _GivenTwiceError as error:
+            return str(error)
+    return None
+
+
+def _reject_doubles(pairs: list[tuple[str, object]]) -> None:
+    seen = set()
+    for name, _ in pairs:
+        if name in seen:
+            raise _GivenTwiceError(name)
+        seen.add(name)
+
+
+# ---- rejections in words
+
+_MAX_ECHO: Final = 40
+"""Characters of the sender's own value, or name, that an answer repeats."""
+_MAX_ECHO_BITS: Final = 128
+_PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
+
+
+def _explain(error: ValidationError) -> Rejection:
+    faults = error.errors(include_url=False)
+    first = faults[0]
+    if first["type"] == "json_invalid":
+        return _malformed(first["ctx"]["error"])
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return Rejection(Reason.INVALID, f"{_sentence(dict(first))}{more}")
+
+
+def _malformed(why: str) -> Rejection:
+    return Rejection(Reason.MALFORMED, f"the payload is not JSON: {why}")
+
+
+def _sentence(fault: dict[str, Any]) -> str:
+    """One sentence that names the field and what it must be. Bounded: of what the sender wrote, it repeats little."""
+    loc = fault["loc"]
+    where = _path(loc)
+    field = loc[-1] if loc else None
+    match fault["type"]:
+        case "missing":
+            return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if isinstance(field, int) else "")
+        case "extra_forbidden":
+            return f"{where} is not known here" + ("; stop takes no angle" if loc[-2:] == ("stop", "angle_deg") else "")
+        case "string_too_short" | "string_too_long":
+            return f"{where} must have 1 to 64 characters"
+        case "union_tag_invalid":
+            return f'{_join(where, "op")} is {_echo(fault["input"]["op"])}; it must be "start", "set" or "stop"'
+        case "union_tag_not_found":
+            return f'{_join(where, "op")} is missing; it must be "start", "set" or "stop"'
+        case "literal_error" if field == "[key]":
+            return f'legs has {_echo(fault["input"])}; it may have "1" to "6"'
+        case "too_long" if field == "servos":
+            return f"{where} has {fault['ctx']['actual_length']} entries; a leg has {len(JOINTS)} servos"
+        case "too_short" if loc == ("legs",):
+            return "legs is empty; name at least one leg"
+        case kind:
+            must = _MUST.get(kind) or _RANGES.get(field) or "what the schema says"
+            return f"{where or 'the payload'} is {_echo(fault['input'])}; it must be {must}"
+
+
+_MUST: Final = {
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "string_type": "a string",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "tuple_type": "an array",
+    "model_type": "an object",
+    "dict_type": "an object",
+    "model_attributes_type": "an object",
+}
+_RANGES: Final[dict[object, str]] = {
+    "angle_deg": "between 0 and 180",
+    "sent_ms": f"between 0 and {MAX_SENT_MS}",
+    "estop": f"between 0 and {MAX_ESTOP}",
+}
+
+
+def _path(loc: tuple[int | str, ...]) -> str:
+    """`servos[2].angle_deg`: the place in the JSON, without the names of union members, which pydantic adds.
+
+    The last part is the field, whatever the sender calls it; all others are our own names.
+    """
+    path = ""
+    for index, part in enumerate(loc):
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif index < len(loc) - 1 and part in _SERVO_OPS and (index == 0 or isinstance(loc[index - 1], int)):
+            continue
+        else:
+            path = _join(path, _name(part))
+    return path
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
+def _name(name: str) -> str:
+    """A name as it is where that is short and plain, else quoted."""
+    return name if _PLAIN_NAME.fullmatch(name) else _echo(name)
+
+
+def _echo(value: object) -> str:
+    """The value as JSON in ASCII, on one line, and no more of it than helps."""
+    if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
+        # Thousands of digits take long to write out.
+        return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
+    text = json.dumps(value)
+    return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

@@ -1,0 +1,338 @@
+"""What the supervisor keeps of each leg and servo, and how a leg's commands become frames: pure, time as an argument.
+
+The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
+for their leg's rate slot, what one frame says for three servos, which Stops are still to be repeated, and which
+commands are thereby done.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from gateway.core.events import Command, Completed, Effect, Rejected, Transmit
+from gateway.core.pacing import NS_PER_MS, NS_PER_S, RateSlots, StartQueue, Waiting, merged
+from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, servo_ids_of, stop_leg
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Reason, WatchdogState
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """The settings that the supervisor needs, in nanoseconds and hundredths of a degree."""
+
+    timeout_ns: int = 250 * NS_PER_MS
+    whole_robot: bool = False
+    repeats: int = 3
+    repeat_interval_ns: int = 20 * NS_PER_MS
+    period_ns: int = NS_PER_S // 50
+    start_pause_ns: int = 0
+    unnumbered_reset_ns: int = 2 * NS_PER_S
+    """How old the latest emergency stop must be for a reset that does not say which one it leaves (contract, 5)."""
+    joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Servo:
+    """One servo as last written; `angle_cdeg` is None while it does not run, for then nobody knows where it hangs."""
+
+    servo_id: int
+    leg: int
+    angle_cdeg: int | None = None
+    waiting: Waiting | None = None
+    repeats_left: int = 0
+    repeat_ns: int = 0
+    stopped_ns: int | None = None
+    stopped_by: frozenset[str] = frozenset()
+    """All who stopped it at `stopped_ns`: the channels of commands, or the gateway's own causes."""
+
+    @property
+    def running(self) -> bool:
+        return self.angle_cdeg is not None
+
+    @property
+    def will_run(self) -> bool:
+        """Whether a `set` has something to set: the servo runs, or waits to be started."""
+        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)
+
+    def note_stop(self, by: str, instant_ns: int) -> None:
+        """Remember who stopped it in this instant."""
+        earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()
+        self.stopped_by = earlier | {by}
+        self.stopped_ns = instant_ns
+
+
+@dataclass(slots=True)
+class Leg:
+    """One leg: its servos, its rate slots, and when an accepted command last started or set one of its servos."""
+
+    number: int
+    servos: tuple[Servo, Servo, Servo]
+    slots: RateSlots
+    heard_ns: int | None = None
+    expired: bool = False
+
+    @property
+    def waits(self) -> bool:
+        first, second, third = self.servos
+        return first.waiting is not None or second.waiting is not None or third.waiting is not None
+
+    @property
+    def waits_to_start(self) -> bool:
+        """Whether its next frame would energise a servo."""
+        first, second, third = self.servos
+        return (
+            (first.angle_cdeg is None and first.will_run)
+            or (second.angle_cdeg is None and second.will_run)
+            or (third.angle_cdeg is None and third.will_run)
+        )
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no servo of it runs."""
+        first, second, third = self.servos
+        return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None
+
+    @property
+    def armed(self) -> bool:
+        first, second, third = self.servos
+        return first.will_run or second.will_run or third.will_run
+
+    def deadline_ns(self, timeout_ns: int) -> int | None:
+        """When the watchdog stops this leg; None while there is nothing to stop."""
+        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed else None
+
+    @property
+    def watchdog(self) -> WatchdogState:
+        if self.expired:
+            return WatchdogState.EXPIRED
+        return WatchdogState.ARMED if self.armed else WatchdogState.IDLE
+
+
+@dataclass(slots=True)
+class _PendingCommand:
+    """A command under way: how many of its targets still wait, and whether a newer command replaced one."""
+
+    targets: int
+    coalesced: bool = False
+
+
+def _whole_leg(leg: Leg) -> OneLeg:
+    """All three servos in one frame; one that nothing waits for is told what it does already."""
+    first, second, third = [
+        servo.waiting.op
+        if servo.waiting is not None
+        else STOP
+        if servo.angle_cdeg is None
+        else ServoOp(Op.SET, servo.angle_cdeg)
+        for servo in leg.servos
+    ]
+    return OneLeg(leg.number, (first, second, third))
+
+
+def _stops(leg: Leg, servos: list[Servo], cause: Cause) -> list[Effect]:
+    """Stops for these servos of a leg, in one frame where they are all of it."""
+    if len(servos) == len(leg.servos):
+        return [Transmit(stop_leg(leg.number), cause)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause) for servo in servos]
+
+
+def _servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
+    first, second, third = servo_ids_of(leg)
+    return Servo(first, leg), Servo(second, leg), Servo(third, leg)
+
+
+class Legs:
+    """The six legs, and the commands under way on them."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.by_number = {number: Leg(number, _servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
+        self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
+        self._pending: dict[int, _PendingCommand] = {}
+        self.instant_ns = 0
+        """When the present instant began; see `Supervisor.step`."""
+        self.repeat_ns: int | None = None
+        """When the next repeated Stop comes, as of the last `due_ns()`."""
+        self._queue = StartQueue(rules.start_pause_ns)
+
+    def __iter__(self) -> Iterator[Leg]:
+        return iter(self.by_number.values())
+
+    # ---- time
+
+    def due_ns(self) -> int | None:
+        """When a deadline, a repeat or a rate slot comes next."""
+        due: list[int] = []
+        repeats: list[int] = []
+        for leg in self:
+            deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
+            if deadline_ns is not None:
+                due.append(deadline_ns)
+            for servo in leg.servos:
+                if servo.repeats_left:
+                    repeats.append(servo.repeat_ns)
+            if leg.waits:
+                slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
+                if slot_ns is not None:
+                    due.append(slot_ns)
+        self.repeat_ns = min(repeats, default=None)
+        return min(due + repeats, default=None)
+
+    def repeat_stops(self, now_ns: int) -> list[Effect]:
+        """The repeated Stops that are due."""
+        return [effect for leg in self for effect in self._repeat(leg, now_ns)]
+
+    def take_slots(self, now_ns: int) -> list[Effect]:
+        """The frames of the legs whose rate slot has come."""
+        return [effect for leg in self for effect in self._send(leg, now_ns)]
+
+    # ---- commands
+
+    def apply(self, command: Command, now_ns: int) -> list[Effect]:
+        """Carry out an accepted command."""
+        by_leg: dict[int, list[tuple[Servo, ServoOp]]] = {}
+        for servo_id, op in command.targets:
+            servo = self.servos[servo_id]
+            by_leg.setdefault(servo.leg, []).append((servo, op))
+        self._pending[command.number] = _PendingCommand(len(command.targets))
+        effects: list[Effect] = []
+        stops: list[tuple[Leg, list[Servo]]] = []
+        for number, targets in by_leg.items():
+            leg = self.by_number[number]
+            if any(op.op is not Op.STOP for _, op in targets):
+                # A Stop does not count: it does not say that the leg's other servos shall go on running.
+                leg.heard_ns = now_ns
+                effects += self._move(leg, targets, command, now_ns)
+            else:
+                stops.append((leg, [servo for servo, _ in targets]))
+        for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
+            effects += self._stop_on_command(leg, servos, command, now_ns)
+        if stops:  # they may have ended what its own starts queued behind
+            effects += self.take_slots(now_ns)
+        return effects
+
+    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
+        """A command that only stops: its frames go out now, whatever waits."""
+        effects = _stops(leg, servos, Cause.COMMAND)
+        for servo in servos:
+            effects += self._replace(servo, None)
+            servo.note_stop(command.channel, self.instant_ns)
+            self._stopped(servo, now_ns)
+            effects += self._target_done(command.number)
+        leg.expired = leg.expired and len(servos) < len(leg.servos)
+        return effects + self._empty_start_queue(command.number)
+
+    def _move(self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int) -> list[Effect]:
+        """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
+        effects: list[Effect] = []
+        for servo, op in targets:
+            newest = op if servo.waiting is None else merged(servo.waiting.op, op)
+            effects += self._replace(servo, Waiting(newest, command.number))
+            if op.op is Op.STOP:
+                servo.note_stop(command.channel, self.instant_ns)
+        effects += self._send(leg, now_ns)
+        for servo, _ in targets:
+            # The leg's rate slot has not come. Its moves wait; its Stops do not.
+            if servo.waiting is not None and servo.waiting.op.op is Op.STOP:
+                servo.waiting = None
+                # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
+                if servo.running or not servo.repeats_left:
+                    effects.append(Transmit(OneServo(servo.servo_id, STOP), Cause.COMMAND))
+                    self._stopped(servo, now_ns)
+                effects += self._target_done(command.number)
+        return effects
+
+    def _send(self, leg: Leg, now_ns: int) -> list[Effect]:
+        """Send what waits for this leg, if it may go now."""
+        waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
+        energises = leg.waits_to_start
+        if energises:
+            self._queue.join(leg.number)
+        else:
+            self._queue.leave(leg.number)
+        if not waiting or not leg.slots.is_open(now_ns):
+            return []
+        if energises:
+            if not self._queue.admits(leg.number, now_ns):
+                return []
+            self._queue.started(leg.number, now_ns)
+        leg.slots.take(now_ns)
+        frame = OneServo(waiting[0][0].servo_id, waiting[0][1].op) if len(waiting) == 1 else _whole_leg(leg)
+        effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
+        for servo, target in waiting:
+            servo.waiting = None
+            if target.op.op is Op.STOP:
+                self._stopped(servo, now_ns)
+            else:
+                servo.angle_cdeg = target.op.angle_cdeg
+                servo.repeats_left = 0  # started again: a repeated Stop would undo it
+                leg.expired = False
+            effects += self._target_done(target.number)
+        return effects
+
+    def stop(
+        self, deadlines_ns: Mapping[int, int | None], cause: Cause, now_ns: int, reason: Reason, detail: str
+    ) -> list[Effect]:
+        """Stop legs for the gateway's own reasons; `deadlines_ns` names them, and since when a Stop was due.
+
+        What waited for them is rejected with `reason`.
+        """
+        transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
+        servos = [servo for number in deadlines_ns for servo in self.by_number[number].servos]
+        for servo in servos:
+            servo.note_stop(cause, self.instant_ns)
+            self._stopped(servo, now_ns)
+        for number in deadlines_ns:
+            self.by_number[number].expired = False
+        return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
+
+    def _stopped(self, servo: Servo, now_ns: int) -> None:
+        servo.angle_cdeg = None
+        servo.repeats_left = self._rules.repeats
+        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
+
+    def _empty_start_queue(self, own: int | None = None) -> list[Effect]:
+        """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now.
+
+        Unless the Stop's own command wants it.
+        """
+        servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
+        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting.number != own]
+        return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
+
+    # ---- commands under way
+
+    def _replace(self, servo: Servo, newer: Waiting | None) -> list[Effect]:
+        """A newer target for a servo: the command whose target waited until now will not see it sent."""
+        older, servo.waiting = servo.waiting, newer
+        if older is None:
+            return []
+        self._pending[older.number].coalesced = True
+        return self._target_done(older.number)
+
+    def _target_done(self, number: int) -> list[Effect]:
+        order = self._pending[number]
+        order.targets -= 1
+        if order.targets:
+            return []
+        del self._pending[number]
+        return [Completed(number, order.coalesced)]
+
+    def drop(self, servos: Iterable[Servo], reason: Reason, detail: str) -> list[Effect]:
+        """Forget what waits for these servos, and reject the commands that it came from, as a whole."""
+        rejected = dict.fromkeys(servo.waiting.number for servo in servos if servo.waiting is not None)
+        for servo in self.servos.values():  # what is rejected here must not take effect on another leg
+            if servo.waiting is not None and servo.waiting.number in rejected:
+                servo.waiting = None
+        for number in rejected:
+            del self._pending[number]
+        for leg in self:
+            if not leg.waits_to_start:
+                self._queue.leave(leg.number)
+        return [Rejected(number, reason, detail) for number in rejected]
+
+    def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
+        due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
+        for servo in due:
+            servo.repeats_left -= 1
+            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
+        return _stops(leg, due, Cause.REPEAT)

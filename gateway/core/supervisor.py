@@ -1,0 +1,338 @@
+"""The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and say.
+
+No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
+are carried out by the service in their order. If writing a frame fails, the service says so with `BusFailed`.
+
+The rules, by number of the contract's *Behaviour*:
+
+ 1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
+ 2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is
+    rejected, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
+ 3. Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for nothing, and
+    in what one step wants sent, all Stops come first.
+ 4. A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for
+    the timeout. A Stop for one servo does not keep the others of its leg running.
+    Deadlines come before a command of the same step: a command that was late does not save its leg.
+    Every Stop is repeated, until its servo is started again.
+ 5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
+    and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
+ 6. After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped.
+    The latch of an emergency stop stays through it.
+ 7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
+    only then gets its Stops too.
+
+`StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
+too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
+Set is taken: one of its Stops may still come, and would undo it unseen.
+
+Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start
+or Set that came by another channel, and the emergency stop wins over a reset.
+"""
+
+from typing import Final
+
+from gateway.core.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Command,
+    Completed,
+    Effect,
+    EmergencyStop,
+    Event,
+    Rejected,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.core.legs import Legs, Rules
+from gateway.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.protocol.frames import Op
+from schemas.telemetry import Cause, Kind, Mode, Reason
+
+_QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
+
+TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
+    Mode.STARTING: {
+        EmergencyStop: frozenset({Mode.STARTING}),
+        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        TimePassed: frozenset({Mode.STARTING}),
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.IDLE: {
+        Command: _QUIET,
+        Reset: _QUIET,
+        EmergencyStop: frozenset({Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: _QUIET,
+        TimePassed: _QUIET,
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.ACTIVE: {
+        Command: _QUIET,
+        Reset: _QUIET,
+        EmergencyStop: frozenset({Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: _QUIET,
+        TimePassed: _QUIET,
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.ESTOPPED: {
+        Command: frozenset({Mode.ESTOPPED}),
+        Reset: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        EmergencyStop: frozenset({Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: frozenset({Mode.ESTOPPED}),
+        TimePassed: frozenset({Mode.ESTOPPED}),
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.BUS_FAULT: {
+        Command: frozenset({Mode.BUS_FAULT}),
+        Reset: frozenset({Mode.BUS_FAULT}),
+        EmergencyStop: frozenset({Mode.BUS_FAULT}),
+        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        BusFailed: frozenset({Mode.BUS_FAULT}),
+        StoppedOutside: frozenset({Mode.BUS_FAULT}),
+        TimePassed: frozenset({Mode.BUS_FAULT}),
+        ShutDown: frozenset({Mode.STOPPING}),
+    },
+    Mode.STOPPING: {
+        event: frozenset({Mode.STOPPING})
+        for event in (Command, Reset, EmergencyStop, BusOpened, BusFailed, StoppedOutside, TimePassed, ShutDown)
+    },
+}
+"""In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
+
+_ESTOPPED: Final = "the emergency stop is engaged; reset it first"
+_BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
+_STOPPING: Final = "the gateway is ending"
+_OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
+_REJECTING: Final = {
+    Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
+    Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
+    Mode.STOPPING: (Reason.STOPPING, _STOPPING),
+}
+"""The modes in which every command that comes is rejected, and why."""
+
+
+class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
+    """The caller sent an event that has no place in this mode; the state is as it was."""
+
+
+class Supervisor:
+    """Decides what reaches the robot. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.legs = Legs(rules)
+        self._opened = False  # ever
+        self._bus_ok = False
+        self._latched_ns: int | None = None
+        self._ended = False
+        self.stopped_outside = False
+        """Whether `stop-servos` is known to be at work on the same device."""
+        self.estops = 0
+        """The number of the latest emergency stop; 0 before the first.
+
+        Each run of the gateway counts from 1, so a reset that was sent to an earlier run may name a number of this one.
+        A client that is connected to the gateway cannot send one: what was on its way to the earlier run was lost with
+        that run's sockets. A router can, for as long as it keeps a silent link (10 s), and only once this run has come
+        to the same number. The latch is then left, and nothing moves until somebody starts it.
+        """
+        self.expirations = 0
+        self.mode = Mode.STARTING
+        """What the gateway as a whole is doing."""
+        self.due_ns: int | None = None
+        """When `TimePassed` is next needed; None: not before something else happens."""
+
+    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
+        """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it.
+
+        Events with the same `instant_ns` (their own time, if not given) were collected together, and nobody knows in
+        which order they were sent; to deal with them takes time, and deadlines do not wait for that.
+        """
+        if type(event) not in TRANSITIONS[self.mode]:
+            raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
+        self.legs.instant_ns = now_ns if instant_ns is None else instant_ns
+        match event:
+            case Command() | Reset() | TimePassed() | StoppedOutside(at_work=False):
+                effects = self._in_time(event, now_ns)
+            # All else stops everything, or finds a bus that sends nothing: what was due has no meaning any more.
+            case EmergencyStop():
+                effects = self._emergency_stop(event, now_ns)
+            case StoppedOutside():
+                effects = self._stop_with_outside(now_ns)
+            case BusOpened():
+                effects = self._bus_opened(now_ns)
+            case BusFailed():
+                effects = self._bus_failed(event)
+            case ShutDown():
+                effects = self._shut_down(now_ns)
+        self.mode = self._mode_now()
+        self.due_ns = self.legs.due_ns() if self._bus_ok else None
+        return sorted(effects, key=_after_stops)
+
+    def _mode_now(self) -> Mode:
+        """The first that applies."""
+        if self._ended:
+            return Mode.STOPPING
+        if not self._bus_ok:
+            return Mode.BUS_FAULT if self._opened else Mode.STARTING
+        if self._latched_ns is not None:
+            return Mode.ESTOPPED
+        return Mode.IDLE if all(leg.at_rest for leg in self.legs) else Mode.ACTIVE
+
+    def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
+        """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
+        due = self.due_ns is not None and now_ns >= self.due_ns
+        effects = self._expire(now_ns) if due else []
+        match event:
+            case Command():
+                effects += self._command(event, now_ns)
+            case Reset():
+                effects += self._reset(event)
+            case StoppedOutside():
+                self.stopped_outside = False
+        if due:
+            effects += self.legs.repeat_stops(now_ns)
+            effects += self.legs.take_slots(now_ns)
+        return effects
+
+    # ---- events
+
+    def _command(self, command: Command, now_ns: int) -> list[Effect]:
+        rejection = self._rejection(command)
+        if rejection is not None:
+            return [Rejected(command.number, *rejection)]
+        return self.legs.apply(command, now_ns)
+
+    def _rejection(self, command: Command) -> tuple[Reason, str] | None:
+        """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
+        if self.mode in _REJECTING:
+            return _REJECTING[self.mode]
+        moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        if moves and self.stopped_outside:
+            return Reason.SERVO_STOPPED, _OUTSIDE
+        for servo_id, op in moves:
+            limits = self._rules.joint_limits_cdeg.get(servo_id)
+            if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
+                low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
+                detail = f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
+                return Reason.JOINT_LIMIT, detail
+        for servo_id, op in moves:
+            servo = self.legs.servos[servo_id]
+            if servo.stopped_ns == self.legs.instant_ns and not servo.stopped_by <= {command.channel}:
+                # Which of the two is older is not known, and an older Start must not overtake a Stop.
+                by = ", ".join(sorted(servo.stopped_by))
+                return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
+            if op.op is Op.SET and not servo.will_run:
+                return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
+        return None
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        first = self._latched_ns is None
+        self.estops += 1
+        self._latched_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
+        effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
+        if first:
+            detail = "emergency stop; all commands are rejected until a reset"
+            if not self._bus_ok:
+                detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
+            effects.append(Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key))
+        return effects
+
+    def _reset(self, event: Reset) -> list[Effect]:
+        if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:
+            return [Rejected(event.number, *_REJECTING[self.mode])]
+        if self._latched_ns is None:
+            return [Completed(event.number)]
+        older = self._may_be_older(event, self._latched_ns)
+        if older is not None:
+            return [Rejected(event.number, Reason.ESTOPPED, older)]
+        self._latched_ns = None
+        detail = "emergency stop left; nothing moves until it is started again"
+        return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event.number)]
+
+    def _may_be_older(self, reset: Reset, latched_ns: int) -> str | None:
+        """Why this reset may have been sent before the latest emergency stop; None: it was sent after it."""
+        age_ns = self.legs.instant_ns - latched_ns
+        if age_ns == 0:
+            return "the emergency stop was engaged in the same instant"
+        if reset.estop is None:
+            if age_ns >= self._rules.unnumbered_reset_ns:
+                return None
+            return (
+                f"the emergency stop was requested {age_ns / NS_PER_S:.1f} s ago; a reset without its number (estop) "
+                f"is accepted after {self._rules.unnumbered_reset_ns / NS_PER_S:g} s"
+            )
+        if reset.estop < self.estops:
+            return f"a newer emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
+        if reset.estop > self.estops:
+            return f"no such emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
+        return None
+
+    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
+        first, self.stopped_outside = not self.stopped_outside, True
+        effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)
+        if first:
+            detail = "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
+            effects.append(Announce(Kind.STOPPED_OUTSIDE, detail))
+        return effects
+
+    def _bus_opened(self, now_ns: int) -> list[Effect]:
+        recovered, self._opened, self._bus_ok = self._opened, True, True
+        effects = self._stop_all(Cause.STARTUP, now_ns, Reason.BUS_FAULT, _BUS_FAULT)
+        if recovered:
+            effects.append(Announce(Kind.BUS_RECOVERED, "the SPI bus answers again; all servos are stopped"))
+        return effects
+
+    def _bus_failed(self, event: BusFailed) -> list[Effect]:
+        first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
+        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
+        if first:
+            effects.append(Announce(Kind.BUS_FAULT, event.detail))
+        return effects
+
+    def _shut_down(self, now_ns: int) -> list[Effect]:
+        self._ended = True
+        stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
+        announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
+        return [*self._stop_all(Cause.SHUTDOWN, now_ns, Reason.STOPPING, _STOPPING), announcement]
+
+    # ---- Stops for the gateway's own reasons
+
+    def _expire(self, now_ns: int) -> list[Effect]:
+        deadlines = {
+            leg.number: deadline
+            for leg in self.legs
+            if (deadline := leg.deadline_ns(self._rules.timeout_ns)) is not None
+        }
+        silent = {number: deadline for number, deadline in deadlines.items() if now_ns >= deadline}
+        if not silent:
+            return []
+        self.expirations += len(silent)
+        timeout_ms = self._rules.timeout_ns / NS_PER_MS
+        first = min(silent.values())
+        due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
+        expired = [leg for leg in self.legs if leg.number in due and leg.armed]
+        detail = "the command was pending longer than the watchdog allows"
+        effects = self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
+        for leg in expired:
+            leg.expired = True
+        whole = "; all six legs are stopped" if self._rules.whole_robot else "; it is stopped"
+        for number in silent:
+            effects.append(Announce(Kind.WATCHDOG_EXPIRED, f"leg {number} was not heard for {timeout_ms:g} ms{whole}"))
+        return effects
+
+    def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        if not self._bus_ok:
+            return self.legs.drop(self.legs.servos.values(), reason, detail)
+        return self.legs.stop({leg.number: None for leg in self.legs}, cause, now_ns, reason, detail)
+
+
+def _after_stops(effect: Effect) -> bool:
+    """Sorts Stops to the front: no frame that moves, and no answer to anyone, stands before one."""
+    return not (isinstance(effect, Transmit) and effect.frame.is_stop)

@@ -1,0 +1,398 @@
+"""The loop's side: takes what came in, asks the supervisor, writes the frames, answers and tells.
+
+Everything here runs on the one asyncio loop, which owns all state. Nothing waits but a transfer.
+"""
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple
+
+from gateway import __version__
+from gateway.core.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Command,
+    Completed,
+    Effect,
+    EmergencyStop,
+    Event,
+    Rejected,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.core.intake import Intent, Rejection, decode, stop_all_of, too_large
+from gateway.core.message import Outbox, Received, Reply, Verb
+from gateway.core.rejection_limit import RejectionLimit
+from gateway.core.staleness import Staleness
+from gateway.core.supervisor import Supervisor
+from gateway.errors import SpiError
+from gateway.runtime.metrics import Metrics
+from gateway.runtime.preamble import PreambleInPauses
+from gateway.runtime.report import report, wall_clock
+from gateway.settings import Settings
+from gateway.spi.bus import Bus
+from schemas import keys, telemetry
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.robot import LEGS
+from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
+
+FIRST_REOPEN_S: Final = 0.02
+"""Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
+LAST_REOPEN_S: Final = 1.0
+"""Half of what the contract allows: a busy machine may wake up late, and a Stop may be waiting."""
+MAX_KEY: Final = 100
+"""Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
+
+logger = logging.getLogger(__name__)
+
+
+class _PendingCommand(NamedTuple):
+    """A command that the supervisor knows by its number, as far as it must be answered."""
+
+    key: str
+    source: str | None
+    reply: Reply | None
+
+
+class Conductor:
+    """One robot's gateway, from received messages to written frames."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        supervisor: Supervisor,
+        bus: Bus,
+        outbox: Outbox,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        clock: Callable[[], int],
+        simulated: bool,
+    ) -> None:
+        self._settings = settings
+        self.supervisor = supervisor
+        self.bus = bus
+        self._loop = loop
+        self._clock = clock
+        self._simulated = simulated
+        self._started_ns = self._instant_ns = clock()
+        self._pending: dict[int, _PendingCommand] = {}
+        self._numbers = itertools.count(1)
+        self._rejections = RejectionLimit()
+        self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
+        self._timer: asyncio.TimerHandle | None = None
+        self._reopen_timer: asyncio.TimerHandle | None = None
+        self._reopen_s = FIRST_REOPEN_S
+        self._in_fault = False
+        self._announced = False
+        self._preamble = PreambleInPauses(bus, loop, settings.spi.frame_gap_us / 1e6, clock, self._zero_failed)
+        self._told_mode = Mode.STARTING
+        self.done = asyncio.Event()
+        """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
+        self.metrics = Metrics()
+        self.outbox = outbox
+        self.take: Callable[[], Iterable[Received]] = tuple
+        """Where messages come from; the service connects the inbox here once everything stands."""
+        self.instant_open: Callable[[], bool] = lambda: False
+        """Whether the next messages are of the same instant as the last; the inbox, as well."""
+
+    # ---- start and end
+
+    def start(self) -> None:
+        """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
+        self.bus.open()
+        fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock()))[1]
+        if fault is not None:
+            raise fault
+        self._arm()
+
+    def announce_start(self) -> None:
+        """Tell that commands are taken from now on."""
+        self._announced = True
+        self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands", None, None, None)
+        self._tell_mode()
+
+    def shut_down(self) -> bool:
+        """Reject all commands from now on, and stop all six legs: whether all six Stops were written."""
+        if self._reopen_timer is not None:
+            self._reopen_timer.cancel()
+        if self.supervisor.mode is Mode.BUS_FAULT:
+            self._reopen()  # a last attempt: the Stops below are worth it
+        stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)
+        self._arm()
+        return stop_frames >= len(LEGS)
+
+    def close(self) -> None:
+        """Release the bus and the timers; no message is taken any more."""
+        self.take = tuple
+        for timer in (self._timer, self._reopen_timer):
+            if timer is not None:
+                timer.cancel()
+        self._preamble.cancel()
+        self.bus.close()
+
+    # ---- what happens
+
+    def tick(self) -> None:
+        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
+        now_ns = self.lock()
+        instant_ns = self._instant_ns = self._instant_ns if self.instant_open() else now_ns
+        for received in self.take():
+            self._receive(received, instant_ns)
+            self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
+        self._do_what_is_due(instant_ns)
+        self._arm()
+
+    def lock(self) -> int:
+        """The loop turns; to be called ten times a second at least. What time it is."""
+        now_ns = self._clock()
+        if self._staleness is not None:
+            self._staleness.turned(now_ns)
+        return now_ns
+
+    def _do_what_is_due(self, instant_ns: int) -> None:
+        if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
+            self._step(TimePassed(), instant_ns)
+
+    def answer_state(self, reply: Reply) -> None:
+        """Answer a `get` on the state."""
+        reply(self.state().model_dump_json().encode())
+
+    def _receive(self, received: Received, instant_ns: int) -> None:
+        if received.key == keys.ESTOP:
+            self._emergency_stop(received, instant_ns)
+            return
+        intent = _intent(received)
+        if isinstance(intent, Rejection):
+            self._reject(received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail)
+            return
+        source = intent.source or received.source
+        too_old = self._too_old(intent, source, instant_ns)
+        if too_old is not None:
+            self._reject(received.key, source, received.reply, Reason.STALE, too_old)
+            return
+        number = next(self._numbers)
+        self._pending[number] = _PendingCommand(received.key, source, received.reply)
+        if received.key == keys.RESET:
+            self._step(Reset(number, source, received.key, intent.estop), instant_ns)
+        else:
+            self._step(Command(number, received.channel, intent.targets), instant_ns)
+
+    def _too_old(self, intent: Intent, source: str | None, instant_ns: int) -> str | None:
+        if self._staleness is None:
+            return None
+        too_old = self._staleness.too_old(source, intent.sent_ms, self._clock(), instant_ns)
+        # A Stop is taken however old it is: to stop once too often harms nobody.
+        return None if intent.only_stops else too_old
+
+    def _emergency_stop(self, received: Received, instant_ns: int) -> None:
+        # Nothing of the payload is looked at: whatever it is, somebody wants the robot to stop.
+        if self.supervisor.mode is Mode.BUS_FAULT:
+            self._reopen()
+        stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).count(Cause.ESTOP)
+        latency_ns = max(0, self._clock() - received.received_ns)
+        if stop_frames >= len(LEGS):
+            self.metrics.emergency_stops.record(latency_ns)
+        if received.reply is not None:
+            number = self.supervisor.estops
+            ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
+            self._reply(received.reply, ack)
+
+    def _step(self, event: Event, instant_ns: int | None = None) -> list[Cause]:
+        """Let the supervisor take an event and carry out what it says. Returns why each frame was written."""
+        written, fault = self._carry_out(self.supervisor.step(event, self._clock(), instant_ns))
+        if fault is not None:
+            self._bus_failed(fault)
+        self._tell_mode()
+        return written
+
+    def _carry_out(self, effects: list[Effect]) -> tuple[list[Cause], SpiError | None]:
+        """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
+        fault: SpiError | None = None
+        written: list[tuple[Transmit, int]] = []
+        repeats = False
+        for effect in effects:
+            match effect:
+                case Transmit():
+                    if fault is not None and not effect.frame.is_stop:
+                        continue
+                    before, repeats = repeats, effect.cause is Cause.REPEAT
+                    try:
+                        self.bus.write(effect.frame, first_repeat=repeats and not before)
+                    except SpiError as error:
+                        fault = fault or error
+                        continue
+                    now_ns = self._clock()
+                    written.append((effect, now_ns))
+                    self.metrics.frames[effect.cause] += 1
+                    if effect.deadline_ns is not None:
+                        self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
+                case Completed() if fault is not None:
+                    self._reject_pending(effect.number, Reason.BUS_FAULT, f"the frame could not be written: {fault}")
+                case Completed():
+                    self._accept(effect)
+                case Rejected():
+                    self._reject_pending(effect.number, effect.reason, effect.detail)
+                case Announce(kind=Kind.BUS_RECOVERED) if fault is not None:
+                    pass  # it opened, but did not take six Stops: the fault goes on, and has been told
+                case Announce():
+                    self._tell(effect.kind, effect.detail, effect.source, effect.key, None)
+        if self._settings.telemetry.frames:
+            for transmit, monotonic_ns in written:
+                self._tell_frame(transmit, monotonic_ns)
+        return [transmit.cause for transmit, _ in written], fault
+
+    # ---- the bus
+
+    def _bus_failed(self, fault: SpiError) -> None:
+        self.bus.close()
+        effects = self.supervisor.step(BusFailed(str(fault)), self._clock())
+        if self._in_fault:
+            effects = [effect for effect in effects if not isinstance(effect, Announce)]
+        self._in_fault = True
+        self._carry_out(effects)
+        if self.supervisor.mode is Mode.BUS_FAULT:
+            self._reopen_later()
+
+    def _zero_failed(self, fault: SpiError) -> None:
+        self._bus_failed(fault)
+        self._tell_mode()
+        self._arm()
+
+    def _reopen_later(self) -> None:
+        if self._reopen_timer is not None:
+            self._reopen_timer.cancel()
+        self._reopen_timer = self._loop.call_later(self._reopen_s, self._reopen)
+        self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)
+
+    def _reopen(self) -> None:
+        try:
+            self.bus.open()
+        except SpiError as error:
+            logger.debug("the SPI device does not answer yet: %s", error)
+            self._reopen_later()
+            return
+        self._step(BusOpened())
+        if self.supervisor.mode is not Mode.BUS_FAULT:
+            self._in_fault = False
+            self._reopen_s = FIRST_REOPEN_S
+            if self._reopen_timer is not None:
+                self._reopen_timer.cancel()
+        self._arm()
+
+    def look_outside(self) -> None:
+        """Learn of `stop-servos` on the same device, and of its end."""
+        at_work = self.bus.stop_servos_at_work()
+        if at_work is not self.supervisor.stopped_outside:
+            self._step(StoppedOutside(at_work))
+            self._arm()
+
+    # ---- time
+
+    def _arm(self) -> None:
+        """Wake up when the supervisor wants to. An early timer is left alone: looking is cheaper than changing."""
+        due_ns = self.supervisor.due_ns
+        if self.bus.announces:
+            due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)
+        if due_ns is None:
+            if self.supervisor.mode is Mode.STOPPING:
+                self.done.set()
+            return
+        due_s = due_ns / 1e9
+        if self._timer is not None and not self._timer.cancelled() and self._timer.when() <= due_s:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_at(due_s, self._woken)
+
+    def _woken(self) -> None:
+        self._timer = None
+        self.tick()
+
+    # ---- answers and reports
+
+    def _accept(self, completed: Completed) -> None:
+        self.metrics.accepted += 1
+        self.metrics.coalesced += completed.coalesced
+        order = self._pending.pop(completed.number)
+        if order.reply is not None:
+            self._reply(order.reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
+
+    def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
+        order = self._pending.pop(number)
+        self._reject(order.key, order.source, order.reply, reason, detail)
+
+    def _reject(self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str) -> None:
+        self.metrics.rejected[reason] += 1
+        if reply is not None:
+            self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
+        left_out = self._rejections.admit(source, self._clock())
+        if left_out is not None:
+            self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out)
+
+    def _reply(self, reply: Reply, ack: Ack) -> None:
+        reply(ack.model_dump_json().encode())
+
+    def _tell(
+        self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
+    ) -> None:
+        level = logging.WARNING if kind in _WARNINGS else logging.INFO
+        extra = {"kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None}
+        logger.log(level, detail, extra=extra)
+        event = telemetry.Event(
+            time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out
+        )
+        self.outbox.publish(keys.EVENT, event)
+
+    def _tell_frame(self, transmit: Transmit, monotonic_ns: int) -> None:
+        record = telemetry.FrameRecord(
+            time=wall_clock(), monotonic_ns=monotonic_ns, bytes=transmit.frame.to_bytes().hex(), cause=transmit.cause
+        )
+        self.outbox.publish(keys.FRAME, record)
+
+    def _tell_mode(self) -> None:
+        mode = self.supervisor.mode
+        if self._announced and mode is not self._told_mode:  # until then it is starting, however long that takes
+            self._told_mode = mode
+            logger.info("mode %s", mode, extra={"mode": mode})
+            self.outbox.publish(keys.STATE, self.state())
+
+    def state(self) -> telemetry.GatewayState:
+        """What the gateway knows now."""
+        return report(
+            self._settings,
+            self.supervisor,
+            self.bus,
+            self.metrics,
+            started_ns=self._started_ns,
+            now_ns=self._clock(),
+            simulated=self._simulated,
+        )
+
+
+_WARNINGS: Final = frozenset(
+    {Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE}
+)
+
+
+def _intent(received: Received) -> Intent | Rejection:
+    """What a message other than the emergency stop asks for."""
+    if received.target is None:
+        try:
+            keys.parse(received.expression)
+        except ValueError as error:
+            return Rejection(Reason.INVALID, str(error))
+        return Rejection(Reason.INVALID, f"{received.expression} names no command key")
+    if received.key == keys.RESET and received.expression != keys.RESET:
+        # A wildcard may name the reset among others; leaving the emergency stop must be meant.
+        return Rejection(Reason.INVALID, f"a reset is not taken from a wildcard; put it on {keys.RESET}")
+    if received.verb is Verb.DELETE:
+        return stop_all_of(received.target)
+    if received.size > MAX_PAYLOAD_BYTES:
+        return too_large(received.size)
+    return decode(received.target, received.payload, received.encoding)

@@ -1,0 +1,23 @@
+"""What the service counts and times. Plain numbers, written on the loop; `exposition` shows them to Prometheus."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from gateway.core.latency import Latency
+from schemas.telemetry import Cause, Reason
+
+
+@dataclass(slots=True)
+class Metrics:
+    """One service's counters and latencies."""
+
+    accepted: int = 0
+    coalesced: int = 0
+    rejected: Counter[Reason] = field(default_factory=Counter)
+    frames: Counter[Cause] = field(default_factory=Counter)
+    watchdog_stops: Latency = field(default_factory=Latency)
+    """Deadline → its Stop written."""
+    emergency_stops: Latency = field(default_factory=Latency)
+    """Request received → sixth Stop written; requests whose Stops could not be written are not in it."""
+    loop_lag: Latency = field(default_factory=Latency)
+    """How late the loop's timers run."""

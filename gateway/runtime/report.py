@@ -1,0 +1,78 @@
+"""What the gateway knows, as `hexapod/state` tells it."""
+
+from datetime import UTC, datetime
+
+from gateway import __version__
+from gateway.core.legs import Leg, Servo
+from gateway.core.supervisor import Supervisor
+from gateway.protocol import VERSION
+from gateway.runtime.metrics import Metrics
+from gateway.settings import Settings
+from gateway.spi.bus import Bus
+from schemas.telemetry import (
+    CommandCounts,
+    GatewayState,
+    LegReport,
+    ServoReport,
+    SpiReport,
+    StopLatency,
+    WatchdogReport,
+)
+
+
+def wall_clock() -> datetime:
+    """The time that people read; no decision depends on it."""
+    return datetime.now(UTC)
+
+
+def report(
+    settings: Settings,
+    supervisor: Supervisor,
+    bus: Bus,
+    metrics: Metrics,
+    *,
+    started_ns: int,
+    now_ns: int,
+    simulated: bool,
+) -> GatewayState:
+    """The state at `now_ns`."""
+    p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
+    return GatewayState(
+        mode=supervisor.mode,
+        time=wall_clock(),
+        uptime_s=(now_ns - started_ns) / 1e9,
+        version=__version__,
+        protocol=VERSION,
+        simulated=simulated,
+        legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
+        commands=CommandCounts(
+            accepted=metrics.accepted, rejected=metrics.rejected.total(), coalesced=metrics.coalesced
+        ),
+        spi=SpiReport(
+            device="simulated controller" if simulated else settings.spi.device,
+            framing=settings.spi.framing,
+            frames=bus.frames,
+            errors=bus.errors,
+        ),
+        watchdog=WatchdogReport(
+            timeout_ms=settings.watchdog.timeout_ms,
+            expirations=supervisor.expirations,
+            stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
+        ),
+        estop=supervisor.estops,
+    )
+
+
+def _leg(leg: Leg, now_ns: int) -> LegReport:
+    first, second, third = map(_servo, leg.servos)
+    return LegReport(
+        leg=leg.number,
+        watchdog=leg.watchdog,
+        age_ms=None if leg.heard_ns is None else (now_ns - leg.heard_ns) / 1e6,
+        servos=(first, second, third),
+    )
+
+
+def _servo(servo: Servo) -> ServoReport:
+    angle_deg = None if servo.angle_cdeg is None else servo.angle_cdeg / 100
+    return ServoReport(id=servo.servo_id, running=servo.running, angle_deg=angle_deg)

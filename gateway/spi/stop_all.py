@@ -1,0 +1,71 @@
+"""Stops all six legs straight over SPI: no Zenoh, no running gateway, and little that could fail or be slow to load."""
+
+import time
+from typing import Final
+
+from gateway.protocol.frames import stop_leg
+from gateway.settings import Settings
+from gateway.spi.bus import Bus, bus_for
+from gateway.spi.kernel import KernelDevice
+from gateway.spi.outside import Notice
+from schemas.robot import LEGS
+
+MORE_ROUNDS: Final = 10
+"""How often legs that got no Stop are tried again, past the repeats: a fault of a few hundred milliseconds, such as a
+device that comes back, is outlasted, and the service manager still does not wait long."""
+MOST_PAUSE_MS: Final = 20.0
+"""Between those."""
+
+
+def stop_servos(settings: Settings) -> bool | None:
+    """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
+
+    Returns whether a gateway on the same device has noticed; None: none was there.
+
+    Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm. Beside a
+    gateway that runs, its frames come between that one's, never into them.
+    """
+
+    def open_device() -> KernelDevice:
+        return KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False)
+
+    bus = bus_for(settings.spi, open_device, shared_device=True)
+    notice = Notice(settings.spi.device)
+    unstopped = set(LEGS)
+    fault: Exception | None = None
+    for repeat in range(1 + settings.watchdog.repeats + MORE_ROUNDS):
+        if repeat > settings.watchdog.repeats and not unstopped:
+            break
+        if repeat:
+            pause_ms = settings.watchdog.repeat_interval_ms
+            time.sleep((pause_ms if repeat <= settings.watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
+        stopped, fault_now = stop_once(bus)
+        notice.give()  # after the first Stops, which leave at once, and before the last
+        unstopped -= stopped
+        fault = fault_now or fault
+    bus.close()
+    noticed = notice.end()
+    if unstopped and fault is not None:
+        raise fault
+    return noticed if notice.gateway_runs else None
+
+
+def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:
+    """One Stop for each leg: the legs whose Stop was written, and what failed last.
+
+    The device is opened for it, unless it is `opened` already, and after each failure: opening writes the preamble,
+    which synchronises a controller that something else put out of sync. Whatever one leg meets, a mistake of our own
+    too, the others are tried: this is the last attempt to stop the robot.
+    """
+    stopped: set[int] = set()
+    fault: Exception | None = None
+    for leg in LEGS:
+        try:
+            if not opened:
+                bus.open()
+            opened = True
+            bus.write(stop_leg(leg))
+            stopped.add(leg)
+        except Exception as error:
+            fault, opened = error, False
+    return stopped, fault

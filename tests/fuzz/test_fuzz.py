@@ -1,0 +1,200 @@
+"""A short run of each fuzzer on every change (long ones: `python -m tests.fuzz`, docs/fuzzing.md), and proof that they
+find what they are for."""
+
+import importlib.util
+import os
+import random
+import shutil
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gateway.core import intake
+from gateway.core.intake import Intent, Rejection
+from gateway.protocol import frames
+from gateway.protocol.framing import Framing
+from gateway.spi.simulator import KEPT_TRANSFERS, SimulatedController
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.keys import LEGS_COMMAND
+from schemas.telemetry import Reason
+from tests.fuzz.mutate import mutate_json
+from tests.fuzz.run import MAX_GROWTH_MB, fuzz
+from tests.fuzz.seeds import MAX_LEN, seeds
+from tests.fuzz.targets import TARGETS, check_frame, check_intake
+from tests.support.commands import LEG, SERVO_32, as_json, parsed
+
+ROOT = Path(__file__).parents[2]
+RUNS = {"intake": 50_000, "decode": 60_000, "simulator": 12_000}
+"""Some four seconds each."""
+
+
+@pytest.fixture
+def _atheris() -> None:
+    """Where it cannot be installed, the short runs are left out; but never in CI, where they are wanted."""
+    if importlib.util.find_spec("atheris") is None and os.environ.get("CI") != "true":
+        pytest.skip("atheris is not installed (pip install -e '.[fuzz]')")
+
+
+@pytest.mark.usefixtures("_atheris")
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_short_run_finds_nothing(target: str, tmp_path: Path) -> None:
+    report = fuzz(target, RUNS[target], tmp_path, seed=random.SystemRandom().randrange(1, 2**31))
+    assert not report.finding, str(report)
+    assert report.inputs >= RUNS[target]
+    assert report.growth_mb <= MAX_GROWTH_MB
+    assert report.edges > 50, "the code under test is instrumented"
+    assert sum(report.came_of.values()) >= RUNS[target] * 0.9
+    assert WANTED[target] <= report.came_of.keys(), "it gets past the first check"
+
+
+WANTED = {
+    "intake": {"intent", "invalid", "malformed", "too_large", "bad_encoding"},
+    "decode": {"bytes: frame", "bytes: no frame", "typed: exit code 0", "typed: exit code 1"},
+    "simulator": {"plain: some frames executed", "length-prefixed: some frames executed"},
+}
+
+
+@pytest.mark.usefixtures("_atheris")
+@pytest.mark.parametrize(("target", "module", "right", "wrong"), [
+    ("decode", "protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
+    ("intake", "intake.py", "if name in seen:", "if name in ():"),
+    ("simulator", "spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
+])  # fmt: skip
+def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str, tmp_path: Path) -> None:
+    tree = tmp_path / "tree"
+    for package in ("gateway", "schemas", "tests/fuzz", "tests/data"):
+        shutil.copytree(ROOT / package, tree / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (tree / "tests" / "__init__.py").touch()
+    source = (tree / "gateway" / module).read_text()
+    assert source.count(right) == 1
+    (tree / "gateway" / module).write_text(source.replace(right, wrong))
+    report = fuzz(target, 200_000, tmp_path, tree=tree)
+    assert "Uncaught Python exception" in report.finding
+    assert str(report).startswith(f"{target}: FOUND after ")
+    assert list(tmp_path.glob(f"{target}-crash-*")), "the input is kept"
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_seeds_are_good_for_something(target: str) -> None:
+    came_of = {TARGETS[target](seed) for seed in seeds(target)}
+    assert came_of & WANTED[target]
+    assert all(len(seed) <= MAX_LEN[target] for seed in seeds(target))
+
+
+def test_changed_json_is_mostly_json() -> None:
+    payload = as_json({"legs": {"1": LEG, "6": LEG}, "source": "x"})
+    changed = [mutate_json(payload, seed) for seed in range(500)]
+    assert len(set(changed)) > 300
+    answers = [intake.decode(parsed(LEGS_COMMAND), made or b"", "application/json") for made in changed]
+    assert any(isinstance(answer, Intent) for answer in answers)
+    reasons = [str(answer.reason) for answer in answers if isinstance(answer, Rejection)]
+    assert reasons.count("invalid") > 300
+    assert mutate_json(b"{", 1) is None
+
+
+# ---- the checks see what they are for
+
+GOOD = as_json({"op": "start", "angle_deg": 90})
+GOOD_ANSWER = Intent(((32, frames.ServoOp(frames.Op.START, 90_00)),))
+BAD_ANSWERS: list[object] = [
+    None,
+    GOOD_ANSWER._replace(targets=()),
+    GOOD_ANSWER._replace(targets=((31, GOOD_ANSWER.targets[0][1]),)),
+    GOOD_ANSWER._replace(targets=((32, frames.ServoOp(frames.Op.SET, 90_00)),)),
+    GOOD_ANSWER._replace(targets=((32, frames.ServoOp(frames.Op.START, 90_01)),)),
+    GOOD_ANSWER._replace(targets=((32, frames.STOP),)),
+    GOOD_ANSWER._replace(source=""),
+    GOOD_ANSWER._replace(sent_ms=-1.0),
+    GOOD_ANSWER._replace(sent_ms=float("inf")),
+    Rejection(Reason.INVALID, ""),
+    Rejection(Reason.INVALID, "two\nlines"),
+    Rejection(Reason.INVALID, "\x1b[2J"),
+    Rejection(Reason.INVALID, "x" * 201),
+    Rejection(Reason.STALE, "the intake does not know"),
+]
+
+
+@pytest.mark.parametrize("answer", BAD_ANSWERS, ids=repr)
+def test_a_wrong_answer_of_the_intake_is_a_finding(answer: object) -> None:
+    assert check_intake(SERVO_32, GOOD, GOOD_ANSWER) == "intent"
+    with pytest.raises(AssertionError):
+        check_intake(SERVO_32, GOOD, answer)
+
+
+class _Wrong:
+    """A frame that is written in another way than it was read."""
+
+    def to_bytes(self) -> bytes:
+        return bytes.fromhex("06 02 0b 01 5a 01")
+
+
+def _raise(_: bytes) -> frames.Frame:
+    raise ValueError("not a FrameError")
+
+
+def _vague(_: bytes) -> frames.Frame:
+    raise frames.FrameError("something is wrong")
+
+
+@pytest.mark.parametrize("broken", [lambda _: _Wrong(), _raise, _vague], ids=["another frame", "a raise", "vague"])
+def test_a_wrong_frame_is_a_finding(broken: Callable[[bytes], object], monkeypatch: pytest.MonkeyPatch) -> None:
+    data = bytes.fromhex("06 02 0b 01 5a 00")
+    assert check_frame(data) == "bytes: frame"
+    monkeypatch.setattr(frames, "decode", broken)
+    with pytest.raises((AssertionError, ValueError)):
+        check_frame(data)
+
+
+@pytest.mark.parametrize("broken", ["_expire_receive", "_drive"])
+def test_a_controller_that_forgets_a_step_is_a_finding(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = seeds("simulator")[-1]
+    assert "some frames" in TARGETS["simulator"](data)
+
+    def forget(_: SimulatedController, *__: int) -> str:
+        return ""
+
+    monkeypatch.setattr(SimulatedController, broken, forget)
+    with pytest.raises(AssertionError):
+        _ = [TARGETS["simulator"](seed) for seed in seeds("simulator")]
+
+
+# ---- memory, where one object takes it all
+
+
+def test_one_controller_for_a_long_time_keeps_no_more_than_it_says() -> None:
+    """Bytes at random, more transfers than are kept: after the first round nothing is added to."""
+    chance = random.Random(7)  # noqa: S311  the same bytes each time
+    now_ns = 0
+    controller = SimulatedController(Framing.PLAIN, clock=lambda: now_ns)
+    sizes = []
+    tracemalloc.start()
+    try:
+        for _ in range(3):
+            for _ in range(2 * KEPT_TRANSFERS):
+                now_ns += chance.choice((0, 1_000_000, 1_000_000_000))
+                controller.transfer(chance.randbytes(14))
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert len(controller.transfers) == KEPT_TRANSFERS
+    assert sizes[2] - sizes[0] < 100_000, sizes
+
+
+def test_the_intake_keeps_nothing_of_what_it_rejected() -> None:
+    chance = random.Random(7)  # noqa: S311  the same bytes each time
+    sizes = []
+    tracemalloc.start()
+    try:
+        for _ in range(3):
+            for _ in range(1000):
+                payload = b'{"op": "' + chance.randbytes(1000).hex().encode() + b'"}'
+                assert isinstance(intake.decode(SERVO_32, payload, "application/json"), Rejection)
+                payload = as_json({str(chance.random()): 1 for _ in range(20)})
+                assert len(payload) < MAX_PAYLOAD_BYTES
+                assert isinstance(intake.decode(SERVO_32, payload, "application/json"), Rejection)
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert sizes[2] - sizes[0] < 100_000, sizes

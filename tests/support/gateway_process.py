@@ -1,0 +1,89 @@
+"""The gateway as a user starts it: a process of its own, with a configuration file, on a port that nobody else has."""
+
+import json
+import os
+import socket
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from gateway.client import Client
+from tests.hil.bed import SpiTestbed
+from tests.support.child import Child
+
+READY = "hexapod-gateway is ready"
+COMMAND = (sys.executable, "-m", "gateway")
+
+
+def free_port() -> int:
+    """A TCP port of this machine's loopback that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Write a TOML file with these sections."""
+    lines = []
+    for section, values in settings.items():
+        lines.append(f"[{section}]")
+        lines += [f"{name} = {json.dumps(value)}" for name, value in values.items()]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+class Gateway(AbstractContextManager["Gateway"]):
+    """A running gateway: on the simulated controller, or with `bed` on the emulated kernel device.
+
+    `settings` are its sections, `{"watchdog": {"timeout_ms": 100}}`; without a `zenoh.listen` among them, a free port
+    is taken; with `bed` and without `spi.framing`, plain. It is ready when the constructor returns.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Mapping[str, Mapping[str, Any]] | None = None,
+        *,
+        bed: SpiTestbed | None = None,
+        env: Mapping[str, str] | None = None,
+        prefix: Sequence[str] = (),
+        wait: bool = True,
+    ) -> None:
+        """Start it. `prefix` goes before the command (`ip netns exec …`)."""
+        sections = {name: dict(values) for name, values in (settings or {}).items()}
+        zenoh = sections.setdefault("zenoh", {})
+        zenoh.setdefault("listen", [f"tcp/127.0.0.1:{free_port()}"])
+        if bed is not None:
+            sections.setdefault("spi", {}).setdefault("framing", "plain")
+        self.endpoint: str = zenoh["listen"][0]
+        self.config = write_settings(folder / f"gateway-{self.endpoint.rpartition(':')[2]}.toml", sections)
+        command = [*prefix, *COMMAND, "run", "--config", str(self.config)]
+        if bed is not None:
+            self.child = bed.spawn(command, env=env)
+        else:
+            self.child = Child([*command, "--sim"], {**os.environ, **(env or {})})
+        if wait:
+            self.child.wait_for_output(READY, timeout_s=20)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.child.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def client(self, *, source: str | None = "test") -> Client:
+        """A client of it, in this process."""
+        return Client(self.endpoint, source=source, timeout_s=5)
+
+    def run(self, *arguments: str, timeout_s: float = 20) -> Child:
+        """Run one of our commands against it and wait for its end: `run("send", "leg", "3", "stop")`."""
+        child = Child([*COMMAND, *arguments, "--connect", self.endpoint], os.environ)
+        child.wait(timeout_s)
+        child.close()
+        return child

@@ -1,0 +1,395 @@
+"""An exhaustive check of the supervisor: every state that small robots can reach, each step judged by the oracle.
+
+`python -m tests.support.model_check` prints for each configuration states and steps seen, and whether that is all.
+
+Breadth first from a supervisor that has just been made: in every state, every event that `TRANSITIONS` allows there is
+tried at every distance in time that the configuration has: at once (the same instant), a tick later, in the same
+instant or in one of its own, and so late that several deadlines are jumped over. Two states are one if nothing in them
+differs relative to now, so the clock does not make them infinite, and the search ends when no step leads to a new one:
+no depth limits it. What is small is the robot
+(one or two legs, a few commands, one or two angles) and the resolution of time (a tick is half a leg's period, or a
+quarter of it).
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from operator import attrgetter
+from typing import Any, Final
+
+from gateway.core.events import BusFailed, BusOpened, Command, EmergencyStop, Event, Reset, ShutDown, TimePassed
+from gateway.core.legs import Leg, Legs, Rules, Servo, _PendingCommand
+from gateway.core.pacing import RateSlots, StartQueue, Waiting
+from gateway.core.supervisor import TRANSITIONS, Supervisor
+from gateway.protocol.frames import STOP, Op, ServoOp
+from schemas.telemetry import Mode
+from tests.support.history import STOP_SERVOS, Violation, demand
+from tests.support.oracle import Oracle
+
+TICK: Final = 10
+"""Nanoseconds, in a world where a leg's period is two ticks, or four, of which a quarter is one."""
+
+Targets = tuple[tuple[int, ServoOp], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """A small robot, its rules, what may be asked of it, and how far apart events may be (in nanoseconds)."""
+
+    name: str
+    rules: Rules
+    legs: tuple[int, ...]
+    commands: tuple[tuple[str, Targets], ...]
+    """(channel, targets)"""
+    waits_ns: tuple[int, ...]
+    within_ns: tuple[int, ...] = ()
+    """The same for events of the same instant: to deal with those before them takes time."""
+    ends: bool = True
+    """Whether the service may be shut down, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a complete search saw."""
+
+    states: int
+    steps: int
+    seconds: float
+
+
+# ---- states: copied, and told apart
+
+
+def _getter(kind: type, *expected: str) -> "attrgetter[tuple[Any, ...]]":
+    """Reads all fields. A field that is not `expected` may matter to what states are equal: then say so below."""
+    names = getattr(kind, "_fields", None) or tuple(f.name for f in fields(kind))
+    if names != expected:
+        raise TypeError(f"{kind.__name__} has the fields {names}; the model checker knows {expected}")
+    return attrgetter(*names)
+
+
+_servo_fields = _getter(
+    Servo, "servo_id", "leg", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
+)
+_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired")
+_slots_fields = _getter(RateSlots, "period_ns", "oldest_ns", "next_ns")
+_queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
+_order_fields = _getter(_PendingCommand, "targets", "coalesced")
+_getter(Waiting, "op", "number")
+_SUPERVISOR_FIELDS: Final = {
+    "_rules",
+    "legs",
+    "_opened",
+    "_bus_ok",
+    "estops",
+    "_latched_ns",
+    "_ended",
+    "stopped_outside",
+    "expirations",
+    "mode",
+    "due_ns",
+}
+# The last follows from what `due_ns` finds.
+_LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_pending", "_queue", "instant_ns", "repeat_ns"}
+
+
+def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
+    legs.by_number = by_number
+    legs.servos = {servo.servo_id: servo for leg in by_number.values() for servo in leg.servos}
+
+
+def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
+    """Take all other legs from a robot."""
+    _with_legs(supervisor.legs, {number: supervisor.legs.by_number[number] for number in legs})
+    if vars(supervisor).keys() != _SUPERVISOR_FIELDS or vars(supervisor.legs).keys() != _LEGS_FIELDS:
+        raise TypeError("the supervisor has fields that the model checker does not know")
+    return supervisor
+
+
+def copied(supervisor: Supervisor) -> Supervisor:
+    """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
+    other = object.__new__(type(supervisor))
+    other.__dict__.update(supervisor.__dict__)
+    other.legs = legs = object.__new__(type(supervisor.legs))
+    legs.__dict__.update(supervisor.legs.__dict__)
+    by_number: dict[int, Leg] = {}
+    for number, leg in supervisor.legs.by_number.items():
+        first, second, third = (type(servo)(*_servo_fields(servo)) for servo in leg.servos)
+        slots = type(leg.slots)(*_slots_fields(leg.slots))
+        by_number[number] = type(leg)(number, (first, second, third), slots, leg.heard_ns, leg.expired)
+    _with_legs(legs, by_number)
+    queue = supervisor.legs._queue
+    legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
+    legs._pending = {
+        number: _PendingCommand(*_order_fields(order)) for number, order in supervisor.legs._pending.items()
+    }
+    return other
+
+
+def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
+    """What of a state can still matter, relative to now; `rank` numbers the commands under way by age.
+
+    Left out: counters; times of things that are over; how long ago, where longer makes no difference.
+    """
+    legs = supervisor.legs
+    queue = legs._queue
+    due_ns = supervisor.due_ns
+    latched_ns, oldest_ns = supervisor._latched_ns, legs._rules.unnumbered_reset_ns
+    return (
+        supervisor.mode,
+        supervisor._opened,
+        supervisor._bus_ok,
+        supervisor._ended,
+        supervisor.stopped_outside,
+        min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
+        # How old it is for a reset of this instant, and of one that begins now.
+        latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
+        due_ns and max(0, due_ns - now_ns),
+        (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
+        tuple((rank[number], *_order_fields(order)) for number, order in sorted(legs._pending.items())),
+        tuple(
+            (
+                min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
+                leg.expired,
+                max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
+                max(leg.slots.next_ns - now_ns, 0),
+                tuple(
+                    (
+                        servo.angle_cdeg,
+                        servo.waiting and (servo.waiting.op, rank[servo.waiting.number]),
+                        # A bus that opens again is told to stop everything anew.
+                        supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
+                        servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
+                    )
+                    for servo in leg.servos
+                ),
+            )
+            for leg in legs
+        ),
+    )
+
+
+# ---- the search
+
+
+def events(configuration: Configuration, mode: Mode, order: int, estops: int) -> Iterator[tuple[str, Event]]:
+    """Everything that can happen, with a name. A command is number `order`, the latest emergency stop `estops`."""
+    # Where every command is rejected, one is as good as another.
+    commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
+    for number, (channel, targets) in enumerate(commands):
+        yield f"{channel} command {number}", Command(order, channel, targets)
+    yield "time passed", TimePassed()
+    yield "emergency stop", EmergencyStop()
+    yield "reset", Reset(order, estop=estops)
+    if mode is Mode.ESTOPPED:
+        yield "reset of an older one", Reset(order, estop=estops - 1)
+        yield "reset of none that was", Reset(order, estop=estops + 1)
+        yield "reset without a number", Reset(order)
+    yield from STOP_SERVOS.items()
+    yield "bus failed", BusFailed("a test's fault")
+    yield "bus opened", BusOpened()
+    if configuration.ends:
+        yield "shut down", ShutDown()
+
+
+@dataclass(slots=True)
+class State:
+    """A supervisor, its judge, the time, and the way there: the events back to the first."""
+
+    supervisor: Supervisor
+    oracle: Oracle
+    now_ns: int = 1000
+    instant_ns: int = 1000
+    number: int = 1
+    way: "Way | None" = None
+
+    def path(self) -> str:
+        """The way there in words: how many nanoseconds later came which event."""
+        names: list[str] = []
+        way = self.way
+        while way is not None:
+            way, name = way
+            names.append(name)
+        return ", ".join(reversed(names))
+
+
+Way = tuple["Way | None", str]
+Key = tuple[tuple[object, ...], tuple[object, ...]]
+
+
+def start(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> State:
+    """A robot that has just been made."""
+    supervisor = small(make(configuration.rules), configuration.legs)
+    return State(supervisor, Oracle(configuration.rules, configuration.legs))
+
+
+def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key, State]]:
+    """Everything that can come next. Raises Violation where a promise is broken."""
+    mode = state.supervisor.mode
+    waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
+    waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
+    for name, event in events(configuration, mode, state.number, state.supervisor.estops):
+        if type(event) not in TRANSITIONS[mode]:
+            continue
+        for wait_ns, same_instant in waits:
+            supervisor, oracle = copied(state.supervisor), state.oracle.clone()
+            way = (state.way, f"+{wait_ns}{' in the same instant' if wait_ns and same_instant else ''} {name}")
+            now_ns = state.now_ns + wait_ns
+            instant_ns = state.instant_ns if same_instant else now_ns
+            after = State(supervisor, oracle, now_ns, instant_ns, state.number + 1, way)
+            try:
+                take(supervisor, oracle, event, now_ns, instant_ns)
+            except (Violation, LookupError, ValueError) as broken:
+                raise Violation(f"{configuration.name}: {broken!r}; the way there: {after.path()}") from broken
+            rank = {number: age for age, number in enumerate(sorted(oracle.pending))}
+            yield (key(supervisor, after.now_ns, rank), oracle.key(after.now_ns, rank)), after
+
+
+def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:
+    """One step, judged. Raises Violation."""
+    mode, due_ns = supervisor.mode, supervisor.due_ns
+    effects = supervisor.step(event, now_ns, instant_ns)
+    allowed = TRANSITIONS[mode][type(event)]
+    demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
+    oracle.judge(
+        event,
+        now_ns,
+        effects,
+        mode=supervisor.mode,
+        due_ns=supervisor.due_ns,
+        estops=supervisor.estops,
+        instant_ns=instant_ns,
+    )
+    if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
+        demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")
+
+
+def check(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> Report:
+    """Visit every reachable state. Raises Violation, with the shortest way to it, where a promise is broken."""
+    started = time.monotonic()
+    seen: set[Key] = set()
+    frontier = deque([start(configuration, make)])
+    steps = 0
+    while frontier:
+        for found, state in successors(configuration, frontier.popleft()):
+            steps += 1
+            if found not in seen:
+                seen.add(found)
+                frontier.append(state)
+    return Report(len(seen), steps, time.monotonic() - started)
+
+
+# ---- the robots
+
+LOW, HIGH = 10_00, 20_00
+START, SET = ServoOp(Op.START, LOW), ServoOp(Op.SET, HIGH)
+
+
+def _rules(**changes: Any) -> Rules:
+    defaults: dict[str, Any] = {
+        "timeout_ns": 4 * TICK,
+        "repeats": 1,
+        "repeat_interval_ns": TICK,
+        "period_ns": 2 * TICK,
+        "unnumbered_reset_ns": 2 * TICK,
+    }
+    return Rules(**{**defaults, **changes})
+
+
+def _each(op: ServoOp, *servo_ids: int) -> Targets:
+    return tuple((servo_id, op) for servo_id in servo_ids)
+
+
+_ONE_SERVO = tuple((f"{verb} servo/11", _each(op, 11)) for verb in ("put", "get") for op in (START, SET, STOP))
+_WHOLE_LEG = (
+    *(("leg", _each(op, 11, 12, 13)) for op in (START, SET, STOP)),
+    ("leg", ((11, STOP), (12, START), (13, START))),
+    ("servo", _each(START, 11)),
+    ("servo", _each(STOP, 11)),
+)
+_EACH_JOINT = (
+    *(("put servo", _each(START, joint)) for joint in (12, 13)),
+    *(("put servo", _each(STOP, joint)) for joint in (12, 13)),
+    ("put leg", ((11, STOP), (12, STOP), (13, SET))),
+)
+_TWO_LEGS = (
+    *(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)),
+    ("legs", _each(START, 11, 21)),
+    ("legs", ((11, START), (21, STOP))),
+)
+_WAITS = (0, TICK, 5 * TICK)
+
+CONFIGURATIONS: Final = (
+    Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
+    Configuration(
+        "one servo, instants in which time passes",
+        _rules(repeats=0),
+        (1,),
+        (*_ONE_SERVO[:3], *_ONE_SERVO[3::2]),
+        _WAITS,
+        within_ns=(TICK,),
+        ends=False,
+    ),
+    Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS, ends=False),
+    Configuration("one leg, its joints apart", _rules(repeats=0), (1,), _EACH_JOINT, _WAITS, ends=False),
+    Configuration(
+        "one leg, frames a quarter of a period apart",
+        _rules(timeout_ns=6 * TICK, period_ns=4 * TICK, repeats=0),
+        (1,),
+        (("servo", _each(START, 11)), ("servo", _each(SET, 11)), ("servo", _each(STOP, 11))),
+        (*_WAITS, 4 * TICK),
+        ends=False,
+    ),
+    Configuration(
+        "a rate slot later than the watchdog",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK),
+        (1,),
+        _WHOLE_LEG,
+        _WAITS[1:],
+    ),
+    Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS[1:], _WAITS[1:], ends=False),
+    Configuration("two legs, repeated Stops", _rules(), (1, 2), _TWO_LEGS[:4], _WAITS[1:], ends=False),
+    Configuration(
+        "two legs, rate slots later than the watchdog",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, repeats=0),
+        (1, 2),
+        (("legs", _each(START, 11, 21, 22)), ("servo", _each(START, 21)), ("servo", _each(STOP, 11))),
+        (TICK, 3 * TICK),
+        ends=False,
+    ),
+    Configuration(
+        "two legs, one silent leg stops both",
+        _rules(repeats=0, whole_robot=True),
+        (1, 2),
+        _TWO_LEGS,
+        _WAITS[1:],
+        ends=False,
+    ),
+    Configuration(
+        "two legs, started one after the other",
+        _rules(repeats=0, start_pause_ns=3 * TICK),
+        (1, 2),
+        (*_TWO_LEGS[:3], _TWO_LEGS[4]),
+        _WAITS[1:],
+        ends=False,
+    ),
+)
+
+
+def main() -> None:
+    """Check all configurations and say what was seen."""
+    total = 0.0
+    for configuration in CONFIGURATIONS:
+        report = check(configuration)
+        total += report.seconds
+        print(
+            f"{configuration.name}: {report.states} states, {report.steps} steps, all of them seen, "
+            f"in {report.seconds:.1f} s",
+            flush=True,
+        )
+    print(f"no promise broken; {total:.1f} s")
+
+
+if __name__ == "__main__":
+    main()

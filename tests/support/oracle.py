@@ -1,0 +1,432 @@
+"""Judges every step of a supervisor by the contract's words, from outside: events, frames and answers are all it sees.
+
+It keeps a history of its own (who was heard when, which servos the frames have energised, which Stops are still to be
+repeated, which commands wait for an answer), says beforehand what must happen, and raises `Violation` where something
+else does. It shares no state and no rules with `gateway/core`, only the vocabulary.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Self
+
+from gateway.core.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Command,
+    Completed,
+    Effect,
+    EmergencyStop,
+    Event,
+    Rejected,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.core.legs import Rules
+from gateway.protocol.frames import Op, leg_of, servo_ids_of, stop_leg
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Kind, Mode, Reason
+from tests.support.history import LegHistory, ServoHistory, Want, demand
+
+_CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
+"""Modes in which every command is rejected, and for what."""
+
+
+class Oracle:
+    """The history of one robot and what it demands of the next step. `legs` are all the legs there are."""
+
+    def __init__(self, rules: Rules, legs: Iterable[int] = LEGS) -> None:
+        self.rules = rules
+        self.legs = {leg: LegHistory() for leg in legs}
+        self.servos = {servo_id: ServoHistory() for leg in self.legs for servo_id in servo_ids_of(leg)}
+        self.pending: dict[int, bool] = {}
+        """Accepted commands without an answer, and whether a newer one has replaced something of them."""
+        self._lost: set[int] = set()  # commands of which the watchdog dropped something in this step
+        self.opened = self.bus_ok = self.ended = self.outside = False
+        self.estops = 0
+        self.latched_ns: int | None = None
+        self.instant_ns = 0
+        """When the present instant began: that of all that was collected together."""
+        self.energised_leg: int | None = None
+        self.energised_ns = 0
+        self.queue: tuple[int, ...] = ()
+        """Legs with a start that waits, in the order in which they came."""
+
+    # ---- for the model checker
+
+    def clone(self) -> Self:
+        """A copy that shares nothing that changes."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.legs = {number: leg.clone() for number, leg in self.legs.items()}
+        other.servos = {servo_id: servo.clone() for servo_id, servo in self.servos.items()}
+        other.pending = dict(self.pending)
+        return other
+
+    def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
+        """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
+        legs = tuple(
+            (
+                min(now_ns - leg.heard_ns, self.rules.timeout_ns)
+                if leg.heard_ns is not None and self._watched(number)
+                else None,
+                self._bucket_ns(leg, now_ns),
+                max(0, self._slot_ns(leg) - now_ns),
+            )
+            for number, leg in self.legs.items()
+        )
+        servos = tuple(
+            (
+                servo.written_cdeg,
+                servo.want and (servo.want.op, servo.want.angle_cdeg, rank[servo.want.number]),
+                servo.owed and (servo.owed, servo.owed_ns - now_ns),
+                servo.stopped_by if servo.stopped_ns == self.instant_ns else None,
+            )
+            for servo in self.servos.values()
+        )
+        latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
+        pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
+        if not self.rules.start_pause_ns:
+            pause = (None, 0, ())
+        pending = tuple(self.pending[order] for order in sorted(self.pending))
+        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos
+
+    def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
+        """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
+        oldest_ns = self.rules.unnumbered_reset_ns
+        return min(self.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)
+
+    # ---- the judge
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The servos that the frames so far have energised."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on)
+
+    @property
+    def mode(self) -> Mode:
+        """What the gateway must say it is doing."""
+        if self.ended:
+            return Mode.STOPPING
+        if not self.bus_ok:
+            return Mode.BUS_FAULT if self.opened else Mode.STARTING
+        if self.latched_ns is not None:
+            return Mode.ESTOPPED
+        return Mode.ACTIVE if self.energised else Mode.IDLE
+
+    def judge(
+        self,
+        event: Event,
+        now_ns: int,
+        effects: Sequence[Effect],
+        *,
+        mode: Mode,
+        due_ns: int | None,
+        estops: int,
+        instant_ns: int | None = None,
+    ) -> None:
+        """Judge one step: what came, what the supervisor wants done, and what it says of itself after it.
+
+        What came belongs to the instant that began at `instant_ns`, to one of its own if that is not given.
+        """
+        self.instant_ns = now_ns if instant_ns is None else instant_ns
+        self._lost.clear()
+        stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
+        demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
+        match event:
+            case Command() | Reset() | TimePassed():
+                self._in_time(event, now_ns, effects)
+            case EmergencyStop():
+                engaged, self.latched_ns = self.latched_ns is not None, self.instant_ns
+                self.estops += 1
+                self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
+                told = any(isinstance(effect, Announce) and effect.kind is Kind.ESTOP_ENGAGED for effect in effects)
+                demand(told != engaged, "an emergency stop is announced once")
+            case StoppedOutside(at_work=False):
+                self.outside = False
+                self._in_time(event, now_ns, effects)
+            case StoppedOutside():
+                known, self.outside = self.outside, True
+                self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
+                told = any(isinstance(effect, Announce) and effect.kind is Kind.STOPPED_OUTSIDE for effect in effects)
+                demand(told != known, "Stops from outside are announced once")
+            case BusOpened():
+                self.opened = self.bus_ok = True
+                self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
+            case ShutDown():
+                self.ended = True
+                self._all_stopped(effects, Cause.SHUTDOWN, Reason.STOPPING, now_ns)
+            case BusFailed():
+                self.opened, self.bus_ok = True, False
+                self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
+                for servo in self.servos.values():
+                    servo.owed = 0  # the bus that opens again is told to stop everything
+        demand(mode is self.mode, f"the mode is {self.mode}, not {mode}")
+        demand(estops == self.estops, f"{self.estops} emergency stops were requested, not {estops}")
+        self._after(now_ns, due_ns)
+
+    def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
+        frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]
+        expected = [(stop_leg(leg), cause) for leg in self.legs] if self.bus_ok else []
+        demand(frames == expected, f"{cause}: a Stop to each leg and nothing else; nothing to a bus at fault")
+        for servo in self.servos.values():
+            servo.want = None
+            if self.bus_ok:
+                servo.written_cdeg = None
+                servo.stop(cause, self.instant_ns)
+                self._owe(servo, now_ns)
+        for effect in effects:
+            if isinstance(effect, Completed | Rejected):
+                demand(isinstance(effect, Rejected) and effect.reason is reason, f"what waited is rejected: {reason}")
+                self._answered(effect.number)
+        demand(not self.pending, "nothing waits any more")
+
+    def _in_time(
+        self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int, effects: Sequence[Effect]
+    ) -> None:
+        frames = [effect for effect in effects if isinstance(effect, Transmit)]
+        if not self.bus_ok:
+            demand(not frames, "nothing is sent while the bus is at fault")
+        watchdog = self._expired(now_ns)
+        expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG]
+        demand(
+            expired == [stop_leg(leg) for leg in watchdog], f"legs not heard for the timeout are stopped: {watchdog}"
+        )
+        stops: frozenset[int] = frozenset()
+        if isinstance(event, Command):
+            stops = self._command(event, now_ns, effects)
+        elif isinstance(event, Reset):
+            self._reset(event, effects)
+        for effect in effects:
+            match effect:
+                case Transmit(cause=Cause.COMMAND):
+                    self._moved(effect, stops, now_ns)
+                case Transmit(cause=Cause.REPEAT):
+                    self._repeated(effect, now_ns)
+                case Transmit():
+                    demand(effect.cause is Cause.WATCHDOG, f"a frame without a cause: {effect.cause}")
+                case Completed():
+                    demand(effect.number not in self._lost, "what the watchdog dropped is rejected")
+                    demand(
+                        all(servo.want is None or servo.want.number != effect.number for servo in self.servos.values()),
+                        "an answer comes after the frames",
+                    )
+                    demand(self._answered(effect.number) == effect.coalesced, "replaced commands are answered as such")
+                case Rejected():
+                    self._answered(effect.number)
+                    for servo in self.servos.values():
+                        if servo.want is not None and servo.want.number == effect.number:
+                            servo.want = None  # a rejected command takes no effect any more
+        stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
+        if self.rules.start_pause_ns and (stopped_all or watchdog):
+            self._queue_ended(event)
+
+    def _queue_ended(self, event: Event) -> None:
+        """Whoever stops a leg does not want another to start a moment later."""
+        own = event.number if isinstance(event, Command) else None
+        for servo in self.servos.values():
+            waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
+            demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
+
+    def _watched(self, leg: int) -> bool:
+        return any(servo.on or servo.starts for servo in self._servos_of(leg))
+
+    def _servos_of(self, leg: int) -> list[ServoHistory]:
+        return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
+
+    def _expired(self, now_ns: int) -> list[int]:
+        """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
+        if not self.bus_ok:
+            return []
+        silent = [
+            number
+            for number, leg in self.legs.items()
+            if self._watched(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
+        ]
+        stopped = list(self.legs) if silent and self.rules.whole_robot else silent
+        for number in stopped:
+            for servo in self._servos_of(number):
+                servo.written_cdeg = None
+                if servo.want is not None:
+                    self._lost.add(servo.want.number)
+                servo.stop(Cause.WATCHDOG, self.instant_ns)
+                self._owe(servo, now_ns)
+        return stopped
+
+    def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
+        """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
+        reason = self._reason_to_reject(command)
+        reasons = [
+            effect.reason for effect in effects if isinstance(effect, Rejected) and effect.number == command.number
+        ]
+        demand(reasons == ([] if reason is None else [reason]), f"rejected for {reason}, not for {reasons}")
+        self.pending[command.number] = False
+        if reason is not None:
+            return frozenset()
+        told_to_stop: set[int] = set()
+        for effect in effects:
+            if isinstance(effect, Transmit):
+                told_to_stop |= {servo_id for servo_id, op in effect.frame.servos if op.op is Op.STOP}
+        for servo_id, op in command.targets:
+            servo = self.servos[servo_id]
+            if op.op is not Op.STOP:
+                self.legs[leg_of(servo_id)].heard_ns = now_ns
+            if servo.want is not None:
+                self.pending[servo.want.number] = True
+            if op.op is Op.STOP:
+                repeated_anyway = not servo.on and servo.owed > 0
+                demand(servo_id in told_to_stop or repeated_anyway, f"the Stop for {servo_id} is sent at once")
+                servo.stop(command.channel, self.instant_ns)
+            else:
+                still_starts = op.op is Op.START or servo.starts
+                servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.number)
+        return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
+
+    def _reason_to_reject(self, command: Command) -> Reason | None:
+        if self.mode in _CLOSED:
+            return _CLOSED[self.mode]
+        moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        if moves and self.outside:
+            return Reason.SERVO_STOPPED
+        for _, servo_id, op in moves:
+            low, high = self.rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
+            if not low <= op.angle_cdeg <= high:
+                return Reason.JOINT_LIMIT
+        for servo, _, op in moves:
+            if servo.stopped_ns == self.instant_ns and servo.stopped_by - {command.channel}:
+                return Reason.SERVO_STOPPED
+            if op.op is Op.SET and not servo.on and not servo.starts:
+                return Reason.SERVO_STOPPED
+        return None
+
+    def _reset(self, reset: Reset, effects: Sequence[Effect]) -> None:
+        self.pending[reset.number] = False
+        reason = _CLOSED.get(self.mode)
+        if reason is Reason.ESTOPPED and self._is_newer(reset):
+            reason = None
+        reasons = [
+            effect.reason for effect in effects if isinstance(effect, Rejected) and effect.number == reset.number
+        ]
+        demand(reasons == ([] if reason is None else [reason]), f"a reset rejected for {reason}, not for {reasons}")
+        if reason is None:
+            self.latched_ns = None
+
+    def _is_newer(self, reset: Reset) -> bool:
+        """Whether a reset was certainly sent after the latest emergency stop."""
+        assert self.latched_ns is not None
+        age_ns = self.instant_ns - self.latched_ns
+        if reset.estop is None:
+            return age_ns >= self.rules.unnumbered_reset_ns
+        return reset.estop == self.estops and age_ns > 0
+
+    # ---- frames
+
+    def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
+        """A frame that a command caused: each servo is told what was wanted of it, or what it does already."""
+        leg_number = leg_of(transmit.frame.servos[0][0])
+        leg = self.legs[leg_number]
+        if not transmit.frame.is_stop:
+            demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
+            self._rated(leg, now_ns)
+        for servo_id, op in transmit.frame.servos:
+            servo = self.servos[servo_id]
+            if op.op is Op.STOP:
+                demand(servo_id in stops or not servo.on, f"nobody asked to stop {servo_id}")
+                demand(servo.want is None, f"{servo_id} is stopped although a newer command wants it to move")
+                servo.written_cdeg = None
+                if servo_id in stops:
+                    self._owe(servo, now_ns)
+                continue
+            demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
+            if servo.want is None:
+                demand(op.op is Op.SET and op.angle_cdeg == servo.written_cdeg, f"nobody asked for {op} of {servo_id}")
+            else:
+                wanted = (servo.want.op, servo.want.angle_cdeg)
+                demand((op.op, op.angle_cdeg) == wanted, f"{servo_id}: the newest target is sent")
+            if not servo.on:
+                self._energised(leg_number, now_ns)
+            servo.written_cdeg, servo.want, servo.owed = op.angle_cdeg, None, 0
+
+    def _energised(self, leg: int, now_ns: int) -> None:
+        if self.energised_leg not in (None, leg):
+            demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
+        self.energised_leg, self.energised_ns = leg, now_ns
+
+    def _repeated(self, transmit: Transmit, now_ns: int) -> None:
+        demand(transmit.frame.is_stop, "only Stops are repeated")
+        for servo_id, _ in transmit.frame.servos:
+            servo = self.servos[servo_id]
+            demand(not servo.on, f"{servo_id} runs: its Stops are not repeated any more")
+            demand(servo.owed > 0 and servo.owed_ns <= now_ns, f"a Stop to {servo_id} that nobody owes")
+            servo.owed -= 1
+            servo.owed_ns = now_ns + self.rules.repeat_interval_ns
+
+    def _owe(self, servo: ServoHistory, now_ns: int) -> None:
+        servo.owed, servo.owed_ns = self.rules.repeats, now_ns + self.rules.repeat_interval_ns
+
+    # ---- the rate: a token bucket, as the contract says it
+
+    def _rated(self, leg: LegHistory, now_ns: int) -> None:
+        """A frame moves this leg."""
+        held_ns = self._bucket_ns(leg, now_ns)
+        demand(held_ns >= self.rules.period_ns, "no frame without a rate slot")
+        apart = leg.moved_ns is None or 4 * (now_ns - leg.moved_ns) >= self.rules.period_ns
+        demand(apart, "two frames of a leg are a quarter of its period apart: no burst")
+        leg.moved_ns, leg.bucket_ns = now_ns, held_ns - self.rules.period_ns
+
+    def _bucket_ns(self, leg: LegHistory, now_ns: int) -> int:
+        """What the bucket holds now: it fills by a slot in a period, up to three."""
+        full_ns = 3 * self.rules.period_ns
+        return full_ns if leg.moved_ns is None else min(full_ns, leg.bucket_ns + now_ns - leg.moved_ns)
+
+    def _slot_ns(self, leg: LegHistory) -> int:
+        """From when a frame for this leg need not wait any more."""
+        if leg.moved_ns is None:
+            return 0
+        quarter_ns = -(-self.rules.period_ns // 4)
+        return leg.moved_ns + max(quarter_ns, self.rules.period_ns - leg.bucket_ns)
+
+    def _head_of_queue(self, now_ns: int) -> list[int]:
+        """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
+        starting = [number for number in self.legs if any(s.starts and not s.on for s in self._servos_of(number))]
+        self.queue = tuple(number for number in dict.fromkeys((*self.queue, *starting)) if number in starting)
+        if not self.queue or not self.rules.start_pause_ns:
+            return []
+        pause_ns = 0 if self.energised_leg is None else self.energised_ns + self.rules.start_pause_ns
+        slot_ns = max(self._slot_ns(self.legs[self.queue[0]]), pause_ns)
+        demand(now_ns < slot_ns, f"leg {self.queue[0]} is energised when it is the first in the queue")
+        return [slot_ns]
+
+    # ---- answers, and what holds after every step
+
+    def _answered(self, order: int) -> bool:
+        demand(order in self.pending, f"command {order} is answered exactly once")
+        return self.pending.pop(order)
+
+    def _after(self, now_ns: int, due_ns: int | None) -> None:
+        waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
+        demand(waited_for == self.pending.keys(), f"every command is answered: {waited_for} wait, not {self.pending}")
+        if not self.bus_ok:
+            demand(due_ns is None, "no time is awaited while the bus is at fault")
+            return
+        latest = self._head_of_queue(now_ns)
+        for number, leg in self.legs.items():
+            servos = self._servos_of(number)
+            if self._watched(number):
+                deadline_ns = (leg.heard_ns or 0) + self.rules.timeout_ns
+                demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
+                latest.append(deadline_ns)
+            if any(servo.want is not None for servo in servos) and not self.rules.start_pause_ns:
+                slot_ns = self._slot_ns(leg)
+                demand(now_ns < slot_ns, "what is pending is sent when the rate slot comes")
+                latest.append(slot_ns)
+            for servo in servos:
+                if servo.owed:
+                    demand(now_ns < servo.owed_ns, "a Stop is repeated in time")
+                    latest.append(servo.owed_ns)
+        if latest:
+            demand(due_ns is not None and due_ns <= min(latest), f"wakes up in time: {due_ns}, not {min(latest)}")
+        else:
+            demand(due_ns is None, f"has nothing to wake up for: {due_ns}")

@@ -1,0 +1,81 @@
+"""Records what a gateway sends, for every later version to read.
+
+    python -m tests.support.record_wire tests/data/wire/1.0
+
+One JSON payload a line, in a file for each kind. Every answer, mode, kind of event and cause that a simulated
+controller can bring about is among them.
+"""
+
+import json
+import os
+import signal
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from schemas import keys
+from tests.support.gateway_process import Gateway
+
+LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
+
+
+def main(folder: Path) -> None:
+    """Run a gateway, bring everything about, and write what was heard."""
+    changed = threading.Condition()
+    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack")}
+    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 2}}
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        Gateway(Path(scratch), settings) as gateway,
+        gateway.client() as client,
+    ):
+        subscribers: list[Any] = [
+            client.session.declare_subscriber(key, _into(heard[name], changed))
+            for key, name in ((keys.STATE, "state"), (keys.EVENT, "event"), (keys.FRAME, "frame"))
+        ]
+
+        def ask(key: str, payload: object) -> None:
+            text = payload if isinstance(payload, str) else json.dumps(payload)
+            for reply in client.session.get(key, payload=text, encoding="application/json", timeout=5):
+                if reply.ok is not None:
+                    heard["ack"].append(reply.ok.payload.to_string())
+
+        def wait_for(word: str, name: str) -> None:
+            with changed:
+                if not changed.wait_for(lambda: any(word in line for line in heard[name]), timeout=10):
+                    raise TimeoutError(f"no {word} in {name}")
+
+        ask(keys.leg_command(1), LEG)
+        wait_for('"active"', "state")
+        wait_for("watchdog_expired", "event")
+        rejected: list[object] = ["{", {"servos": []}, {"servos": [{"op": "set", "angle_deg": 1}] * 3}, " " * 5000]
+        for payload in rejected:
+            ask(keys.leg_command(1), payload)
+        ask(keys.ESTOP, {})
+        ask(keys.leg_command(1), LEG)
+        ask(keys.RESET, {})
+        gateway.child.send_signal(signal.SIGTERM)
+        wait_for("stopping", "event")
+        for subscriber in subscribers:
+            subscriber.undeclare()
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, lines in heard.items():
+        (folder / f"{name}.jsonl").write_text("\n".join(dict.fromkeys(lines)) + "\n")
+
+
+def _into(lines: list[str], changed: threading.Condition) -> Any:
+    def take(sample: zenoh.Sample) -> None:
+        with changed:
+            lines.append(sample.payload.to_string())
+            changed.notify_all()
+
+    return take
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
+    os._exit(0)

@@ -1,0 +1,181 @@
+"""A gateway without Zenoh and in virtual time: the conductor, with a simulated controller behind it.
+
+Messages go in as the inbox would hand them over; reports and frames are kept. Time is the event loop's, which leaps
+from timer to timer (async-solipsism), so a test of ten seconds takes a millisecond and nothing in it is approximate.
+"""
+
+import asyncio
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from gateway.core.message import Received, Verb
+from gateway.core.supervisor import Supervisor
+from gateway.protocol.frames import Frame, decode
+from gateway.runtime.conductor import Conductor
+from gateway.service import BEAT_S, rules
+from gateway.settings import Settings
+from gateway.spi.bus import bus_for
+from gateway.spi.simulator import SimulatedController
+from schemas import keys
+from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind
+
+MS = 1_000_000
+
+
+class Robot:
+    """One conductor and its controller. Make it inside a running (virtual) loop."""
+
+    def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        spi = {"frame_gap_us": 0}  # see _pause
+        merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
+        self.settings = Settings.model_validate(merged)
+        self.each_takes_ns = 0
+        """How long it takes to deal with one message."""
+        self.loop = asyncio.get_running_loop()
+        self._instants = 0  # a nanosecond for each message, so that no two share an instant by accident
+        self.controller = SimulatedController(self.settings.spi.framing, clock=self.now_ns)
+        self.openings_ns: list[int] = []
+        self.reports: list[tuple[str, BaseModel]] = []
+        self._acks: list[tuple[int, Ack]] = []
+        self._waiting: list[Received] = []
+        self.conductor = Conductor(
+            self.settings,
+            Supervisor(rules(self.settings)),
+            bus_for(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause),
+            self,
+            self.loop,
+            clock=self.now_ns,
+            simulated=True,
+        )
+        self.conductor.take = self._take
+        self._beat()
+
+    def _beat(self) -> None:
+        """The service's."""
+        self.conductor.lock()
+        self.loop.call_later(BEAT_S, self._beat)
+
+    def sleep_through(self, seconds: float) -> None:
+        """The whole process is stopped for so long, between two turns of its loop."""
+        self._instants += round(seconds * 1e9)
+
+    def _open(self) -> SimulatedController:
+        self.openings_ns.append(self.now_ns())
+        return self.controller
+
+    def _pause(self, duration_s: float) -> None:
+        """The bus's pause: virtual time cannot pass within a call, so what is due later comes late by as much."""
+        self._instants += round(duration_s * 1e9)
+
+    def now_ns(self) -> int:
+        return round(self.loop.time() * 1e9) + self._instants
+
+    def publish(self, key: str, report: BaseModel) -> None:
+        """The outbox's side."""
+        self.reports.append((key, report))
+
+    def _take(self) -> Iterator[Received]:
+        taken, self._waiting = self._waiting, []
+        for received in taken:
+            yield received
+            self._instants += self.each_takes_ns
+
+    # ---- commands
+
+    def put(self, key: str, payload: object = b"", **more: Any) -> None:
+        """A message on `key`, in an instant of its own. `more` overrides fields of Received."""
+        self._instants += 1
+        self.put_later(key, payload, **more)
+        self.conductor.tick()
+
+    def put_later(self, key: str, payload: object = b"", **more: Any) -> None:
+        """A message that waits for the next tick."""
+        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+        fields: dict[str, Any] = {
+            "key": key,
+            "expression": key,
+            "target": keys.COMMAND_KEYS.get(key),
+            "verb": Verb.PUT,
+            "payload": data,
+            "size": len(data),
+            "encoding": "application/json",
+            "source": None,
+            "received_ns": self.now_ns(),
+        }
+        self._waiting.append(Received(**{**fields, **more}))
+
+    def get(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
+        """An acknowledged command; the list that its answer will be in."""
+        self._instants += 1
+        answers = self.ask_later(key, payload, **more)
+        self.conductor.tick()
+        return answers
+
+    def ask_later(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
+        """The same, waiting for the next tick."""
+        answers: list[Ack] = []
+        take = answers.append
+        self.put_later(key, payload, verb=Verb.GET, reply=lambda data: take(Ack.model_validate_json(data)), **more)
+        return answers
+
+    def ask(self, key: str, payload: object = b"", **more: Any) -> Ack:
+        """An acknowledged command that is answered at once."""
+        (ack,) = self.get(key, payload, **more)
+        return ack
+
+    # ---- what came of it
+
+    @property
+    def frames(self) -> list[tuple[float, Frame]]:
+        """Frames that reached the controller: when (ms), and what. With `plain` framing only."""
+        return [(at_ns / MS, decode(data)) for at_ns, data in self.controller.transfers]
+
+    def events(self, kind: Kind | None = None) -> list[Event]:
+        return [
+            report
+            for key, report in self.reports
+            if key == keys.EVENT and isinstance(report, Event) and kind in (None, report.kind)
+        ]
+
+    @property
+    def states(self) -> list[GatewayState]:
+        return [report for key, report in self.reports if key == keys.STATE and isinstance(report, GatewayState)]
+
+    @property
+    def records(self) -> list[FrameRecord]:
+        return [report for key, report in self.reports if key == keys.FRAME and isinstance(report, FrameRecord)]
+
+    @property
+    def mode(self) -> str:
+        return self.conductor.state().mode
+
+
+def started(**sections: Mapping[str, Any]) -> Robot:
+    """A robot whose gateway takes commands; its start's frames and their repeats are forgotten."""
+    robot = Robot(sections)
+    robot.conductor.start()
+    robot.conductor.announce_start()
+    return robot
+
+
+async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
+    """The same, after the repeats of the Stops at the start, with nothing recorded yet."""
+    robot = started(**sections)
+    await asyncio.sleep(1)
+    robot.controller.transfers.clear()
+    robot.reports.clear()
+    return robot
+
+
+def leg(op: str, *angles_deg: float, **more: Any) -> dict[str, Any]:
+    """A LegCommand."""
+    servos = [{"op": op, "angle_deg": angle_deg} for angle_deg in angles_deg] or [{"op": op}] * 3
+    return {"servos": servos, **more}
+
+
+def servo(op: str, angle_deg: float | None = None, **more: Any) -> dict[str, Any]:
+    """A ServoCommand."""
+    return {"op": op, **({} if angle_deg is None else {"angle_deg": angle_deg}), **more}

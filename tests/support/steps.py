@@ -1,0 +1,150 @@
+"""A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle."""
+
+from gateway.core.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Command,
+    Completed,
+    Effect,
+    EmergencyStop,
+    Event,
+    Rejected,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.core.legs import Rules
+from gateway.core.pacing import NS_PER_MS
+from gateway.core.supervisor import Supervisor
+from gateway.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
+from tests.support.oracle import Oracle
+
+Targets = tuple[tuple[int, ServoOp], ...]
+
+
+def op(word: str) -> ServoOp:
+    """`start 90`, `set 45.5` or `stop`."""
+    name, _, angle = word.partition(" ")
+    return STOP if name == "stop" else ServoOp(Op[name.upper()], round(float(angle) * 100))
+
+
+def servo(servo_id: int, word: str) -> Targets:
+    """One servo's target."""
+    return ((servo_id, op(word)),)
+
+
+def leg(number: int, *words: str) -> Targets:
+    """A leg's three targets; a single word is for all three."""
+    return tuple(zip(servo_ids_of(number), (op(word) for word in words * (3 // len(words))), strict=True))
+
+
+def legs(numbers: str, word: str) -> Targets:
+    """The same for all servos of several legs, such as "123"."""
+    return tuple(target for number in numbers for target in leg(int(number), word))
+
+
+def said(effect: Effect) -> str:
+    """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
+    match effect:
+        case Transmit(frame=OneServo() as frame):
+            return f"{effect.cause} {frame.servo_id} {_word(frame.command)}"
+        case Transmit(frame=frame):
+            words = [_word(command) for _, command in frame.servos]
+            same = len(set(words)) == 1
+            return f"{effect.cause} {frame.servos[0][0] // 10} {words[0] if same else ' | '.join(words)}"
+        case Completed():
+            return f"completed {effect.number}{' coalesced' if effect.coalesced else ''}"
+        case Rejected():
+            return f"rejected {effect.number} {effect.reason}"
+        case Announce():
+            return f"announce {effect.kind}"
+
+
+def _word(command: ServoOp) -> str:
+    return "stop" if command.op is Op.STOP else f"{command.op.name.lower()} {command.angle_cdeg / 100:g}"
+
+
+def all_stopped(cause: str) -> list[str]:
+    """Stops to all six legs."""
+    return [f"{cause} {number} stop" for number in range(1, 7)]
+
+
+def _ns(at_ms: float) -> int:
+    return round((60_000 + at_ms) * NS_PER_MS)
+
+
+class Steps:
+    """A supervisor whose bus was opened at 0 ms, a minute after the clock began. By default Stops are not repeated."""
+
+    def __init__(self, rules: Rules | None = None, *, opened: bool = True) -> None:
+        self.rules = rules or Rules(repeats=0)
+        self.supervisor = Supervisor(self.rules)
+        self.oracle = Oracle(self.rules)
+        self.number = 0
+        self.effects: list[Effect] = []
+        self.instant_ms: float | None = None
+        if opened:
+            self.take(0, BusOpened())
+
+    def take(self, at_ms: float, event: Event) -> list[str]:
+        """One step; in the instant that began at `instant_ms`, or in one of its own."""
+        now_ns = _ns(at_ms)
+        instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
+        self.effects = self.supervisor.step(event, now_ns, instant_ns)
+        after = self.supervisor
+        self.oracle.judge(
+            event,
+            now_ns,
+            self.effects,
+            mode=after.mode,
+            due_ns=after.due_ns,
+            estops=after.estops,
+            instant_ns=instant_ns,
+        )
+        return [said(effect) for effect in self.effects]
+
+    def command(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
+        """A command with the next number."""
+        self.number += 1
+        return self.take(at_ms, Command(self.number, channel, targets))
+
+    def reset(self, at_ms: float, *, newer: int = 0) -> list[str]:
+        """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
+        self.number += 1
+        return self.take(at_ms, Reset(self.number, estop=self.supervisor.estops + newer))
+
+    def reset_without_number(self, at_ms: float) -> list[str]:
+        self.number += 1
+        return self.take(at_ms, Reset(self.number))
+
+    def time(self, at_ms: float) -> list[str]:
+        return self.take(at_ms, TimePassed())
+
+    def estop(self, at_ms: float) -> list[str]:
+        return self.take(at_ms, EmergencyStop("somebody"))
+
+    def outside(self, at_ms: float, *, at_work: bool) -> list[str]:
+        """`stop-servos` is seen at work, or its end is."""
+        return self.take(at_ms, StoppedOutside(at_work))
+
+    def fail(self, at_ms: float) -> list[str]:
+        return self.take(at_ms, BusFailed("EIO"))
+
+    def open(self, at_ms: float) -> list[str]:
+        return self.take(at_ms, BusOpened())
+
+    def end(self, at_ms: float) -> list[str]:
+        return self.take(at_ms, ShutDown())
+
+    @property
+    def due_ms(self) -> float | None:
+        """When it wants to be woken."""
+        due_ns = self.supervisor.due_ns
+        return None if due_ns is None else due_ns / NS_PER_MS - 60_000
+
+    @property
+    def running(self) -> list[int]:
+        return [servo.servo_id for servo in self.supervisor.legs.servos.values() if servo.running]

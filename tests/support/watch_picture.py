@@ -1,0 +1,108 @@
+"""The picture of `watch` in the README, from a real run: `python -m tests.support.watch_picture docs/watch.svg`.
+
+A gateway on the simulated controller, one program that lets five legs step at 50 Hz, one that lets leg 2 fall silent,
+one that gets rejections; and `watch`'s own link, model and view.
+"""
+
+import html
+import math
+import re
+import sys
+import tempfile
+import threading
+import time
+from functools import partial
+from io import StringIO
+from pathlib import Path
+
+from rich.console import Console
+from rich.terminal_theme import MONOKAI
+
+from gateway.client import Client, leg_payload
+from gateway.tools.watch.link import Link
+from gateway.tools.watch.model import Model
+from gateway.tools.watch.view import picture
+from schemas import keys
+from tests.support.gateway_process import Gateway
+
+COLUMNS, ROWS = 84, 24
+WALKING = (1, 3, 4, 5, 6)
+SECONDS = 4.0
+BLANK = "&#160;"
+SHOWN = "tcp/robot.local:7447"
+"""The address on the picture; the run's own is a port of the moment."""
+
+
+def angles(leg: int, time_s: float) -> tuple[float, float, float]:
+    """Tripod gait, roughly: the feet of odd and even legs half a step apart."""
+    phase = 2 * math.pi * (0.8 * time_s + 0.5 * (leg % 2))
+    return 90 + 25 * math.sin(phase), 60 + 20 * max(0, math.cos(phase)), 110 - 15 * math.cos(phase)
+
+
+def walk(client: Client) -> None:
+    """Step at 50 Hz for a while, every leg started first."""
+    begin_s = time.monotonic()
+    op = "start"
+    while (now_s := time.monotonic() - begin_s) < SECONDS:
+        for leg in WALKING:
+            client.publish(keys.leg_command(leg), leg_payload(op, angles(leg, now_s)))
+        op = "set"
+        time.sleep(0.02)
+
+
+def run(endpoint: str) -> str:
+    """Let the gateway be busy, and draw what `watch` knows of it then."""
+    model, lock = Model(), threading.Lock()
+    link = Link(partial(Client, endpoint, source="watch"), model, lock, lambda: None)
+    link.start()
+    with (
+        Client(endpoint, source="gait") as gait,
+        Client(endpoint, source="anna") as anna,
+        Client(endpoint, source="balance") as balance,
+    ):
+        anna.start_leg(2, 90, 45, 120)  # and then no more: the watchdog stops it
+        walking = threading.Thread(target=walk, args=(gait,))
+        walking.start()
+        time.sleep(SECONDS / 2)
+        balance.servo(22, "set", 100)
+        anna.servo(21, "set", 100)
+        anna.ask(keys.leg_command(3), {"servos": [{"op": "set", "angle_deg": 200}] * 3})
+        time.sleep(SECONDS / 4)
+        with lock:
+            text = picture(model, time.monotonic_ns(), SHOWN, COLUMNS, ROWS)
+            walked = model.running_legs() == len(WALKING)
+        walking.join()
+    link.close()
+    if not walked:
+        sys.exit("this machine was so busy that the watchdog stopped the gait; try again")
+    console = Console(record=True, file=StringIO(), width=COLUMNS, height=ROWS, force_terminal=True)
+    console.print(text)
+    return without_edge_blanks(console.export_svg(title="hexapod-gateway watch", theme=MONOKAI, unique_id="watch"))
+
+
+def without_edge_blanks(svg: str) -> str:
+    """Each text begins and ends with a character that is seen: not every program keeps blanks at the edges."""
+
+    def narrow(found: re.Match[str]) -> str:
+        before, x, between, length, after, text = found.groups()
+        content = text.replace(BLANK, " ")
+        bare = content.strip(" ")
+        column = float(length) / len(html.unescape(content))
+        x = float(x) + column * (len(content) - len(content.lstrip(" ")))
+        length = column * len(html.unescape(bare))
+        return f"{before}{x:g}{between}{length:g}{after}{bare.replace(' ', BLANK)}</text>" if bare else ""
+
+    return re.sub(
+        r'(<text class="watch-r\d+" x=")([\d.]+)(" y="[\d.]+" textLength=")([\d.]+)("[^>]*>)([^<]+)</text>', narrow, svg
+    )
+
+
+def main() -> None:
+    """Write the picture to the file named."""
+    with tempfile.TemporaryDirectory() as folder, Gateway(Path(folder)) as gateway:
+        svg = run(gateway.endpoint)
+    Path(sys.argv[1]).write_text(svg + "\n")
+
+
+if __name__ == "__main__":
+    main()

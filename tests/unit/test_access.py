@@ -1,0 +1,155 @@
+"""Who may say what, read from the file that `certs init` writes: the whole table, and nothing beside it.
+
+What Zenoh makes of it is tests/zenoh/test_certs_zenoh.py's; here every message, direction, key and role is tried.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway.certs.zenoh_files import gateway_json5, laptop_json5
+from schemas.keys import ALIVE, COMMAND_KEYS, EVENT, FRAME, STATE
+
+DECLARATIONS = ("declare_subscriber", "declare_queryable", "declare_liveliness_subscriber")
+MESSAGES = ("put", "delete", "query", "reply", "liveliness_token", "liveliness_query", *DECLARATIONS)
+FLOWS = ("ingress", "egress")
+TELEMETRY = (STATE, EVENT, FRAME)
+OTHERS = ("hexapod/secret", "hexapod/*", "hexapod/**", "**", "robot2/hexapod/state", "robot2/hexapod/estop/cmd")
+KEYS = (*COMMAND_KEYS, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, *OTHERS)
+WILD = ("hexapod/leg/*/cmd", "hexapod/**/cmd")
+
+Said = tuple[str, str, str]
+"""Flow, message, key."""
+
+
+def config(text: bytes, folder: Path) -> zenoh.Config:
+    (folder / "zenoh.json5").write_bytes(text)
+    return zenoh.Config.from_file(str(folder / "zenoh.json5"))
+
+
+def get(made: zenoh.Config, key: str) -> Any:
+    return json.loads(made.get_json(key))
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> zenoh.Config:
+    return config(gateway_json5(["robot.local"], 7447), tmp_path)
+
+
+def allowed(made: zenoh.Config, role: str, prefix: str = "") -> set[Said]:
+    """All that somebody with this common name may say or hear, by the rules as Zenoh documents them."""
+    control = get(made, "access_control")
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    subjects = {each["id"] for each in control["subjects"] if role in each["cert_common_names"]}
+    named = {name for policy in control["policies"] if subjects & set(policy["subjects"]) for name in policy["rules"]}
+    rules = [rule for rule in control["rules"] if rule["id"] in named]
+    assert named == {rule["id"] for rule in rules}
+    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+    return {
+        (flow, message, key)
+        for flow in FLOWS
+        for message in MESSAGES
+        for key in KEYS
+        if any(
+            flow in rule["flows"]
+            and message in rule["messages"]
+            and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(prefix + key)) for each in rule["key_exprs"])
+            for rule in rules
+        )
+    }
+
+
+def said(flow: str, messages: str, *keys: str) -> set[Said]:
+    return {(flow, message, key) for message in messages.split() for key in keys}
+
+
+WATCHING = (
+    said("ingress", "declare_subscriber", *TELEMETRY)
+    | said("egress", "put", *TELEMETRY)
+    | said("ingress", "query", STATE)
+    | said("egress", "reply declare_queryable", STATE)
+    | said("ingress", "declare_liveliness_subscriber liveliness_query", ALIVE)
+    | said("egress", "liveliness_token", ALIVE)
+)
+COMMANDING = said("ingress", "put delete query", *COMMAND_KEYS, *WILD) | said(
+    "egress", "reply declare_subscriber declare_queryable", *COMMAND_KEYS, *WILD
+)
+
+
+@pytest.mark.parametrize(
+    ("role", "expected"), [("operator", WATCHING | COMMANDING), ("observer", WATCHING), ("somebody", set())]
+)
+def test_each_role_may_do_this_and_nothing_else(gateway: zenoh.Config, role: str, expected: set[Said]) -> None:
+    assert allowed(gateway, role) == expected
+
+
+def test_with_a_namespace_the_same_holds_behind_it_and_nothing_without_it(tmp_path: Path) -> None:
+    made = config(gateway_json5(["robot.local"], 7447, "robot1"), tmp_path)
+    assert get(made, "namespace") == "robot1"
+    assert allowed(made, "operator", "robot1/") == WATCHING | COMMANDING
+    assert allowed(made, "operator") == allowed(made, "operator", "robot2/") == set()
+
+
+def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:
+    """Each one that is let in is compared with all others."""
+    declared = {
+        key for flow, message, key in allowed(gateway, "operator") if flow == "ingress" and "declare" in message
+    }
+    assert declared == {*TELEMETRY, ALIVE}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mode", "peer"),
+        ("adminspace/enabled", False),
+        ("scouting/multicast/enabled", False),
+        ("scouting/gossip/enabled", False),
+        ("transport/shared_memory/enabled", False),
+        ("transport/link/protocols", ["tls"]),
+        ("transport/link/tx/lease", 1000),
+        ("transport/link/rx/max_message_size", 65536),
+        ("transport/link/tls/root_ca_certificate", "ca.pem"),
+        ("transport/link/tls/enable_mtls", True),
+        ("transport/link/tls/verify_name_on_connect", True),
+        ("transport/link/tls/close_link_on_expiration", True),
+    ],
+)
+def test_who_comes_in_and_with_how_much(gateway: zenoh.Config, key: str, value: object) -> None:
+    assert get(gateway, key) == value
+
+
+def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(gateway: zenoh.Config) -> None:
+    (limit,) = get(gateway, "low_pass_filter")
+    assert limit["flows"] == ["ingress"]
+    assert set(limit["messages"]) == {"put", "delete", "query", "reply"}
+    assert limit["key_exprs"] == ["**"]
+    assert limit["size_limit"] == 16_384
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mode", "client"),
+        ("scouting/multicast/enabled", False),
+        ("scouting/gossip/enabled", False),
+        ("transport/shared_memory/enabled", False),
+        ("transport/unicast/open_timeout", 1000),
+        ("transport/link/protocols", ["tls"]),
+        ("transport/link/tx/lease", 1000),
+        ("transport/link/rx/max_message_size", 65536),
+        ("transport/link/tls/root_ca_certificate", "ca.pem"),
+        ("transport/link/tls/connect_certificate", "anna.pem"),
+        ("transport/link/tls/connect_private_key", "anna.key"),
+        ("transport/link/tls/enable_mtls", True),
+        ("transport/link/tls/verify_name_on_connect", True),
+        ("connect/endpoints", ["tls/robot.local:7447", "tls/[fd00::1]:7447"]),
+        ("namespace", "robot1"),
+    ],
+)
+def test_a_laptop_talks_to_its_own_robot_only(tmp_path: Path, key: str, value: object) -> None:
+    made = config(laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "robot1"), tmp_path)
+    assert get(made, key) == value

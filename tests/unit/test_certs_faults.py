@@ -1,0 +1,292 @@
+"""Certificates when something is wrong: nothing overwritten, nothing half made, one sentence for each fault."""
+
+import json
+import os
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from gateway import certs
+from gateway.certs import publish as publishing
+from gateway.certs.authority import parse_host
+from gateway.certs.publish import SECRET, Content, publish
+from gateway.edge.config_file import load_client_config, load_config
+from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, names
+
+__all__ = ["make_folder"]  # a fixture
+
+
+# --- nothing overwritten, nothing half made
+
+
+def test_an_existing_ca_is_never_replaced(folder: Path) -> None:
+    before = contents(folder)
+    assert "has a CA already" in fault(lambda: certs.init(folder, HOSTS))
+    assert contents(folder) == before
+    (folder / "ca.key").unlink()  # kept elsewhere
+    assert "has a CA already" in fault(lambda: certs.init(folder, HOSTS))
+
+
+def test_a_name_is_given_once(folder: Path) -> None:
+    certs.issue(folder, "alice", "operator")
+    before = contents(folder)
+    assert "taken" in fault(lambda: certs.issue(folder, "alice", "observer"))
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("there", ["gateway.key", "gateway.pem", "gateway.json5"])
+def test_init_takes_back_everything_when_one_file_is_in_the_way(tmp_path: Path, there: str) -> None:
+    (tmp_path / there).write_text("mine")
+    assert "never overwritten" in fault(lambda: certs.init(tmp_path, HOSTS))
+    assert contents(tmp_path) == {there: b"mine"}
+
+
+def test_a_dangling_link_is_in_the_way_too(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    (tmp_path / "D").mkdir()
+    (tmp_path / "D" / "gateway.key").symlink_to(elsewhere)
+    assert "never overwritten" in fault(lambda: certs.init(tmp_path / "D", HOSTS))
+    assert names(tmp_path / "D") == {"gateway.key"}
+    assert not elsewhere.exists()
+
+
+def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path, tmp_path: Path) -> None:
+    before = contents(folder)
+    (tmp_path / "there.zip").write_text("mine")
+    (tmp_path / "file").write_text("")
+    for bundle in (tmp_path / "there.zip", tmp_path / "file" / "x.zip", folder / "alice.key"):
+        fault(partial(certs.issue, folder, "alice", "operator", bundle=bundle))
+        assert contents(folder) == before
+    assert names(tmp_path) == {"D", "there.zip", "file"}
+    assert (tmp_path / "there.zip").read_text() == "mine"
+
+
+@pytest.mark.parametrize("calls", range(5))
+@pytest.mark.parametrize("stage", ["write", "link"])
+def test_a_disk_that_fills_up_leaves_no_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, calls: int
+) -> None:
+    """Whichever file it is that fails, in either stage, the folder that was made for them is gone too."""
+    left = [calls]
+
+    def full(*_arguments: object) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(28, "No space left on device")
+
+    real_link, real_sync = os.link, os.fsync
+
+    def link(source: Path, target: Path) -> None:
+        full()
+        real_link(source, target)
+
+    def sync(descriptor: int) -> None:
+        full()
+        real_sync(descriptor)
+
+    if stage == "link":
+        monkeypatch.setattr(os, "link", link)
+    else:
+        monkeypatch.setattr(os, "fsync", sync)
+    assert "No space left" in fault(lambda: certs.init(tmp_path / "new" / "D", HOSTS))
+    assert names(tmp_path) == set()
+
+
+def test_an_interruption_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "link", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        certs.init(tmp_path / "D", HOSTS)
+    assert names(tmp_path) == set()
+
+
+def test_a_file_system_without_modes_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fchmod", lambda _descriptor, _mode: None)
+    monkeypatch.setattr(publishing, "SECRET", 0o640)  # what such a file system would show
+    assert "cannot keep a file private" in fault(lambda: publish({tmp_path / "x.key": Content(b"", SECRET)}))
+    assert names(tmp_path) == set()
+
+
+# --- bad input: one line that says what to do
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "ca", "CA", "gateway", "../x", "a/b", "a b", ".a", "-a", "a.b", "ä", "a\n", "x" * 64],
+)
+def test_names_that_cannot_be(folder: Path, name: str) -> None:
+    assert "cannot name a laptop" in fault(lambda: certs.issue(folder, name, "operator"))
+    assert names(folder) == MADE_BY_INIT
+
+
+@pytest.mark.parametrize("role", ["", "Operator", "admin", "ca", "gateway"])
+def test_unknown_roles(folder: Path, role: str) -> None:
+    text = fault(lambda: certs.issue(folder, "alice", role))
+    assert "operator" in text
+    assert "observer" in text
+    assert names(folder) == MADE_BY_INIT
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "",
+        "robot.local:7447",
+        "tls/robot.local",
+        "192.0.2.999",
+        "0.0.0.0",  # noqa: S104
+        "::",
+        "fe80::1%wlan0",
+        "-a.local",
+        "a..b",
+        "*.local",
+        "a_b",
+        "rob ot",
+        '"],evil:["',
+        "x" * 64 + ".local",
+        "*/\n",
+    ],
+)
+def test_hosts_that_cannot_be(tmp_path: Path, host: str) -> None:
+    assert "neither a host name nor an IP address" in fault(lambda: certs.init(tmp_path / "D", [host]))
+    assert names(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "host"),
+    [
+        ("Robot.Local", "robot.local"),
+        ("robot.local.", "robot.local"),
+        (" 192.0.2.7 ", "192.0.2.7"),
+        ("[2001:DB8::7]", "2001:db8::7"),
+    ],
+)
+def test_hosts_are_brought_into_one_form(text: str, host: str) -> None:
+    assert parse_host(text) == host
+
+
+def test_other_numbers_out_of_range(folder: Path, tmp_path: Path) -> None:
+    new = tmp_path / "new"
+    assert "--days 0" in fault(lambda: certs.init(new, HOSTS, days=0))
+    assert "--days 3651" in fault(lambda: certs.issue(folder, "alice", "operator", days=3651))
+    assert "port 65536" in fault(lambda: certs.init(new, HOSTS, port=65536))
+    assert "at least one host" in fault(lambda: certs.init(new, []))
+    assert not new.exists()
+
+
+def test_a_folder_without_a_ca(tmp_path: Path) -> None:
+    for directory in (tmp_path, tmp_path / "missing"):
+        assert "has no ca.key" in fault(partial(certs.issue, directory, "a", "operator"))
+    assert "cannot read" in fault(lambda: certs.expiries(tmp_path / "missing"))
+    assert "has no certificates" in fault(lambda: certs.expiries(tmp_path))
+
+
+def test_a_ca_that_is_not_whole(folder: Path, tmp_path: Path) -> None:
+    def issue() -> str:
+        return fault(lambda: certs.issue(folder, "alice", "operator"))
+
+    key = (folder / "ca.key").read_bytes()
+    (folder / "ca.key").write_bytes(b"nonsense")
+    assert "holds no unencrypted key" in issue()
+    certs.init(tmp_path / "E", HOSTS)
+    (folder / "ca.key").write_bytes((tmp_path / "E" / "ca.key").read_bytes())
+    assert "do not belong together" in issue()
+    (folder / "ca.key").unlink()
+    (folder / "ca.key").mkdir()
+    assert "is not a file" in issue()
+    (folder / "ca.key").rmdir()
+    (folder / "ca.key").write_bytes(key)
+    (folder / "ca.pem").write_bytes(b"nonsense")
+    assert "holds no certificate" in issue()
+    assert "holds no certificate" in fault(lambda: certs.expiries(folder))
+    assert names(folder) == MADE_BY_INIT
+
+
+def test_a_ca_that_expired(folder: Path) -> None:
+    later = NOW + 3651 * DAY
+    assert "expired" in fault(lambda: certs.issue(folder, "alice", "operator", now=later))
+    assert "expired" in fault(lambda: certs.renew(folder, "gateway", now=later))
+
+
+def test_renewing_what_is_not_there_or_anothers(folder: Path, tmp_path: Path) -> None:
+    assert "cannot read the certificate" in fault(lambda: certs.renew(folder, "nobody"))
+    assert "cannot name a laptop" in fault(lambda: certs.renew(folder, "ca"))
+    certs.init(tmp_path / "E", HOSTS)
+    certs.issue(tmp_path / "E", "eve", "operator")
+    (folder / "eve.pem").write_bytes((tmp_path / "E" / "eve.pem").read_bytes())
+    assert "was not issued by the CA" in fault(lambda: certs.renew(folder, "eve"))
+
+
+@pytest.mark.parametrize("namespace", ["a/b", "*", "-x", "x" * 64, 'a"'])
+def test_a_namespace_is_one_plain_name(tmp_path: Path, namespace: str) -> None:
+    assert "cannot be a namespace" in fault(lambda: certs.init(tmp_path / "D", ["robot.local"], namespace=namespace))
+    assert not (tmp_path / "D").exists()
+
+
+def test_a_gateway_file_that_is_broken(folder: Path) -> None:
+    config = folder / "gateway.json5"
+    good = config.read_text()
+    config.write_text("{ nonsense")
+    assert "gateway.json5" in fault(lambda: certs.issue(folder, "alice", "operator"))
+    config.write_text(good.replace("tls/[::]:7447", "tcp/[::]:7447"))
+    assert "listens on no tls endpoint" in fault(lambda: certs.issue(folder, "alice", "operator"))
+
+
+def test_zenoh_files_with_faults(folder: Path) -> None:
+    certs.issue(folder, "alice", "operator")
+    certs.issue(folder, "old", "operator", days=1, now=NOW - 10 * DAY)
+    config = folder / "alice.json5"
+    good = config.read_text()
+    assert load_client_config(config)
+    assert "cannot read" in fault(lambda: load_client_config(folder / "missing.json5"))
+    assert "gateway's own" in fault(lambda: load_client_config(folder / "gateway.json5"))
+    assert f"expired on {NOW - 9 * DAY:%Y-%m-%d}" in fault(lambda: load_client_config(folder / "old.json5"))
+    config.write_text(good.replace("scouting", "scooting"))
+    assert "scooting" in fault(lambda: load_client_config(config))
+    config.write_text(good.replace('"alice.key"', '"nowhere.key"'))
+    assert "nowhere.key" in fault(lambda: load_client_config(config))
+    config.write_text(good.replace('"alice.pem"', '"alice.key"'))
+    assert "holds no certificate" in fault(lambda: load_client_config(config))
+
+
+def test_absolute_paths_in_a_zenoh_file_stay(tmp_path: Path, folder: Path) -> None:
+    other = tmp_path / "other.json5"
+    other.write_text(json.dumps({"transport": {"link": {"tls": {"root_ca_certificate": str(folder / "ca.pem")}}}}))
+    found = load_config(other).get_json("transport/link/tls/root_ca_certificate")
+    assert json.loads(found) == str(folder / "ca.pem")
+    assert isinstance(load_config(other), zenoh.Config)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
+def test_folders_that_one_may_not_write_or_read() -> None:
+    """As nobody: to root no folder is closed."""
+    with tempfile.TemporaryDirectory() as name:
+        top = Path(name)
+        top.chmod(0o711)
+        certs.init(top / "D", HOSTS)
+        (top / "E").mkdir(mode=0o755)
+        os.seteuid(65534)
+        try:
+            said = [
+                fault(lambda: certs.init(top / "E", HOSTS)),
+                fault(lambda: certs.init(top / "E" / "F", HOSTS)),
+                fault(lambda: certs.issue(top / "D", "alice", "operator")),
+                fault(lambda: certs.expiries(top / "D")),
+                fault(lambda: load_config(top / "D" / "gateway.json5")),
+            ]
+        finally:
+            os.seteuid(0)
+        assert ["Permission denied" in text for text in said] == [True] * 5, said
+        assert names(top / "E") == set()
+        (top / "D" / "gateway.key").chmod(0o600)
+        (top / "D").chmod(0o755)  # as on a robot, but the key still belongs to root
+        os.seteuid(65534)
+        try:
+            assert "gateway.key: Permission denied" in fault(lambda: load_config(top / "D" / "gateway.json5"))
+        finally:
+            os.seteuid(0)

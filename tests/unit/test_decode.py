@@ -1,0 +1,101 @@
+"""`hexapod-gateway decode`: the line for each frame, what is wrong with others, and the exit codes."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from gateway.cli import app
+from tests.fuzz.targets import check_command
+from tests.unit.test_frames import frames
+
+VECTORS: dict[str, Any] = json.loads((Path(__file__).parents[1] / "data" / "frames.json").read_text())
+STOP_32 = "06 02 20 02 00 00"
+LEG_3 = "0e 01 1f 01 5a 00 20 03 2d 19 21 02 00 00"
+STOP_32_LINE = f"{STOP_32}: ONE SERVO: servo 32 stop"
+LEG_3_LINE = f"{LEG_3}: ONE LEG, leg 3: servo 31 start 90.00°, servo 32 set 45.25°, servo 33 stop"
+
+
+def decode(*arguments: str) -> tuple[int, list[str]]:
+    """Exit code and lines."""
+    result = CliRunner().invoke(app, ["decode", *arguments])
+    assert result.stderr == ""
+    return result.exit_code, result.stdout.splitlines()
+
+
+@pytest.mark.parametrize(("arguments", "lines"), [
+    ([STOP_32], [STOP_32_LINE]),
+    (STOP_32.split(), [STOP_32_LINE]),
+    (["060220020000"], [STOP_32_LINE]),
+    (["06 02  20", "02", "0000"], [STOP_32_LINE]),
+    (["0x06,0x02,0x20,0x02,0x00,0x00"], [STOP_32_LINE]),
+    (["0x6", "0x2", "0x20", "0x2", "0x0", "0x0"], [STOP_32_LINE]),
+    (["0x060220020000"], [STOP_32_LINE]),
+    (["06,02,20,02,00,00,"], [STOP_32_LINE]),
+    ([LEG_3], [LEG_3_LINE]),
+    ([LEG_3.upper()], [LEG_3_LINE]),
+    ([LEG_3, STOP_32, LEG_3], [LEG_3_LINE, STOP_32_LINE, LEG_3_LINE]),
+    ([(LEG_3 + STOP_32).replace(" ", "")], [LEG_3_LINE, STOP_32_LINE]),
+    (["06 02 20 02 5a 63"], ["06 02 20 02 5a 63: ONE SERVO: servo 32 stop"]),
+    (["06 02 0b 03 00 05"], ["06 02 0b 03 00 05: ONE SERVO: servo 11 set 0.05°"]),
+])  # fmt: skip
+def test_legal_frames(arguments: list[str], lines: list[str]) -> None:
+    assert decode(*arguments) == (0, lines)
+
+
+@pytest.mark.parametrize("vector", VECTORS["legal"], ids=lambda vector: vector["bytes"])
+def test_the_legal_vectors(vector: dict[str, Any]) -> None:
+    code, (line,) = decode(vector["bytes"])
+    assert code == 0
+    assert line.startswith(f"{vector['bytes']}: {vector['frame']}")
+
+
+@pytest.mark.parametrize("vector", VECTORS["illegal"], ids=lambda vector: vector["why"])
+def test_the_illegal_vectors(vector: dict[str, Any]) -> None:
+    code, lines = decode(vector["bytes"])
+    assert code == 1
+    assert ": not legal: byte " in lines[-1], "what follows a legal frame is looked at by itself"
+
+
+@pytest.mark.parametrize(("arguments", "lines"), [
+    ([""], ["nothing: not legal: byte 1 is missing; a frame starts with FRAME LEN and FRAME TYPE"]),
+    (["06"], ["06: not legal: byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"]),
+    (["06 02 20 02 00"], ["06 02 20 02 00: not legal: byte 6 is missing; a ONE SERVO frame has 6 bytes"]),
+    (["06 02 0e 01 5a 00"], ["06 02 0e 01 5a 00: not legal: byte 3 is 14 (0x0e); a servo id is leg 1-6 then joint 1-3, "
+                             "such as 13"]),
+    (["06 02 0b 01 b4 01"], ["06 02 0b 01 b4 01: not legal: byte 6 is 1 (0x01) after 180 whole degrees; the largest "
+                             "angle is 180.00"]),
+    ([STOP_32, "07"], [STOP_32_LINE, "07: not legal: byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"]),
+    # half a byte is not completed by a guess, nor by its neighbour: 0,0 is not 00
+    (["6 2 20 2 0 0"], ["'6' ends with half a byte; a byte has two digits, such as 06"]),
+    (["0x06,0x02,0x20,0x02,0,0"], ["'0' ends with half a byte; a byte has two digits, such as 06"]),
+    (["06022002000"], ["'06022002000' ends with half a byte; a byte has two digits, such as 06"]),
+    (["zz"], ["'zz' is not hexadecimal"]),
+    (["0x"], ["'0x' is not hexadecimal"]),
+    (["06 02 0x0x"], ["'0x0x' is not hexadecimal"]),
+    (["٠٦"], [r"'\u0660\u0666' is not hexadecimal"]),
+    (["\x1b[2J"], [r"'\x1b[2J' is not hexadecimal"]),
+    (["+6"], ["'+6' is not hexadecimal"]),
+    (["g" * 500], [f"'{'g' * 39}… is not hexadecimal"]),
+])  # fmt: skip
+def test_what_is_not_legal(arguments: list[str], lines: list[str]) -> None:
+    assert decode(*arguments) == (1, lines)
+
+
+def test_no_argument_is_a_mistake_of_usage() -> None:
+    assert CliRunner().invoke(app, ["decode"]).exit_code == 2
+
+
+@given(st.lists(frames, min_size=1, max_size=4))
+def test_any_legal_frames_are_explained(sent: list[Any]) -> None:
+    assert check_command([frame.to_bytes().hex(" ") for frame in sent]) == "typed: exit code 0"
+    assert check_command(["".join(frame.to_bytes().hex() for frame in sent)]) == "typed: exit code 0"
+
+
+@given(st.lists(st.text(), min_size=1) | st.lists(st.text("0123456789abcdefx, "), min_size=1))
+def test_anything_typed_is_explained_or_rejected(typed: list[str]) -> None:
+    check_command(typed)

@@ -1,0 +1,263 @@
+"""The JSON Schemas say what the models say."""
+
+import json
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from schemas import telemetry
+from schemas.__main__ import documents
+from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.keys import CommandKey, Target
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
+from tests.support.bad_commands import FAULTS
+from tests.support.commands import LEG, as_json, leg_commands, legs_commands, servo_commands
+
+SCHEMAS = {name.removesuffix(".json"): json.loads(text) for name, text in documents().items()}
+VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
+COMMANDS: dict[str, TypeAdapter[Any]] = {
+    "ServoCommand": SERVO_COMMAND,
+    "LegCommand": TypeAdapter(LegCommand),
+    "LegsCommand": TypeAdapter(LegsCommand),
+    "ResetCommand": TypeAdapter(ResetCommand),
+}
+NAMES = {
+    Target.SERVO: "ServoCommand",
+    Target.LEG: "LegCommand",
+    Target.LEGS: "LegsCommand",
+    Target.RESET: "ResetCommand",
+}
+NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+json_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(-300, 300), st.floats(allow_nan=False, allow_infinity=False),
+              st.sampled_from(["start", "set", "stop", "", "x" * 65])),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.sampled_from(["op", "angle_deg", "servos", "legs", "1", "7", "source", "sent_ms"]), inner),
+    ),
+    max_leaves=8,
+)  # fmt: skip
+examples = st.one_of(servo_commands, leg_commands, legs_commands, json_values)
+
+
+def model_takes(name: str, payload: bytes) -> bool:
+    try:
+        COMMANDS[name].validate_json(payload)
+    except ValidationError:
+        return False
+    return True
+
+
+# ---- commands
+
+
+@given(examples, st.sampled_from(sorted(COMMANDS)))
+def test_schema_and_model_accept_the_same(value: object, name: str) -> None:
+    assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value))
+
+
+@given(st.data(), st.sampled_from([("ServoCommand", servo_commands), ("LegCommand", leg_commands),
+                                   ("LegsCommand", legs_commands)]))  # fmt: skip
+def test_schema_and_model_accept_the_same_where_one_value_is_replaced(
+    data: st.DataObject, named: tuple[str, st.SearchStrategy[dict[str, Any]]]
+) -> None:
+    name, legal = named
+    value = json.loads(json.dumps(data.draw(legal)))
+    assert VALIDATORS[name].is_valid(value)
+    inner: Any = value
+    while isinstance(inner, dict | list) and inner:
+        place: Any = data.draw(st.sampled_from(sorted(inner) if isinstance(inner, dict) else range(len(inner))))
+        if not isinstance(inner[place], dict | list) or data.draw(st.booleans()):
+            inner[place] = data.draw(json_values)
+            break
+        inner = inner[place]
+    assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value))
+
+
+VALUES: list[Any] = [None, True, 0, 1, 1.0, -1, 180, 180.5, 2**53, "", "1", "90", "stop", "x" * 64, "x" * 65, [], {}]
+FULL: list[tuple[str, dict[str, Any]]] = [
+    ("ServoCommand", {"op": "set", "angle_deg": 1, "source": "x", "sent_ms": 1}),
+    ("ServoCommand", {"op": "stop", "source": "x", "sent_ms": 1}),
+    ("LegCommand", LEG | {"source": "x", "sent_ms": 1}),
+    ("LegsCommand", {"legs": {"1": LEG, "6": LEG}, "source": "x", "sent_ms": 1}),
+    ("ResetCommand", {}),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), FULL)
+def test_schema_and_model_accept_the_same_with_each_value_in_each_place(name: str, value: dict[str, Any]) -> None:
+    """Also with each place left out, and with one more in each object."""
+
+    def compare() -> None:
+        assert VALIDATORS[name].is_valid(value) == model_takes(name, as_json(value)), value
+
+    def visit(inner: Any) -> None:
+        for place in list(inner) if isinstance(inner, dict) else range(len(inner)):
+            kept = inner[place]
+            for other in VALUES:
+                inner[place] = other
+                compare()
+            inner[place] = kept
+            if isinstance(inner, dict):
+                del inner[place]
+                compare()
+                inner[place] = kept
+            if isinstance(kept, dict | list):
+                visit(kept)
+        if isinstance(inner, dict):
+            inner["more"] = 1
+            compare()
+            del inner["more"]
+
+    value = json.loads(json.dumps(value))
+    assert VALIDATORS[name].is_valid(value)
+    visit(value)
+
+
+def as_any_reader_sees_it(payload: object) -> object:
+    """A fault's payload as parsed JSON; None where only the text is at fault, which no schema can see."""
+    text = payload if isinstance(payload, str) else json.dumps(payload)
+    if any(word in text for word in ("NaN", "Infinity")):
+        return None
+    return json.loads(text)
+
+
+@pytest.mark.parametrize(("key", "payload", "detail"), FAULTS, ids=lambda value: repr(value)[:50])
+def test_what_the_intake_rejects_no_schema_accepts(key: CommandKey, payload: object, detail: str) -> None:
+    if "given twice" in detail:
+        return  # parsed, one of the two is left
+    value = as_any_reader_sees_it(payload)
+    if value is not None:
+        assert not VALIDATORS[NAMES[key.target]].is_valid(value)
+
+
+def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
+    """In the widest way that is usual: indented, and every character of the source an escape."""
+    leg = {"servos": [{"op": "start", "angle_deg": 179.99}] * 3}
+    full = {"legs": {str(number): leg for number in LEGS}, "source": "😀" * 64, "sent_ms": 2.0**53}
+    text = json.dumps(full, indent=2)
+    assert model_takes("LegsCommand", text.encode())
+    assert len(text) < MAX_PAYLOAD_BYTES
+
+
+# ---- what goes out
+
+
+def state() -> GatewayState:
+    return GatewayState(
+        mode=Mode.ACTIVE,
+        time=NOW,
+        uptime_s=1.5,
+        version="1",
+        protocol="1.0.0",
+        simulated=True,
+        legs=tuple(
+            telemetry.LegReport(
+                leg=leg,
+                watchdog=telemetry.WatchdogState.IDLE,
+                age_ms=None,
+                servos=tuple(  # type: ignore[arg-type]
+                    telemetry.ServoReport(id=servo_id, running=False, angle_deg=None)
+                    for servo_id in SERVO_IDS
+                    if servo_id // 10 == leg
+                ),
+            )
+            for leg in LEGS
+        ),
+        commands=telemetry.CommandCounts(accepted=1, rejected=2, coalesced=0),
+        spi=telemetry.SpiReport(device="x", framing="plain", frames=7, errors=0),
+        watchdog=telemetry.WatchdogReport(
+            timeout_ms=250, expirations=0, stop_latency_us=telemetry.StopLatency(p50=None, p99=1.5, max=2)
+        ),
+    )
+
+
+reasons = st.sampled_from(Reason)
+texts = st.text(st.characters(exclude_categories=["Cs"]))
+floats = st.floats(0, 1e9)
+reports: st.SearchStrategy[BaseModel] = st.one_of(
+    st.builds(Ack, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
+              coalesced=st.none() | st.just(True), stop_frames=st.none() | st.integers(0),
+              latency_us=st.none() | floats),
+    st.builds(Event, time=st.just(NOW), kind=st.sampled_from(Kind), source=st.none() | texts, key=st.none() | texts,
+              reason=st.none() | reasons, detail=texts),
+    st.builds(FrameRecord, time=st.just(NOW), monotonic_ns=st.integers(0), bytes=st.binary().map(bytes.hex),
+              cause=st.sampled_from(Cause)),
+    st.just(state()),
+)  # fmt: skip
+
+
+@given(reports)
+def test_every_report_fits_its_schema_and_comes_back_the_same(report: BaseModel) -> None:
+    text = report.model_dump_json()
+    VALIDATORS[type(report).__name__].validate(json.loads(text))
+    assert type(report).model_validate_json(text) == report
+
+
+def test_an_ack_leaves_out_what_it_does_not_say() -> None:
+    assert json.loads(Ack(accepted=True).model_dump_json()) == {"accepted": True}
+    rejected = Ack(accepted=False, reason=Reason.STALE, detail="late")
+    assert json.loads(rejected.model_dump_json()) == {"accepted": False, "reason": "stale", "detail": "late"}
+    stopped = Ack(accepted=True, stop_frames=6, latency_us=0.0)
+    assert json.loads(stopped.model_dump_json()) == {"accepted": True, "stop_frames": 6, "latency_us": 0.0}
+
+
+def test_an_event_has_all_its_fields_and_an_rfc_3339_time() -> None:
+    event = Event(time=NOW, kind=Kind.STARTED, source=None, key=None, reason=None, detail="here")
+    assert json.loads(event.model_dump_json()) == {
+        "time": "2026-01-02T03:04:05Z", "kind": "started", "source": None, "key": None, "reason": None,
+        "detail": "here", "left_out": 0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "fields"), [
+    ("GatewayState", "mode time uptime_s version protocol simulated legs commands spi watchdog"),
+    ("Event", "time kind source key reason detail"),
+    ("FrameRecord", "time monotonic_ns bytes cause"),
+])  # fmt: skip
+def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str, fields: str) -> None:
+    """Whoever reads a gateway of 1.0 finds the later ones missing."""
+    assert sorted(SCHEMAS[name]["required"]) == sorted(fields.split())
+    assert set(SCHEMAS[name]["properties"]) >= set(fields.split())
+
+
+@pytest.mark.parametrize(("enumeration", "words"), [
+    (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping"),
+    (Mode, "starting idle active estopped bus_fault stopping"),
+    (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
+     "stopped_outside"),
+    (Cause, "command watchdog estop startup shutdown repeat"),
+])  # fmt: skip
+def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:
+    assert [str(word) for word in enumeration] == words.split()
+
+
+REPORTS = ("Ack", "GatewayState", "Event", "FrameRecord")
+
+
+def every_object(schema: object) -> list[dict[str, Any]]:
+    if isinstance(schema, list):
+        return [found for inner in schema for found in every_object(inner)]
+    if not isinstance(schema, dict):
+        return []
+    here = [schema] if schema.get("type") == "object" else []
+    return here + [found for inner in schema.values() for found in every_object(inner)]
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_what_comes_in_is_closed_and_what_goes_out_is_open(name: str) -> None:
+    Draft202012Validator.check_schema(SCHEMAS[name])
+    found = every_object(SCHEMAS[name])
+    assert found
+    for schema in found:
+        if name in REPORTS:
+            assert "additionalProperties" not in schema
+        else:
+            assert schema.get("additionalProperties") is False or "propertyNames" in schema

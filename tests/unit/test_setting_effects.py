@@ -1,0 +1,169 @@
+"""Each setting changes behaviour: with another value, something else happens. `test_none_is_forgotten` keeps the list.
+
+What needs a kernel device, a network or a terminal is shown there: `spi.device` and `spi.speed_hz` in tests/hil, the
+Zenoh settings and `telemetry.state_hz` with a running service in test_service.py, `log.format` in test_logs.py.
+"""
+
+import asyncio
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from gateway.protocol.frames import stop_leg
+from gateway.settings import Settings
+from gateway.spi.bus import bus_for
+from gateway.spi.simulator import SimulatedController
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Reason
+from tests.support.robot import leg, servo, started_and_quiet
+
+LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
+START = leg("start", 90, 90, 90)
+SHOWN_ELSEWHERE = {
+    "zenoh.listen": "test_service.py",
+    "zenoh.connect": "test_service.py",
+    "zenoh.config": "test_service.py",
+    "zenoh.allow_insecure": "test_exposure.py",
+    "spi.device": "hil/test_service.py",
+    "spi.speed_hz": "hil/test_service.py",
+    "spi.resync_ms": "test_bus_preamble.py",
+    "telemetry.state_hz": "test_service.py",
+    "telemetry.metrics": "test_metrics.py",
+    "log.level": "test_service.py",
+    "log.format": "test_logs.py",
+}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("leg_rate_hz", "frames"), [(1, 4), (10, 13), (50, 53), (100, 101)])
+async def test_leg_rate_hz(leg_rate_hz: float, frames: int) -> None:
+    robot = await started_and_quiet(limits={"leg_rate_hz": leg_rate_hz})
+    robot.put(LEG_3, START)
+    for count in range(100):
+        await asyncio.sleep(0.01)
+        robot.put(LEG_3, leg("set", count, 0, 0))
+    assert len(robot.frames) == frames
+
+
+@pytest.mark.virtual_time
+async def test_max_age_ms() -> None:
+    for max_age_ms, accepted in ((0, True), (100, False), (1000, True)):
+        robot = await started_and_quiet(limits={"max_age_ms": max_age_ms})
+        robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=500))
+        await asyncio.sleep(0.2)
+        assert robot.ask(LEG_3, leg("set", 2, 2, 2, sent_ms=501)).accepted is accepted
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("start_stagger_ms", [0, 30])
+async def test_start_stagger_ms(start_stagger_ms: float) -> None:
+    robot = await started_and_quiet(limits={"start_stagger_ms": start_stagger_ms})
+    robot.put(keys.LEGS_COMMAND, {"legs": {str(number): START for number in LEGS}})
+    await asyncio.sleep(0.24)
+    times_ms = [at_ms for at_ms, _ in robot.frames]
+    assert times_ms == pytest.approx([times_ms[0] + start_stagger_ms * index for index in range(6)], abs=0.01)
+
+
+@pytest.mark.virtual_time
+async def test_servos() -> None:
+    limits = {"32": {"min_deg": 20, "max_deg": 160}, "11": {"max_deg": 45.5}}
+    robot = await started_and_quiet(limits={"servos": limits})
+    ack = robot.ask(LEG_3, leg("start", 0, 19.99, 180))
+    assert (ack.reason, ack.detail) == (
+        Reason.JOINT_LIMIT,
+        "servo 32 may go from 20 to 160 degrees; 19.99 is outside",
+    )
+    assert robot.frames == [], "the whole command is rejected"
+    assert robot.ask(keys.servo_command(11), servo("start", 45.51)).reason == Reason.JOINT_LIMIT
+    assert robot.ask(keys.servo_command(11), servo("start", 45.5)).accepted
+    assert robot.ask(LEG_3, leg("start", 0, 20, 180)).accepted
+    await asyncio.sleep(0.1)
+    assert robot.ask(LEG_3, leg("set", 0, 160.01, 180)).reason == Reason.JOINT_LIMIT
+    assert robot.ask(LEG_3, leg("stop")).accepted
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("timeout_ms", [20, 250, 1000])
+async def test_timeout_ms(timeout_ms: float) -> None:
+    robot = await started_and_quiet(watchdog={"timeout_ms": timeout_ms, "repeats": 0})
+    robot.put(LEG_3, START)
+    await asyncio.sleep(2)
+    (begun_ms, _), (stopped_ms, _) = robot.frames
+    assert stopped_ms - begun_ms == pytest.approx(timeout_ms, abs=0.01)
+    assert robot.conductor.state().watchdog.timeout_ms == timeout_ms
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("scope", "stopped"), [("leg", [3]), ("robot", [1, 2, 3, 4, 5, 6])])
+async def test_scope(scope: str, stopped: list[int]) -> None:
+    robot = await started_and_quiet(watchdog={"scope": scope, "repeats": 0})
+    robot.put(LEG_3, START)
+    for _ in range(13):
+        robot.put(LEG_1, START)
+        await asyncio.sleep(0.02)
+    assert [frame for _, frame in robot.frames if frame.is_stop] == [stop_leg(number) for number in stopped]
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("repeats", "repeat_interval_ms"), [(0, 20), (3, 20), (5, 7)])
+async def test_repeats_and_repeat_interval_ms(repeats: int, repeat_interval_ms: float) -> None:
+    robot = await started_and_quiet(watchdog={"repeats": repeats, "repeat_interval_ms": repeat_interval_ms})
+    robot.put(LEG_3, START)
+    robot.put(LEG_3, leg("stop"))
+    await asyncio.sleep(1)
+    stops_ms = [at_ms for at_ms, frame in robot.frames if frame.is_stop]
+    expected_ms = [stops_ms[0] + repeat_interval_ms * index for index in range(repeats + 1)]
+    assert stops_ms == pytest.approx(expected_ms, abs=0.01)
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("frames", [False, True])
+async def test_frames(frames: bool) -> None:
+    robot = await started_and_quiet(telemetry={"frames": frames})
+    robot.put(LEG_3, START)
+    assert len(robot.records) == frames
+
+
+@pytest.mark.parametrize(("framing", "transfers"), [("plain", 1), ("length-prefixed", 18)])
+def test_framing(framing: str, transfers: int) -> None:
+    settings = Settings.model_validate({"spi": {"framing": framing}})
+    controller = SimulatedController(settings.spi.framing)
+    bus = bus_for(settings.spi, lambda: controller)
+    bus.open()
+    bus.write(stop_leg(1))
+    assert len(controller.transfers) == transfers
+    assert controller.executed == 1
+
+
+@pytest.mark.parametrize("frame_gap_us", [0, 100, 1000])
+def test_frame_gap_us(frame_gap_us: float) -> None:
+    settings = Settings.model_validate({"spi": {"frame_gap_us": frame_gap_us}})
+    controller = SimulatedController(settings.spi.framing)
+    bus = bus_for(settings.spi, lambda: controller)
+    bus.open()
+    for number in LEGS:
+        bus.write(stop_leg(number))
+    times_ns = [at_ns for at_ns, _ in controller.transfers]
+    assert all(later - earlier >= frame_gap_us * 1000 for earlier, later in pairwise(times_ns))
+
+
+def test_none_is_forgotten() -> None:
+    def names(model: type[BaseModel], prefix: str = "") -> set[str]:
+        found: set[str] = set()
+        for name, field in model.model_fields.items():
+            inner: Any = field.annotation
+            if isinstance(inner, type) and issubclass(inner, BaseModel):
+                found |= names(inner, f"{prefix}{name}.")
+            else:
+                found.add(prefix + name)
+        return found
+
+    here = set(re.findall(r"^(?:async )?def test_(\w+)", Path(__file__).read_text(), re.MULTILINE))
+    shown_here = {part for name in here for part in name.split("_and_")}
+    for name in names(Settings):
+        assert name.partition(".")[2] in shown_here or name in SHOWN_ELSEWHERE, f"nothing shows what {name} does"

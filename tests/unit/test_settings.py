@@ -1,0 +1,410 @@
+"""Settings from a file and the environment; every fault in one line that names its place."""
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from gateway import settings
+from gateway.errors import ConfigError
+from gateway.protocol.framing import Framing
+from gateway.settings import FramingNotSetError, ServoLimits, Settings
+from tests.support.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
+
+# The contract's, with the example of limits.servos taken out.
+CONTRACT = """
+[zenoh]
+listen = ["tcp/127.0.0.1:7447"]
+connect = []
+config = ""
+allow_insecure = false
+[spi]
+device = "/dev/spidev0.0"
+speed_hz = 2_500_000
+framing = "plain"
+frame_gap_us = 100
+resync_ms = 1000
+[limits]
+leg_rate_hz = 50.0
+max_age_ms = 500.0
+start_stagger_ms = 0
+[limits.servos]
+[watchdog]
+timeout_ms = 250.0
+scope = "leg"
+repeats = 3
+repeat_interval_ms = 20.0
+[telemetry]
+state_hz = 10.0
+frames = false
+metrics = ""
+[log]
+level = "info"
+format = "auto"
+"""
+
+
+@pytest.fixture(autouse=True)
+def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nothing of this machine's: no variables of ours, and a default file that is not there."""
+    for name in list(os.environ):
+        if name.upper().startswith("HEXAPOD"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr(settings, "DEFAULT_PATH", tmp_path / "default.toml")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "gateway.toml"
+
+
+def load(path: Path | None = None) -> Settings:
+    """As for `run --sim`: nobody has to say a framing."""
+    return settings.load(path, simulated=True)
+
+
+def faults(path: Path | None = None) -> list[str]:
+    """The lines of the ConfigError, the file's path cut off to `file`."""
+    with pytest.raises(ConfigError) as raised:
+        load(path)
+    assert raised.value.exit_code == 2
+    lines = str(raised.value).split("\n")
+    assert all(line.isprintable() for line in lines), lines
+    return [line.replace(str(path), "file") for line in lines]
+
+
+# ---- where settings come from
+
+
+def test_the_defaults_are_the_contracts(file: Path) -> None:
+    assert Settings().model_dump(mode="json") == tomllib.loads(CONTRACT)
+    file.write_text(CONTRACT)
+    assert load(file) == load() == Settings()
+
+
+def test_an_empty_file_and_empty_tables_leave_the_defaults(file: Path) -> None:
+    for text in ("", "[spi]\n[limits.servos.11]\n[log]\n"):
+        file.write_text(text)
+        made = load(file)
+        assert made.model_copy(update={"limits": Settings().limits}) == Settings()
+        assert all(servo == ServoLimits(min_deg=0, max_deg=180) for servo in made.limits.servos.values())
+
+
+CHANGED = """
+[zenoh]
+listen = ["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"]
+connect = ["tcp/10.0.0.1:7447"]
+config = "/etc/zenoh.json5"
+allow_insecure = true
+[spi]
+device = "/dev/spidev1.1"
+speed_hz = 1
+framing = "length-prefixed"
+frame_gap_us = 0.5
+resync_ms = 0
+[limits]
+leg_rate_hz = 1000
+max_age_ms = 60000
+start_stagger_ms = 12.5
+servos = { 11 = { min_deg = 20.0, max_deg = 160.0 }, 63 = { max_deg = 90 } }
+[watchdog]
+timeout_ms = 20
+scope = "robot"
+repeats = 0
+repeat_interval_ms = 1
+[telemetry]
+state_hz = 0
+frames = true
+metrics = "127.0.0.1:9464"
+[log]
+level = "debug"
+format = "json"
+"""
+
+
+def test_a_file_can_change_every_setting(file: Path) -> None:
+    file.write_text(CHANGED)
+    made, default = load(file), Settings()
+    for section in Settings.model_fields:
+        for name in type(getattr(made, section)).model_fields:
+            assert getattr(getattr(made, section), name) != getattr(getattr(default, section), name), name
+    assert made.spi.framing is Framing.LENGTH_PREFIXED
+    assert made.zenoh.listen == ("tls/0.0.0.0:7447", "tcp/127.0.0.1:7448")
+    assert made.limits.servos == {"11": ServoLimits(min_deg=20, max_deg=160), "63": ServoLimits(max_deg=90)}
+    assert made.spi.frame_gap_us == 0.5
+
+
+def as_variables(values: dict[str, Any], prefix: str = "HEXAPOD") -> dict[str, str]:
+    """The variables that say what `values` say."""
+    made: dict[str, str] = {}
+    for name, value in values.items():
+        variable = f"{prefix}{'_' if prefix == 'HEXAPOD' else '__'}{name.upper()}"
+        if isinstance(value, dict):
+            made |= as_variables(value, variable)
+        else:
+            made[variable] = str(value).lower() if isinstance(value, bool) else str(value).replace("'", '"')
+    return made
+
+
+def test_the_environment_can_change_every_setting_too(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text(CHANGED)
+    for variable, text in as_variables(tomllib.loads(CHANGED)).items():
+        monkeypatch.setenv(variable, text)
+    assert load() == load(file)
+    file.write_text(CONTRACT)
+    assert load(file) == load()
+
+
+def test_the_environment_overrides_the_file_value_by_value(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text('[spi]\ndevice = "/dev/a"\nspeed_hz = 7\n[zenoh]\nlisten = ["a"]\n[limits.servos.11]\nmin_deg = 5')
+    monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/b")
+    monkeypatch.setenv("HEXAPOD_ZENOH__LISTEN", '["b", "c"]')
+    monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MAX_DEG", "6")
+    made = load(file)
+    assert (made.spi.device, made.spi.speed_hz) == ("/dev/b", 7)
+    assert made.zenoh.listen == ("b", "c")
+    assert made.limits.servos == {"11": ServoLimits(min_deg=5, max_deg=6)}
+
+
+def test_the_default_file_is_read_if_it_exists(tmp_path: Path) -> None:
+    assert load() == Settings()
+    (tmp_path / "default.toml").write_text("[watchdog]\ntimeout_ms = 99\n")
+    assert load().watchdog.timeout_ms == 99
+    (tmp_path / "default.toml").write_text("[watchdog]\ntimeout_ms = 9\n")
+    assert faults()[0].startswith(f"{tmp_path}/default.toml: watchdog.timeout_ms: 9 ")
+
+
+def test_settings_are_frozen() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        Settings().watchdog.timeout_ms = 10_000
+    sections: list[BaseModel] = [getattr(Settings(), name) for name in Settings.model_fields]
+    assert all(section.model_config["frozen"] for section in [*sections, ServoLimits()])
+
+
+# ---- faults of the file
+
+
+@pytest.mark.parametrize(("text", "line"), FILE_FAULTS, ids=lambda text: repr(text)[:50])
+def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
+    file.write_text(text)
+    assert faults(file) == [f"file: {line}"]
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "spi.speed_hz": (1, 20_000_000),
+    "spi.frame_gap_us": (0, 1000),
+    "spi.resync_ms": (0, 10_000),
+    "limits.leg_rate_hz": (1, 1000),
+    "limits.max_age_ms": (0, 60_000),
+    "limits.start_stagger_ms": (0, 2000),
+    "limits.servos.32.min_deg": (0, 180),
+    "limits.servos.32.max_deg": (0, 180),
+    "watchdog.timeout_ms": (20, 10_000),
+    "watchdog.repeats": (0, 100),
+    "watchdog.repeat_interval_ms": (1, 1000),
+    "telemetry.state_hz": (0, 1000),
+}
+
+
+@pytest.mark.parametrize("place", RANGES)
+def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    low, high = RANGES[place]
+    variable = f"HEXAPOD_{place.upper().replace('.', '__')}"
+    for value in (low, high):
+        file.write_text(f"{place} = {value}")
+        load(file)
+        monkeypatch.setenv(variable, str(value))
+        assert load() == load(file)
+        monkeypatch.delenv(variable)
+    for value, limit in ((low - 1, f"greater than or equal to {low}"), (high + 1, f"less than or equal to {high}")):
+        file.write_text(f"{place} = {value}")
+        assert faults(file) == [f"file: {place}: {value} will not do: input should be {limit}"]
+        monkeypatch.setenv(variable, str(value))
+        assert faults() == [f'{variable}: "{value}" will not do: input should be {limit}']
+        monkeypatch.delenv(variable)
+
+
+def test_every_number_has_a_range_that_is_tested() -> None:
+    numbers = {
+        f"{section}.{name}"
+        for section in Settings.model_fields
+        for name, value in getattr(Settings(), section)
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    assert numbers | {f"limits.servos.32.{name}" for name in ServoLimits.model_fields} == RANGES.keys()
+
+
+def test_each_fault_has_its_line(file: Path) -> None:
+    file.write_text('y = 1\n[telemetry]\nstate_hz = -1\nframes = "no"\n[log]\nlevel = "loud"\n[spi]\nx = 1\n')
+    assert [line.split(": ")[1] for line in faults(file)] == [
+        "spi.x", "telemetry.state_hz", "telemetry.frames", "log.level", "y"
+    ]  # fmt: skip
+
+
+NOT_TOML = {
+    "no value": b"[spi]\nspeed_hz =",
+    "a string without end": b'[spi]\ndevice = "',
+    "a name given twice": b"[spi]\nspeed_hz = 1\nspeed_hz = 2",
+    "Latin-1": '[spi]\ndevice = "Gerät"'.encode("latin-1"),
+    "a byte order mark": b"\xef\xbb\xbf[spi]",
+    "JSON": b'{"spi": {}}',
+    "nothing but zeros": bytes(64),
+    "a thousand brackets": b"a = " + b"[" * 5000,
+    "too many digits": b"a = " + b"9" * 5000,
+}
+
+
+@pytest.mark.parametrize("text", NOT_TOML.values(), ids=NOT_TOML)
+def test_what_is_not_toml(file: Path, text: bytes) -> None:
+    file.write_bytes(text)
+    (line,) = faults(file)
+    assert line.startswith("file: is not TOML: ")
+    assert len(line) < 250
+
+
+def test_a_file_that_is_none(file: Path, tmp_path: Path) -> None:
+    assert faults(file) == ["file: there is no such file; name another with --config"]
+    assert faults(tmp_path) == ["file: cannot be read (Is a directory); name another file with --config"]
+
+
+def test_a_file_that_may_not_be_read(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text("")
+    if os.geteuid() == 0:  # whom permissions do not stop
+
+        def reject(path: Path, **_: object) -> str:
+            raise PermissionError(13, "Permission denied", str(path))
+
+        monkeypatch.setattr(Path, "read_text", reject)
+    else:
+        file.chmod(0)
+    line = "cannot be read (Permission denied); name another file with --config"
+    assert faults(file) == [f"file: {line}"]
+    monkeypatch.setattr(settings, "DEFAULT_PATH", file)
+    assert faults() == [f"{file}: {line}"], "a default file that is there is never passed over"
+
+
+# ---- faults of the environment
+
+
+@pytest.mark.parametrize(("variable", "text", "line"), ENVIRONMENT_FAULTS)
+def test_a_fault_of_the_environment(monkeypatch: pytest.MonkeyPatch, variable: str, text: str, line: str) -> None:
+    monkeypatch.setenv(variable, text)
+    assert faults() == [f"{variable}: {line}"]
+
+
+def test_faults_of_file_and_environment_are_told_at_once(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text("[spi]\nspeed_hz = 0\n[limits.servos.99]\n")
+    for variable in ("HEXAPOD_ZENOH__LISTEN", "HEXAPOD_LOG__LEVEL", "HEXAPOD_SPY", "HEXAPOD_SPI__SPEED_HZ"):
+        monkeypatch.setenv(variable, "[")
+    monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MIN_DEG", "5")
+    assert [line.split(" ")[:2] for line in faults(file)] == [
+        ["file:", "spi.speed_hz:"],
+        ["file:", "limits.servos:"],
+        ["HEXAPOD_SPY:", "is"],
+        ["HEXAPOD_ZENOH__LISTEN:", '"["'],
+        ["HEXAPOD_SPI__SPEED_HZ:", '"["'],
+        ["HEXAPOD_LOG__LEVEL:", '"["'],
+    ]
+
+
+def test_a_file_that_is_not_toml_does_not_hide_the_environment(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text("[")
+    monkeypatch.setenv("HEXAPOD_LOG__LEVEL", "loud")
+    assert [line.split(": ")[0] for line in faults(file)] == ["file", "HEXAPOD_LOG__LEVEL"]
+
+
+def test_a_fault_of_the_file_stays_one_though_the_environment_overrides_it(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file.write_text("[spi]\nspeed_hz = 0\n")
+    monkeypatch.setenv("HEXAPOD_SPI__SPEED_HZ", "1000")
+    assert faults(file) == ["file: spi.speed_hz: 0 will not do: input should be greater than or equal to 1"]
+
+
+def test_values_of_both_that_do_not_go_together(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text("[limits.servos.11]\nmin_deg = 100\n")
+    monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MAX_DEG", "50")
+    assert faults(file) == [
+        "HEXAPOD_LIMITS__SERVOS__11__MAX_DEG: min_deg is 100 and max_deg 50; min_deg must not be larger"
+    ]
+
+
+# ---- the framing of a real device
+
+
+def framing_of(path: Path | None) -> Framing:
+    return settings.load(path).spi.framing
+
+
+def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in ("", "[spi]\n", '[spi]\ndevice = "/dev/spidev0.1"\n'):
+        file.write_text(text)
+        with pytest.raises(FramingNotSetError) as raised:
+            framing_of(file)
+        assert raised.value.exit_code == 2
+        published, document = str(raised.value).splitlines()
+        assert published.startswith(f"{file}: spi.framing: is not set; the published STM32 firmware needs")
+        assert '"length-prefixed"' in published
+        assert "reset" in published
+        assert document.startswith(f"{file}: spi.framing: ")
+        assert '"plain"' in document
+        assert load(file).spi.framing is Framing.PLAIN, "a simulated controller needs nobody to say it"
+    with pytest.raises(FramingNotSetError, match=f"{settings.DEFAULT_PATH}: spi.framing: is not set"):
+        framing_of(None)
+    for framing in Framing:
+        file.write_text(f'[spi]\nframing = "{framing}"\n')
+        assert framing_of(file) is load(file).spi.framing is framing
+        file.write_text("")
+        monkeypatch.setenv("HEXAPOD_SPI__FRAMING", framing)
+        assert framing_of(file) is framing_of(None) is framing
+        monkeypatch.delenv("HEXAPOD_SPI__FRAMING")
+
+
+def test_other_faults_are_told_beside_a_framing_that_is_not_set(file: Path) -> None:
+    file.write_text("[spi]\nspeed_hz = 0\n")
+    with pytest.raises(FramingNotSetError) as raised:
+        framing_of(file)
+    assert [line.split(": ")[1] for line in str(raised.value).splitlines()] == [
+        "spi.speed_hz", "spi.framing", "spi.framing"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ["[", "spi = 3", '[spi]\nframing = "Plain"'])
+def test_what_cannot_be_read_is_told_for_itself(file: Path, text: str) -> None:
+    file.write_text(text)
+    with pytest.raises(ConfigError) as raised:
+        framing_of(file)
+    assert str(raised.value).splitlines() == [line.replace("file", str(file), 1) for line in faults(file)]
+
+
+toml_values = st.recursive(
+    st.one_of(st.booleans(), st.integers(), st.floats(), st.text(st.characters(codec="ascii", categories=["L", "N"]))),
+    lambda inner: st.lists(inner, max_size=3),
+    max_leaves=4,
+)
+PLACES = [f"{section}.{name}" for section in Settings.model_fields for name, _ in getattr(Settings(), section)]
+
+
+@given(st.dictionaries(st.sampled_from([*PLACES, "limits.servos.11.min_deg", "spi.x", "x"]), toml_values, max_size=4))
+@hypothesis_settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_values_are_settings_or_faults(file: Path, values: dict[str, Any]) -> None:
+    file.write_text("".join(f"{place} = {_toml(value)}\n" for place, value in values.items()))
+    try:
+        load(file)
+    except ConfigError as error:
+        lines = str(error).split("\n")
+    else:
+        return
+    assert all(line.isprintable() and line.startswith(f"{file}: ") for line in lines)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else repr(value)

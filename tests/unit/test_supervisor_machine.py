@@ -1,0 +1,197 @@
+"""The supervisor under random commands, delays, faults and settings, with a controller that does what the frames say.
+
+The oracle judges every step; the controller says which servos are really energised. Time may jump over any number of
+deadlines, and any transfer may fail.
+"""
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from gateway.core.events import (
+    BusFailed,
+    BusOpened,
+    Command,
+    EmergencyStop,
+    Event,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.core.legs import Rules
+from gateway.core.pacing import NS_PER_MS
+from gateway.core.supervisor import TRANSITIONS, Supervisor
+from gateway.errors import SpiError
+from gateway.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
+from gateway.protocol.framing import Framing
+from gateway.spi.simulator import SimulatedController
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Mode
+from tests.support.history import demand
+from tests.support.oracle import Oracle
+
+MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sampled_from([0, 45_00, 90_00, 180_00]))
+OPS = st.one_of(MOVES, MOVES, st.just(STOP))
+FEW_LEGS = st.sampled_from([1, 1, 2, 2, 3, 6])
+"""Mostly the same ones, so that commands meet."""
+WAITS_NS = st.one_of(
+    st.just(0),
+    st.integers(1, 25 * NS_PER_MS),
+    st.sampled_from([NS_PER_MS, 20 * NS_PER_MS, 40 * NS_PER_MS]),
+    st.integers(0, 700 * NS_PER_MS),
+)
+RULES = st.builds(
+    Rules,
+    timeout_ns=st.sampled_from([20, 50, 250]).map(lambda ms: ms * NS_PER_MS),
+    whole_robot=st.booleans(),
+    repeats=st.integers(0, 3),
+    repeat_interval_ns=st.sampled_from([1, 20, 300]).map(lambda ms: ms * NS_PER_MS),
+    period_ns=st.sampled_from([1, 20, 100, 1000]).map(lambda ms: ms * NS_PER_MS),
+    unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
+    start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
+    joint_limits_cdeg=st.sampled_from([{}, {11: (10_00, 90_00), 62: (0, 0)}]),
+)
+
+
+class SupervisorMachine(RuleBasedStateMachine):
+    """One supervisor, its judge and its robot."""
+
+    @initialize(rules=RULES, now_ns=st.sampled_from([1, NS_PER_MS, 3_600_000_000_000]))
+    def make(self, rules: Rules, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.supervisor = Supervisor(rules)
+        self.oracle = Oracle(rules)
+        self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
+        self.number = 0
+        self.instant_ns: int | None = None
+        if self.now_ns > 1:  # else it may be opened later, or not at all
+            self.step(BusOpened())
+
+    def step(self, event: Event, wait_ns: int = 0) -> None:
+        """One step as the service takes it: write the frames, and tell of a transfer that failed."""
+        self.now_ns += wait_ns
+        mode = self.supervisor.mode
+        effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
+        demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
+        self.oracle.judge(
+            event,
+            self.now_ns,
+            effects,
+            mode=self.supervisor.mode,
+            due_ns=self.supervisor.due_ns,
+            estops=self.supervisor.estops,
+            instant_ns=self.instant_ns,
+        )
+        fault: SpiError | None = None
+        for effect in effects:
+            if isinstance(effect, Transmit) and (fault is None or effect.frame.is_stop):
+                data = effect.frame.to_bytes()
+                assert decode(data) == effect.frame
+                try:
+                    self.controller.transfer(data)
+                except SpiError as error:
+                    fault = error
+        if fault is not None:
+            self.step(BusFailed(str(fault)))
+
+    def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
+        if Command in TRANSITIONS[self.supervisor.mode]:
+            self.number += 1
+            self.step(Command(self.number, channel, targets), wait_ns)
+
+    @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
+    def command_servo(self, servo_id: int, op: ServoOp, wait_ns: int) -> None:
+        self.command(f"servo/{servo_id}", ((servo_id, op),), wait_ns)
+
+    @rule(leg=FEW_LEGS, ops=st.one_of(st.tuples(OPS, OPS, OPS), OPS.map(lambda op: (op, op, op))), wait_ns=WAITS_NS)
+    def command_leg(self, leg: int, ops: tuple[ServoOp, ServoOp, ServoOp], wait_ns: int) -> None:
+        self.command(f"leg/{leg}", tuple(zip(servo_ids_of(leg), ops, strict=True)), wait_ns)
+
+    @rule(legs=st.sets(FEW_LEGS, min_size=1), op=OPS, other=OPS, wait_ns=WAITS_NS)
+    def command_legs(self, legs: set[int], op: ServoOp, other: ServoOp, wait_ns: int) -> None:
+        ops = {leg: op if leg % 2 else other for leg in legs}
+        targets = tuple((servo_id, ops[leg]) for leg in sorted(legs) for servo_id in servo_ids_of(leg))
+        self.command("legs", targets, wait_ns)
+
+    @rule(angle_cdeg=st.sampled_from([10_00, 80_00]), wait_ns=st.integers(0, 19 * NS_PER_MS))
+    def start_everything(self, angle_cdeg: int, wait_ns: int) -> None:
+        op = ServoOp(Op.START, angle_cdeg)
+        self.command("legs", tuple((servo_id, op) for leg in LEGS for servo_id in servo_ids_of(leg)), wait_ns)
+
+    @rule(wait_ns=WAITS_NS)
+    def time_passes(self, wait_ns: int) -> None:
+        self.step(TimePassed(), wait_ns)
+
+    @precondition(lambda self: self.supervisor.due_ns is not None)
+    @rule(late_ns=st.sampled_from([0, 0, 1, NS_PER_MS]))
+    def wake_up_when_due(self, late_ns: int) -> None:
+        due_ns = self.supervisor.due_ns
+        assert due_ns is not None
+        self.step(TimePassed(), max(0, due_ns - self.now_ns) + late_ns)
+        assert self.supervisor.due_ns is None or self.supervisor.due_ns > self.now_ns, "waking up makes progress"
+
+    @rule(rarely=st.integers(0, 3), wait_ns=WAITS_NS)
+    def emergency_stop(self, rarely: int, wait_ns: int) -> None:
+        if rarely == 0:
+            self.step(EmergencyStop("somebody"), wait_ns)
+
+    @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
+    def reset(self, newer: int | None, wait_ns: int) -> None:
+        if Reset in TRANSITIONS[self.supervisor.mode]:
+            self.number += 1
+            estop = None if newer is None else self.supervisor.estops + newer
+            self.step(Reset(self.number, estop=estop), wait_ns)
+
+    @rule()
+    def an_instant_begins(self) -> None:
+        """What comes from now on was collected together, and takes time to deal with."""
+        self.now_ns += 1
+        self.instant_ns = self.now_ns
+
+    @rule()
+    def an_instant_ends(self) -> None:
+        """What comes from now on came one by one."""
+        self.now_ns += 1
+        self.instant_ns = None
+
+    @rule(rarely=st.integers(0, 3), at_work=st.booleans(), wait_ns=WAITS_NS)
+    def stop_servos(self, rarely: int, at_work: bool, wait_ns: int) -> None:
+        if StoppedOutside in TRANSITIONS[self.supervisor.mode] and (rarely == 0 or not at_work):
+            self.step(StoppedOutside(at_work), wait_ns)
+
+    @rule(wait_ns=WAITS_NS)
+    def bus_opens(self, wait_ns: int) -> None:
+        if BusOpened in TRANSITIONS[self.supervisor.mode]:
+            self.controller.heal()
+            self.step(BusOpened(), wait_ns)
+
+    @rule(rarely=st.integers(0, 5), wait_ns=WAITS_NS)
+    def bus_fails(self, rarely: int, wait_ns: int) -> None:
+        if rarely == 0:
+            self.step(BusFailed("a test's fault"), wait_ns)
+
+    @rule(count=st.sampled_from([0, 0, 0, 1, 3]))
+    def transfers_will_fail(self, count: int) -> None:
+        self.controller.fail_next(count)
+
+    @rule(rarely=st.integers(0, 29), wait_ns=WAITS_NS)
+    def shut_down(self, rarely: int, wait_ns: int) -> None:
+        if rarely == 0:
+            self.step(ShutDown(), wait_ns)
+
+    @invariant()
+    def the_robot_is_as_everybody_believes(self) -> None:
+        assert not self.controller.corruptions
+        if self.supervisor.mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED):
+            running = {servo.servo_id for servo in self.supervisor.legs.servos.values() if servo.running}
+            assert self.controller.energised == running == self.oracle.energised
+
+    @invariant()
+    def nothing_is_forgotten(self) -> None:
+        assert self.supervisor.legs._pending.keys() == self.oracle.pending.keys()
+
+
+TestSupervisorMachine = SupervisorMachine.TestCase
+TestSupervisorMachine.settings = settings(max_examples=150, stateful_step_count=60, deadline=None)

@@ -1,0 +1,171 @@
+"""The commands as a person types them: what they print, and their exit codes."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from schemas.telemetry import Mode
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import frames
+
+NOBODY = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway"), {"telemetry": {"frames": True}}) as running:
+        yield running
+
+
+@pytest.fixture(autouse=True)
+def no_emergency_stop(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        client.reset()
+
+
+def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "frame", "hint"),
+    [
+        (("leg", "3", "start", "90", "45", "120"), "0e011f015a0020012d0021017800", True),
+        (("leg", "3", "stop"), "0e011f0200002002000021020000", False),
+        (("servo", "32", "start", "12.345"), "060220010c22", True),
+        (("servo", "32", "stop"), "060220020000", False),
+        (("stop",), "0e013d0200003e0200003f020000", False),
+    ],
+)
+def test_send_writes_the_frame_and_says_so(
+    gateway: Gateway, arguments: tuple[str, ...], frame: str, hint: bool
+) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        end = gateway.run("send", *arguments)
+        assert end.returncode == 0, str(end)
+        heard.wait(lambda record: record.bytes == frame)
+    assert end.stdout == ("all six legs are stopped\n" if arguments == ("stop",) else "accepted\n")
+    assert ("The watchdog stops it 250 ms after a command; --hold S repeats it" in end.stderr) is hint
+
+
+def test_hold_keeps_a_leg_running_past_the_watchdog(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        end = gateway.run("send", "leg", "3", "start", "90", "45", "120", "--hold", "0.8")
+        assert end.returncode == 0
+        assert "Held for 0.8 s" in end.stderr
+        stop = heard.wait(lambda record: record.cause == "watchdog")
+        commands = [record for record in heard.all if record.cause == "command"]
+        assert len(commands) >= 5
+        assert stop.monotonic_ns - commands[0].monotonic_ns > 800_000_000
+
+
+def test_a_rejection_is_printed_with_its_reason_and_exit_code_1(gateway: Gateway) -> None:
+    end = gateway.run("send", "leg", "4", "set", "1", "2", "3")
+    assert end.returncode == 1
+    assert end.stdout == "rejected: servo_stopped: servo 41 does not run; start it before you set it\n"
+
+
+def test_the_gateway_checks_angles_and_its_sentence_reaches_the_person(gateway: Gateway) -> None:
+    end = gateway.run("send", "leg", "4", "start", "1", "2", "200")
+    assert end.returncode == 1
+    assert "servos[2].angle_deg is 200.0; it must be between 0 and 180" in end.stdout
+
+
+def test_estop_says_how_soon_and_reset_leaves_it(gateway: Gateway) -> None:
+    end = gateway.run("estop")
+    assert end.returncode == 0
+    assert re.fullmatch(r"stopped: 6 Stop frames written within \d+ µs of the request\n", end.stdout)
+    rejected = gateway.run("send", "leg", "3", "start", "1", "2", "3")
+    assert (rejected.returncode, rejected.stdout.split(":")[1]) == (1, " estopped")
+    with gateway.client() as client:
+        assert client.state().mode == Mode.ESTOPPED
+    end = gateway.run("reset")
+    assert (end.returncode, end.stdout) == (0, "reset; nothing moves until it is started again\n")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("send", "leg", "3", "stop"), ("send", "servo", "32", "stop"), ("send", "stop"), ("estop",), ("reset",)],
+)
+def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> None:
+    end = run(*arguments, *NOBODY)
+    assert end.returncode == 4
+    assert len(end.stderr.splitlines()) == 1
+    assert "Traceback" not in end.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("send", "leg", "7", "stop"), "less than or equal to 6"),
+        (("send", "leg", "3", "wave"), "wave is no operation; it is start, set or stop"),
+        (("send", "leg", "3", "start", "90"), "start takes 3 angles, and there are 1"),
+        (("send", "leg", "3", "stop", "90"), "stop takes no angles"),
+        (("send", "servo", "14", "stop"), "servo 14 does not exist"),
+        (("send", "servo", "32", "start"), "start takes one angle"),
+        (("send", "servo", "32", "stop", "5"), "stop takes no angle"),
+        (("run", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
+        (("stop-servos", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
+        (("send", "stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
+        (("frobnicate",), "No such command"),
+    ],
+)
+def test_a_mistake_in_the_arguments_is_2_and_says_what_is_right(arguments: tuple[str, ...], said: str) -> None:
+    end = run(*arguments)
+    assert end.returncode == 2
+    assert said in " ".join(end.stderr.split())
+    assert "Traceback" not in end.stderr
+
+
+def test_no_spi_device_is_3_and_one_line(tmp_path: Path) -> None:
+    config = tmp_path / "gateway.toml"
+    config.write_text('spi.device = "/dev/spidev9.9"\nspi.framing = "plain"\n')
+    for command in ("run", "stop-servos"):
+        end = run(command, "--config", str(config))
+        assert end.returncode == 3
+        (line,) = end.stderr.splitlines()
+        assert "/dev/spidev9.9 does not exist" in line
+        assert "--sim" in line
+
+
+SUBCOMMANDS = ["run", "stop-servos", "send", "send leg", "send servo", "send stop", "estop", "reset", "decode", "certs"]
+
+
+@pytest.mark.parametrize("command", ["", *SUBCOMMANDS])
+def test_help_teaches(command: str) -> None:
+    end = run(*command.split(), "--help")
+    assert end.returncode == 0
+    assert len(end.stdout.splitlines()) > 8
+    if command in ("run", "stop-servos", "send", "estop", "reset", "decode"):
+        assert "Exit codes" in end.stdout
+
+
+def test_version() -> None:
+    end = run("--version")
+    assert re.fullmatch(r"hexapod-gateway \d+\.\d+\.\d+ \(HexapodProtocol 1\.0\.0\)\n", end.stdout)
+
+
+def test_python_m_is_the_same_program() -> None:
+    assert sys.executable in COMMAND
+    assert "Usage: hexapod-gateway" in run("--help").stdout
+
+
+def test_decode_explains_or_says_what_is_wrong() -> None:
+    command = [*COMMAND, "decode"]
+    for arguments, code, line in (
+        (["06", "02", "20", "02", "00", "00"], 0, "06 02 20 02 00 00: ONE SERVO: servo 32 stop"),
+        (["zz"], 1, "'zz' is not hexadecimal"),
+    ):
+        child = Child([*command, *arguments], {**os.environ, "LC_ALL": "C.UTF-8"})
+        assert child.wait() == code
+        child.close()
+        assert child.stdout == f"{line}\n"
+        assert child.stderr == ""

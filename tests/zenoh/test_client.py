@@ -1,0 +1,120 @@
+"""The client that laptops use: its example runs as it stands, and its errors are sentences."""
+
+import doctest
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from gateway import client as client_module
+from gateway.client import Client, leg_payload
+from gateway.errors import ZenohError
+from schemas import keys
+from schemas.telemetry import Ack, Event, GatewayState, Mode
+from tests.support.gateway_process import Gateway, free_port
+
+
+def test_the_example_runs(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway:
+        failed, tried = doctest.testmod(client_module, extraglobs={"endpoint": gateway.endpoint})
+    assert (failed, tried) == (0, 2)
+
+
+def test_states_and_events_are_called_back(tmp_path: Path) -> None:
+    states: list[GatewayState] = []
+    events: list[Event] = []
+    active, rejected = threading.Event(), threading.Event()
+
+    def on_state(state: GatewayState) -> None:
+        states.append(state)
+        if state.mode is Mode.ACTIVE:
+            active.set()
+
+    def on_event(event: Event) -> None:
+        events.append(event)
+        rejected.set()
+
+    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, source="a gait") as client:
+        armed = (client.on_state(on_state), client.on_event(on_event))
+        client.state()
+        client.publish(keys.leg_command(4), leg_payload("set", (1, 2, 3)))
+        assert rejected.wait(10)
+        assert (events[0].source, events[0].reason) == ("a gait", "servo_stopped")
+        client.start_leg(4, 1, 2, 3)
+        assert active.wait(10)
+        assert len(armed) == 2
+
+
+def test_it_stops_one_leg_or_all(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        for leg in (1, 2, 3):
+            client.start_leg(leg, 1, 2, 3)
+        assert client.servo(41, "start", 5).accepted
+        client.stop(2)
+        assert [report.leg for report in client.state().legs if report.servos[0].running] == [1, 3, 4]
+        client.stop()
+        assert client.state().mode == Mode.IDLE
+
+
+def test_nobody_there_is_one_sentence() -> None:
+    with pytest.raises(ZenohError) as error:
+        Client(f"tcp/127.0.0.1:{free_port()}", timeout_s=0.5)
+    assert "\n" not in str(error.value)
+    assert "orchestrator.rs" not in str(error.value)
+
+
+def test_a_command_whose_link_is_lost_is_one_sentence(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        gateway.child.kill()
+        with pytest.raises(ZenohError, match="no gateway answered and the link may have been lost; "):
+            client.start_leg(3, 1, 2, 3)
+
+
+def test_a_stop_that_nobody_answers_is_one_sentence(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, timeout_s=0.5) as client:
+        gateway.child.kill()
+        with pytest.raises(ZenohError, match=r"no gateway answered within 0\.5 s; "):
+            client.stop()
+
+
+@pytest.mark.parametrize("stop", [Client.estop, Client.stop])
+def test_a_stop_whose_link_is_lost_is_asked_again(tmp_path: Path, stop: Callable[[Client], Ack]) -> None:
+    """The gateway is killed, and another one comes up while the client waits."""
+    settings = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with Gateway(tmp_path, settings) as gateway, Client(gateway.endpoint, timeout_s=20) as client:
+        client.state()
+        gateway.child.kill()
+        answers: list[Ack] = []
+        asking = threading.Thread(target=lambda: answers.append(stop(client)))
+        asking.start()
+        with Gateway(tmp_path, settings):
+            asking.join(20)
+            assert [answer.accepted for answer in answers] == [True]
+
+
+@pytest.mark.parametrize("answered", [0, 1])
+def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(answered: int) -> None:
+    """A gateway on a slow bus answers the first attempt late; one whose link died without a word only the second."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    asked: list[zenoh.Query] = []
+
+    def on_query(query: zenoh.Query) -> None:
+        asked.append(query)
+        if len(asked) == 2:
+            asked[answered].reply(keys.ESTOP, Ack(accepted=True, stop_frames=6, latency_us=900).model_dump_json())
+
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session, Client(endpoint, timeout_s=20) as client:
+        session.declare_queryable(keys.ESTOP, on_query)
+        assert client.estop().stop_frames == 6
+    assert len(asked) == 2
+
+
+def test_a_leg_has_three_angles() -> None:
+    with pytest.raises(ValueError, match="2 angles; a leg has three joints"):
+        leg_payload("start", (1, 2))

@@ -1,0 +1,147 @@
+"""What the conductor counts, measures and tells, and what it does with a device that will not open."""
+
+import asyncio
+
+import pytest
+
+from gateway.core.message import Verb
+from gateway.errors import SpiError
+from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO
+from gateway.runtime.conductor import MAX_KEY
+from gateway.spi.simulator import SimulatedController
+from schemas import keys
+from schemas.telemetry import Cause, Kind, Mode, Reason
+from tests.support.robot import MS, Robot, leg, started_and_quiet
+
+pytestmark = pytest.mark.virtual_time
+
+LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
+START = leg("start", 90, 90, 90)
+
+
+class WillNotOpen:
+    """Stands in front of a robot's device, and fails to open it so many times."""
+
+    def __init__(self, robot: Robot, times: int) -> None:
+        self._robot, self._left = robot, times
+        self.tried_ns: list[int] = []
+        robot.conductor.bus._open_device = self
+
+    def __call__(self) -> SimulatedController:
+        self.tried_ns.append(self._robot.now_ns())
+        self._left -= 1
+        if self._left >= 0:
+            raise SpiError("no such device")
+        return self._robot.controller
+
+
+# ---- the emergency stop
+
+
+async def test_an_emergency_stop_says_how_long_it_took_and_is_measured() -> None:
+    robot = await started_and_quiet()
+    ack = robot.ask(keys.ESTOP, received_ns=robot.now_ns() - 3 * MS)
+    assert ack.stop_frames == 6
+    assert ack.latency_us == pytest.approx(3000, abs=1)
+    assert list(robot.conductor.metrics.emergency_stops.recent_us) == [ack.latency_us]
+    robot.controller.fail_next(1)
+    ack = robot.ask(keys.ESTOP)
+    assert ack.stop_frames == 5
+    assert len(robot.conductor.metrics.emergency_stops.recent_us) == 1, "it was none for all legs"
+
+
+async def test_a_delete_engages_the_emergency_stop() -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.ESTOP, verb=Verb.DELETE)
+    assert robot.mode == Mode.ESTOPPED
+
+
+async def test_a_wildcard_leaves_no_emergency_stop_whatever_its_number_and_however_late() -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.ESTOP)
+    robot.put(keys.RESET, {"estop": 1}, expression="hexapod/**/cmd")
+    await asyncio.sleep(3)
+    robot.put(keys.RESET, expression="hexapod/*/cmd")
+    assert robot.mode == Mode.ESTOPPED
+
+
+# ---- counters and events
+
+
+async def test_frames_are_counted_by_their_cause_and_commands_by_what_became_of_them() -> None:
+    robot = await started_and_quiet()
+    metrics = robot.conductor.metrics
+    before = dict(metrics.frames)
+    robot.put(LEG_3, START)
+    for _ in range(3):
+        robot.put(LEG_3, leg("set", 80, 80, 80))
+    robot.put(LEG_1, leg("set", 80, 80, 80))
+    await asyncio.sleep(0.1)
+    assert metrics.frames[Cause.COMMAND] - before.get(Cause.COMMAND, 0) == 2
+    assert (metrics.accepted, metrics.coalesced) == (4, 2)
+    assert metrics.rejected[Reason.SERVO_STOPPED] == 1
+
+
+async def test_an_event_repeats_little_of_a_key_of_the_senders_own_making() -> None:
+    robot = await started_and_quiet()
+    robot.put("hexapod/x/cmd", expression="hexapod/" + "x" * 4000 + "/cmd", target=None)
+    (event,) = robot.events(Kind.COMMAND_REJECTED)
+    assert event.key is not None
+    assert len(event.key) == MAX_KEY == 100
+
+
+# ---- failed transfers
+
+
+async def test_after_a_stop_that_failed_nothing_of_its_command_moves() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_1, START)
+    robot.controller.fail_next(1)
+    both = {"legs": {"1": leg("stop"), "2": START}}
+    assert robot.ask(keys.LEGS_COMMAND, both).reason == Reason.BUS_FAULT
+    assert not robot.controller.energised & {21, 22, 23}
+
+
+async def test_the_end_says_whether_all_six_stops_were_written() -> None:
+    robot = await started_and_quiet()
+    assert robot.conductor.shut_down()
+    robot = await started_and_quiet()
+    robot.controller.fail_next(1)
+    assert not robot.conductor.shut_down()
+
+
+async def test_a_device_that_will_not_open_is_tried_again_and_again_with_growing_pauses() -> None:
+    robot = await started_and_quiet()
+    device = WillNotOpen(robot, 10)
+    for _ in range(2):
+        robot.controller.fail_next(1)
+        robot.put(LEG_1, START)
+        failed_ns = robot.now_ns()
+        assert robot.mode == Mode.BUS_FAULT
+        await asyncio.sleep(10)
+        assert robot.mode == Mode.IDLE
+        assert device.tried_ns[0] - failed_ns <= 100 * MS, "also after a second fault"
+        pauses_ms = [
+            (later - earlier) / MS for earlier, later in zip(device.tried_ns, device.tried_ns[1:], strict=False)
+        ]
+        assert pauses_ms == sorted(pauses_ms)
+        assert pauses_ms[-1] <= 2000
+        device = WillNotOpen(robot, 10)
+    assert len(robot.events(Kind.BUS_FAULT)) == len(robot.events(Kind.BUS_RECOVERED)) == 2, "each fault is told once"
+
+
+# ---- the preamble
+
+
+async def test_repeated_stops_whose_pause_was_not_filled_still_find_a_whole_preamble() -> None:
+    """The loop was held until they were due."""
+    robot = await started_and_quiet(spi={"framing": "length-prefixed"})
+    await asyncio.sleep(1)
+    robot.controller.transfers.clear()
+    robot.ask(keys.ESTOP)
+    robot.sleep_through(0.03)
+    robot.conductor.tick()
+    written = [data for _, data in robot.controller.transfers]
+    stops = 12
+    assert len(written) == stops + PREAMBLE_ZEROS + stops
+    assert written[stops:-stops] == [ZERO] * PREAMBLE_ZEROS

@@ -1,0 +1,86 @@
+"""Each example runs as it stands, against a gateway with a simulated controller."""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.protocol.frames import OneLeg, Op, decode
+from schemas.telemetry import Cause, FrameRecord
+from tests.support.child import Child
+from tests.support.gateway_process import Gateway
+from tests.support.heard import Heard, frames
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    with Gateway(tmp_path, {"telemetry": {"frames": True}}) as running:
+        yield running
+
+
+def run(name: str, gateway: Gateway, *arguments: str) -> str:
+    """What an example printed; it must end well."""
+    child = Child([sys.executable, str(EXAMPLES / name), "--connect", gateway.endpoint, *arguments], os.environ)
+    code = child.wait()
+    child.close()
+    assert code == 0, child.stderr
+    return child.stdout
+
+
+def moved(heard: Heard[FrameRecord]) -> dict[int, set[int]]:
+    """Angles in hundredths of a degree that each servo was told by commands."""
+    angles: dict[int, set[int]] = {}
+    for record in heard.all:
+        if record.cause is Cause.COMMAND:
+            for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
+                if op.op is not Op.STOP:
+                    angles.setdefault(servo_id, set()).add(op.angle_cdeg)
+    return angles
+
+
+def test_every_example_is_run_here() -> None:
+    here = Path(__file__).read_text()
+    for path in EXAMPLES.glob("*.py"):
+        assert f'run("{path.name}"' in here
+
+
+def test_the_first_program(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        said = run("first.py", gateway)
+        assert "does not run; start it before you set it" in said
+        assert said.count("True") == 2
+        heard.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
+        assert moved(heard).keys() == {31, 32, 33}
+
+
+def test_the_tripod_gait_moves_all_18_servos_and_nothing_is_rejected(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        said = run("tripod_gait.py", gateway, "--seconds", "2")
+        assert ", 0 rejected" in said
+        angles = moved(heard)
+        assert len(angles) == 18
+        assert all(len(each) >= 5 for each in angles.values()), "every servo goes through many angles"
+        first = [decode(bytes.fromhex(record.bytes)) for record in heard.all if record.cause is Cause.COMMAND][:6]
+        assert [frame.leg for frame in first if isinstance(frame, OneLeg)] == [1, 2, 3, 4, 5, 6]
+
+
+def test_the_same_with_nothing_but_zenoh(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        said = run("plain_zenoh.py", gateway)
+        assert said.count("'accepted': True") == 2
+        assert len(moved(heard)[32]) >= 5
+
+
+def test_the_session(gateway: Gateway) -> None:
+    said = run("session.py", gateway)
+    assert "event: watchdog_expired leg 1 was not heard for 250 ms" in said
+    assert "does not run; start it before you set it" in said
+    assert "6 Stop frames within" in said
+    assert "estopped" in said

@@ -1,0 +1,108 @@
+"""Today's tools beside tomorrow's gateway: more fields, new words, and they go on working."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway.client import Client
+from schemas import keys
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, free_port
+from tests.support.tmux import Terminal, need_tmux
+from tests.unit.test_wire import WIRE, from_the_future
+
+STATE = json.loads((WIRE / "1.0" / "state.jsonl").read_text().splitlines()[0])
+EVENT = json.loads((WIRE / "1.0" / "event.jsonl").read_text().splitlines()[0])
+
+
+class Tomorrow:
+    """A gateway of a later version: it answers and publishes, and does nothing else."""
+
+    def __init__(self) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        config = zenoh.Config()
+        config.insert_json5("mode", '"peer"')
+        config.insert_json5("listen/endpoints", json.dumps([self.endpoint]))
+        config.insert_json5("scouting/multicast/enabled", "false")
+        self.session = zenoh.open(config)
+        self.mode = "hovering"
+        self._declared: list[Any] = [
+            self.session.declare_queryable(keys.STATE, lambda query: self._answer(query, keys.STATE, self.state)),
+            self.session.declare_queryable(keys.ESTOP, self._estop),
+            self.session.declare_queryable(keys.LEGS_COMMAND, self._reject),
+            self.session.liveliness().declare_token(keys.ALIVE),
+        ]
+
+    @property
+    def state(self) -> dict[str, Any]:
+        return {**from_the_future(STATE), "mode": self.mode}
+
+    def tell(self) -> None:
+        """An event of a kind that nobody knows yet, and a state."""
+        self.session.put(keys.EVENT, json.dumps({**from_the_future(EVENT), "kind": "lifted", "detail": "two hands"}))
+        self.session.put(keys.STATE, json.dumps(self.state))
+
+    def _estop(self, query: zenoh.Query) -> None:
+        self.mode = "estopped"
+        self._answer(
+            query, keys.ESTOP, {"accepted": True, "stop_frames": 6, "latency_us": 900.0, "estop": 1, "by": "us"}
+        )
+
+    def _reject(self, query: zenoh.Query) -> None:
+        ack = {"accepted": False, "reason": "too_windy", "detail": "the wind blows", "until": "tomorrow"}
+        self._answer(query, keys.LEGS_COMMAND, ack)
+
+    def _answer(self, query: zenoh.Query, key: str, payload: object) -> None:
+        with query:
+            query.reply(key, json.dumps(payload), encoding="application/json")
+
+    def close(self) -> None:
+        self.session.close()
+
+
+@pytest.fixture
+def tomorrow() -> Iterator[Tomorrow]:
+    with closing(Tomorrow()) as gateway:
+        yield gateway
+
+
+def run(*arguments: str) -> Child:
+    """One of our commands, to its end."""
+    child = Child([*COMMAND, *arguments], os.environ)
+    child.wait()
+    child.close()
+    return child
+
+
+def test_send_shows_a_reason_that_it_does_not_know(tomorrow: Tomorrow) -> None:
+    child = run("send", "stop", "--connect", tomorrow.endpoint)
+    assert child.returncode == 1
+    assert "too_windy: the wind blows" in child.stdout
+
+
+def test_estop_says_that_it_stopped(tomorrow: Tomorrow) -> None:
+    child = run("estop", "--connect", tomorrow.endpoint)
+    assert child.returncode == 0
+    assert child.stdout.startswith("stopped: 6 Stop frames")
+
+
+def test_a_client_reads_states_and_events(tomorrow: Tomorrow) -> None:
+    with Client(tomorrow.endpoint, timeout_s=5) as client:
+        assert client.state().mode == "hovering"
+
+
+def test_watch_shows_new_words_and_believes_the_answer_to_its_stop(tomorrow: Tomorrow, tmp_path: Path) -> None:
+    need_tmux()
+    with Terminal(tmp_path, [*COMMAND, "watch", "--connect", tomorrow.endpoint]) as terminal:
+        terminal.wait("HOVERING")
+        tomorrow.tell()
+        terminal.wait("lifted", "two hands")
+        terminal.press("Space")
+        shown = terminal.wait("STOPPED: 6 Stop frames")
+        assert "NOT STOPPED" not in shown

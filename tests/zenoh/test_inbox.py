@@ -1,0 +1,230 @@
+"""Every key and every verb, through the real Zenoh from one process to another; and floods."""
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+from gateway.client import Client, leg_payload, servo_payload
+from gateway.protocol.frames import OneLeg, OneServo, decode, stop_leg
+from schemas import keys
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames
+
+START = leg_payload("start", (90, 45, 120))
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    settings = {"telemetry": {"frames": True, "state_hz": 0}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}}
+    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+        yield running
+
+
+@pytest.fixture
+def client(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client() as connected:
+        connected.estop()
+        connected.reset()
+        yield connected
+
+
+def frame_of(record: FrameRecord) -> OneLeg | OneServo:
+    return decode(bytes.fromhex(record.bytes))
+
+
+def running(client: Client) -> set[int]:
+    return {servo.id for leg in client.state().legs for servo in leg.servos if servo.running}
+
+
+@pytest.mark.parametrize("number", LEGS)
+def test_a_legs_key_takes_put_get_and_delete(client: Client, number: int) -> None:
+    heard = frames(client)
+    key = keys.leg_command(number)
+    first = servo_payload("start", 90)
+    servos = {10 * number + joint for joint in (1, 2, 3)}
+    client.publish(key, {"servos": [first] * 3})
+    heard.wait(lambda record: frame_of(record).servos[0][0] == 10 * number + 1)
+    assert running(client) == servos
+    client.session.delete(key)
+    heard.wait(lambda record: frame_of(record) == stop_leg(number))
+    assert client.ask(key, START).accepted
+    assert running(client) == servos
+
+
+@pytest.mark.parametrize("servo_id", SERVO_IDS)
+def test_a_servos_key_takes_put_get_and_delete(client: Client, servo_id: int) -> None:
+    heard = frames(client)
+    key = keys.servo_command(servo_id)
+    client.publish(key, servo_payload("start", 90))
+    heard.wait(lambda record: frame_of(record).servos[0][0] == servo_id)
+    assert running(client) == {servo_id}
+    client.session.delete(key)
+    heard.wait(lambda record: record.bytes == f"0602{servo_id:02x}020000")
+    assert client.ask(key, servo_payload("start", 1)).accepted
+    assert running(client) == {servo_id}
+
+
+def test_the_legs_key_takes_put_get_and_delete(client: Client) -> None:
+    heard = frames(client)
+    two = {"legs": {"2": START, "5": START}}
+    client.publish(keys.LEGS_COMMAND, two)
+    heard.wait(lambda record: frame_of(record).servos[0][0] == 51)
+    assert running(client) == {21, 22, 23, 51, 52, 53}
+    client.session.delete(keys.LEGS_COMMAND)
+    heard.wait(lambda record: frame_of(record) == stop_leg(6))
+    assert running(client) == set()
+    assert client.ask(keys.LEGS_COMMAND, two).accepted
+    assert running(client) == {21, 22, 23, 51, 52, 53}
+
+
+@pytest.mark.parametrize(
+    ("expression", "payload", "expected"),
+    [
+        ("hexapod/leg/*/cmd", START, set(SERVO_IDS)),
+        ("hexapod/servo/*/cmd", servo_payload("start", 5), set(SERVO_IDS)),
+        ("hexapod/servo/3$*/cmd", servo_payload("start", 5), {31, 32, 33}),
+    ],
+)
+def test_a_wildcard_put_means_all_that_it_matches(
+    client: Client, expression: str, payload: dict[str, object], expected: set[int]
+) -> None:
+    heard = frames(client)
+    client.session.put(expression, json.dumps(payload))
+    named: set[int] = set()
+    for record in heard.each():
+        named |= {servo_id for servo_id, _ in frame_of(record).servos}
+        if named >= expected:
+            break
+    assert running(client) == expected
+
+
+def test_a_wildcard_delete_stops_all_that_it_matches(client: Client) -> None:
+    client.ask(keys.LEGS_COMMAND, {"legs": {"2": START, "5": START}})
+    heard = frames(client)
+    client.session.delete("hexapod/leg/*/cmd")
+    heard.wait(lambda record: frame_of(record).is_stop, count=6)
+    assert running(client) == set()
+
+
+@pytest.mark.parametrize("payload", [b"", b"{}", b"\xff\x00 no JSON", b"x" * 60_000])
+@pytest.mark.parametrize("verb", ["put", "get", "delete", "wildcard"])
+def test_any_request_on_the_emergency_stops_key_engages_it(client: Client, payload: bytes, verb: str) -> None:
+    client.start_leg(3, 90, 45, 120)
+    heard = frames(client)
+    match verb:
+        case "put":
+            client.session.put(keys.ESTOP, payload, encoding="image/png")
+        case "get":
+            (reply,) = client.session.get(keys.ESTOP, payload=payload)
+            assert reply.ok is not None
+            ack = Ack.model_validate_json(reply.ok.payload.to_bytes())
+            assert (ack.accepted, ack.stop_frames) == (True, 6)
+            assert ack.latency_us is not None
+        case "delete":
+            client.session.delete(keys.ESTOP)
+        case "wildcard":
+            client.session.put("hexapod/e$*/cmd", payload)
+    heard.wait(lambda record: record.cause == "estop" and frame_of(record) == stop_leg(6))
+    assert client.state().mode == Mode.ESTOPPED
+    assert running(client) == set()
+
+
+def test_an_acknowledged_wildcard_is_answered_by_every_key_that_it_names(client: Client) -> None:
+    replies = client.session.get("hexapod/leg/*/cmd", payload=json.dumps(START), target=zenoh.QueryTarget.ALL)
+    acks = {
+        str(reply.ok.key_expr): Ack.model_validate_json(reply.ok.payload.to_bytes()).accepted
+        for reply in replies
+        if reply.ok is not None
+    }
+    assert acks == {keys.leg_command(number): True for number in LEGS}
+
+
+@pytest.mark.parametrize("key", ["hexapod/leg/0/cmd", "hexapod/leg/7/cmd", "hexapod/servo/14/cmd", "hexapod/x/y/cmd"])
+def test_an_unknown_key_is_rejected_by_both_verbs_and_the_next_command_works(client: Client, key: str) -> None:
+    heard = events(client)
+    ack = client.ask(key, START)
+    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+    client.session.put(key, json.dumps(START))
+    event = heard.wait(lambda event: event.key == key, count=2)
+    assert (event.kind, event.reason) == (Kind.COMMAND_REJECTED, Reason.INVALID)
+    assert client.start_leg(3, 1, 2, 3).accepted
+
+
+def test_a_publisher_is_known_by_its_zenoh_id_where_it_says_it(client: Client) -> None:
+    heard = events(client)
+    publisher = client.session.declare_publisher(keys.leg_command(1))
+    publisher.put("{", source_info=zenoh.SourceInfo(publisher.id, 1))
+    event = heard.wait(lambda event: event.reason == Reason.MALFORMED)
+    assert event.source == str(client.session.zid())
+
+
+def test_payloads_too_large_are_rejected_unread(client: Client) -> None:
+    ack = client.ask(keys.leg_command(3), {**START, "source": "x" * 5000})
+    assert ack.reason == Reason.TOO_LARGE
+    assert client.start_leg(3, 1, 2, 3).accepted
+
+
+class Flood:
+    """Publishes on one key as fast as one thread can, from a session of its own."""
+
+    def __init__(self, gateway: Gateway, key: str, payload: str) -> None:
+        self._client = gateway.client()
+        self._key, self._payload = key, payload
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self.sent = 0
+
+    def _run(self) -> None:
+        publisher = self._client.session.declare_publisher(self._key)
+        while not self._end.is_set():
+            publisher.put(self._payload)
+            self.sent += 1
+
+    def __enter__(self) -> "Flood":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join()
+        self._client.close()
+
+
+@pytest.mark.parametrize(
+    ("key", "payload"),
+    [
+        (keys.leg_command(1), json.dumps(leg_payload("set", (1, 2, 3)))),
+        (keys.leg_command(1), "{ not JSON"),
+        ("hexapod/nothing/cmd", "{}"),
+        (keys.RESET, "{}"),
+    ],
+)
+def test_a_flood_of_one_key_keeps_nothing_from_the_others(
+    gateway: Gateway, client: Client, key: str, payload: str
+) -> None:
+    client.start_leg(1, 1, 2, 3)
+    with Flood(gateway, key, payload) as flood:
+        assert client.start_leg(2, 1, 2, 3).accepted
+        accepted = sum(client.set_leg(2, count, 2, 3).accepted for count in range(100))
+        assert accepted == 100
+        began = time.monotonic()
+        ack = client.estop()
+        assert ack.stop_frames == 6
+        assert time.monotonic() - began < 2, "seconds would mean that it waited for the flood"
+    assert flood.sent > 1000
+
+
+def test_a_flood_of_one_leg_reaches_the_wire_at_the_legs_rate(gateway: Gateway, client: Client) -> None:
+    client.start_leg(1, 1, 2, 3)
+    heard = frames(client)
+    with Flood(gateway, keys.leg_command(1), json.dumps(leg_payload("set", (1, 2, 3)))):
+        heard.wait(lambda record: record.cause == "command", count=50)
+    times_ns = [record.monotonic_ns for record in heard.all]
+    in_any_second = max(sum(0 <= later - first < 1e9 for later in times_ns) for first in times_ns)
+    assert in_any_second <= 51

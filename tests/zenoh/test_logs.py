@@ -1,0 +1,188 @@
+"""What the log looks like on a terminal, and to a machine."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from schemas.keys import leg_command, servo_command
+from tests.support.gateway_process import Gateway
+
+SPEAKER = """
+import logging, sys, threading, warnings
+from gateway.host import logs
+from gateway.settings import LogSettings
+from schemas.telemetry import Kind, Reason
+logs.set_up(LogSettings(format=sys.argv[1], level=sys.argv[2]))
+logger = logging.getLogger("gateway.test")
+logger.debug("detail")
+logger.info("hexapod-gateway %s takes commands", 1, extra={
+    "kind": Kind.STARTED, "source": None, "key": None, "reason": None})
+logger.warning("leg 7 does not exist", extra={
+    "kind": Kind.COMMAND_REJECTED, "source": "lap top", "key": "hexapod/leg/7/cmd", "reason": Reason.INVALID})
+logger.warning("hostile \\x1b[2J\\nsecond line", extra={"source": "\\x1b]0;title\\x07\\u2028\\x9b"})
+secret = "hunter2"
+try:
+    raise ValueError("broken")
+except ValueError:
+    logger.exception("something failed")
+logging.getLogger("other.library").error("told too")
+"""
+MORE = """
+words = ["said"]
+logger.info("%s", words)
+words[0] = "changed"
+long_ago = {"levelno": 20, "levelname": "INFO", "msg": "long ago", "created": 0.5}
+logging.getLogger().handle(logging.makeLogRecord(long_ago))
+for number in range(400):
+    print("printed", number)
+warnings.warn("beware")
+threading.Thread(target=lambda: 1 / 0).start()
+"""
+HOSTILE = "\x1b\x07\x9b\u2028"
+
+
+def spoken(form: str, level: str = "info", program: str = SPEAKER) -> list[str]:
+    """What SPEAKER writes to a pipe."""
+    command = [sys.executable, "-c", program, form, level]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    assert ran.stdout == "", "results go to stdout, the log to stderr"
+    return ran.stderr.removesuffix("\n").split("\n")
+
+
+def spoken_on_a_terminal(form: str) -> str:
+    """What SPEAKER writes to a terminal."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([sys.executable, "-c", SPEAKER, form, "info"], stderr=theirs) as speaker:
+        os.close(theirs)
+        written = b""
+        while chunk := read(ours):
+            written += chunk
+        assert speaker.wait(30) == 0
+    os.close(ours)
+    return written.decode()
+
+
+def read(terminal: int) -> bytes:
+    """The next bytes, none at the end (which Linux tells with an error)."""
+    try:
+        return os.read(terminal, 65536)
+    except OSError:
+        return b""
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[dict[str, Any]]:
+    """SPEAKER's lines to a pipe, where the format is chosen for it."""
+    return [json.loads(line) for line in spoken("auto", "debug")]
+
+
+def test_each_line_is_json_with_time_level_and_message(lines: list[dict[str, Any]]) -> None:
+    assert [(line["level"], line["message"]) for line in lines] == [
+        ("debug", "detail"),
+        ("info", "hexapod-gateway 1 takes commands"),
+        ("warning", "leg 7 does not exist"),
+        ("warning", "hostile \x1b[2J\nsecond line"),
+        ("error", "something failed"),
+        ("error", "told too"),
+    ]
+    for line in lines:
+        assert datetime.fromisoformat(line["timestamp"]).utcoffset() == timedelta(0)
+    assert [line["logger"] for line in lines] == ["gateway.test"] * 5 + ["other.library"]
+
+
+def test_an_events_fields_have_their_own_names_and_empty_ones_are_left_out(lines: list[dict[str, Any]]) -> None:
+    assert lines[1].keys() == {"timestamp", "level", "message", "logger", "kind"}
+    assert lines[1]["kind"] == "started"
+    assert lines[2].keys() == {"timestamp", "level", "message", "logger", "kind", "source", "key", "reason"}
+    assert lines[2]["kind"] == "command_rejected"
+    assert lines[2]["source"] == "lap top"
+    assert lines[2]["key"] == "hexapod/leg/7/cmd"
+    assert lines[2]["reason"] == "invalid"
+
+
+def test_each_line_is_one_line_to_any_reader() -> None:
+    written = spoken("json")
+    assert not any(char in line for line in written for char in HOSTILE)
+    assert json.loads(written[2])["source"] == "\x1b]0;title\x07\u2028\x9b"
+
+
+def test_a_traceback_is_one_line_without_anyones_variables(lines: list[dict[str, Any]]) -> None:
+    (fault,) = lines[4]["exception"]
+    assert (fault["exc_type"], fault["exc_value"]) == ("ValueError", "broken")
+    assert "hunter2" not in json.dumps(lines)
+
+
+def test_the_level_is_the_least_that_is_told() -> None:
+    assert [json.loads(line)["level"] for line in spoken("json", "error")] == ["error", "error"]
+
+
+def test_a_terminal_gets_lines_for_people() -> None:
+    written = spoken_on_a_terminal("auto")
+    assert "\x1b[" in written, "colours"
+    assert "hexapod-gateway 1 takes commands" in written
+    assert "ValueError: broken" in written
+    with pytest.raises(json.JSONDecodeError):
+        json.loads(written.splitlines()[0])
+
+
+def test_what_others_wrote_does_not_steer_the_terminal() -> None:
+    written = spoken_on_a_terminal("console")
+    assert "\x1b[2J" not in written
+    assert "\x1b]0;" not in written
+    assert not set("\x07\x9b\u2028") & set(written)
+    assert r"hostile \x1b[2J\nsecond line" in written
+
+
+def test_console_to_a_pipe_has_no_colours_and_one_line_per_message() -> None:
+    written = spoken("console")
+    assert not any(char in line for line in written for char in HOSTILE)
+    told = [line for line in written if line.startswith("20")]
+    assert [line.split()[1].strip("[]") for line in told] == ["info", "warning", "warning", "error", "error"]
+    assert "kind=command_rejected" in told[1]
+    assert "reason=invalid" in told[1]
+    assert "source='lap top'" in told[1]
+    assert "hunter2" not in "".join(written)
+
+
+def test_json_on_a_terminal_where_it_is_asked_for() -> None:
+    written = spoken_on_a_terminal("json")
+    assert [json.loads(line)["level"] for line in written.splitlines()] == ["info", *["warning"] * 2, *["error"] * 2]
+
+
+def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
+    head = SPEAKER.partition("logger.debug")[0]
+    words, long_ago = map(json.loads, spoken("json", program=head + MORE.partition("for number")[0]))
+    assert words["message"] == "['said']"
+    assert long_ago["timestamp"] == "1970-01-01T00:00:00.500000Z"
+
+
+def test_all_that_was_said_is_written_before_the_process_goes() -> None:
+    program = (
+        "import logging, sys, threading, warnings\nfrom gateway import logs\nfrom gateway.settings import LogSettings"
+    )
+    program += "\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')" + MORE
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
+    assert ran.stdout.splitlines() == [f"printed {number}" for number in range(400)]
+    assert "UserWarning: beware" in ran.stderr
+    assert "ZeroDivisionError" in ran.stderr
+
+
+def test_rejections_in_the_log_of_the_real_service(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway:
+        with gateway.client(source="me") as client:
+            malformed = client.ask(leg_command(3), {"servos": []})
+            stopped = client.ask(servo_command(11), {"op": "set", "angle_deg": 1, "source": "lap top"})
+        gateway.child.wait_for_output("servo_stopped")
+        told = [json.loads(line) for line in gateway.child.stderr.splitlines() if "command_rejected" in line]
+    assert [line["message"] for line in told] == [malformed.detail, stopped.detail]
+    assert [line["key"] for line in told] == [leg_command(3), servo_command(11)]
+    assert [line["reason"] for line in told] == ["invalid", "servo_stopped"]
+    assert [line.get("source") for line in told][1] == "lap top"
+    assert all(line["kind"] == "command_rejected" and line["level"] == "warning" for line in told)

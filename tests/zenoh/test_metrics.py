@@ -1,0 +1,120 @@
+"""Percentiles, histograms, and what Prometheus reads over HTTP."""
+
+import asyncio
+import urllib.request
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.samples import Sample
+
+from gateway.core.latency import KEPT, Latency, percentile
+from schemas import keys
+from tests.support.gateway_process import Gateway, free_port
+from tests.support.robot import leg, started_and_quiet
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "expected"),
+    [
+        ([7.0], 0.5, 7),
+        ([7.0], 0.99, 7),
+        ([1.0, 2.0], 0.5, 1),
+        ([1.0, 2.0, 3.0], 0.5, 2),
+        ([float(value) for value in range(1, 101)], 0.99, 99),
+        ([float(value) for value in range(1, 1001)], 0.99, 990),
+    ],
+)
+def test_percentile(values: list[float], share: float, expected: float) -> None:
+    assert percentile(values, share) == expected
+
+
+def test_a_latency_keeps_the_worst_of_all_and_the_percentiles_of_the_last() -> None:
+    latency = Latency()
+    assert (*latency.p50_p99_us(), latency.max_us) == (None, None, None)
+    latency.record(9_000_000)
+    for _ in range(KEPT):
+        latency.record(100_000)
+    assert (*latency.p50_p99_us(), latency.max_us) == (100, 100, 9000)
+    assert sum(latency.buckets) == KEPT + 1
+
+
+@pytest.mark.virtual_time
+async def test_each_stop_is_timed() -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.leg_command(3), leg("start", 1, 2, 3))
+    await asyncio.sleep(1)
+    robot.put(keys.ESTOP, received_ns=robot.now_ns() - 1_500_000)
+    metrics = robot.conductor.metrics
+    assert metrics.watchdog_stops.max_us == pytest.approx(0, abs=0.1)
+    assert metrics.emergency_stops.max_us == pytest.approx(1500, abs=0.1)
+    assert sum(metrics.watchdog_stops.buckets) == sum(metrics.emergency_stops.buckets) == 1
+    assert robot.conductor.state().watchdog.stop_latency_us.max == metrics.watchdog_stops.max_us
+
+
+@pytest.mark.virtual_time
+async def test_an_emergency_stop_that_was_not_written_is_not_timed() -> None:
+    robot = await started_and_quiet()
+    robot.controller.fail_next(1)
+    robot.put(keys.ESTOP)
+    assert robot.conductor.metrics.emergency_stops.max_us is None
+
+
+def read(address: str) -> list[Sample]:
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+        text = answer.read().decode()
+    return [sample for family in text_string_to_metric_families(text) for sample in family.samples]
+
+
+def value(samples: list[Sample], name: str, **labels: str) -> float:
+    (found,) = [sample.value for sample in samples if sample.name == name and labels.items() <= sample.labels.items()]
+    return float(found)
+
+
+def test_prometheus_reads_everything(tmp_path: Path) -> None:
+    address = f"127.0.0.1:{free_port()}"
+    with (
+        Gateway(tmp_path, {"telemetry": {"metrics": address}, "watchdog": {"timeout_ms": 20, "repeats": 0}}) as gateway,
+        gateway.client() as client,
+    ):
+        client.start_leg(3, 1, 2, 3)
+        gateway.child.wait_for_output("was not heard")
+        client.set_leg(3, 1, 2, 3)
+        client.estop()
+        samples = read(address)
+        assert value(samples, "hexapod_commands_accepted_total") == 1
+        assert value(samples, "hexapod_commands_rejected_total", reason="servo_stopped") == 1
+        assert value(samples, "hexapod_commands_rejected_total", reason="stale") == 0
+        assert value(samples, "hexapod_frames_written_total", cause="estop") == 6
+        assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 1
+        assert value(samples, "hexapod_spi_errors_total") == 0
+        assert value(samples, "hexapod_watchdog_expirations_total") == 1
+        assert value(samples, "hexapod_mode", mode="estopped") == 1
+        assert value(samples, "hexapod_mode", mode="idle") == 0
+        assert value(samples, "hexapod_watchdog_stop_latency_seconds_count") == 1
+        assert value(samples, "hexapod_emergency_stop_latency_seconds_count") == 1
+        assert value(samples, "hexapod_emergency_stop_latency_seconds_sum") > 0
+        assert value(samples, "hexapod_spi_transfer_seconds_count") == 6 + 1 + 1 + 6
+        assert value(samples, "hexapod_loop_lag_seconds_bucket", le="+Inf") >= 0
+        assert value(samples, "process_resident_memory_bytes") > 1e6
+
+
+@pytest.mark.parametrize(("host", "warned"), [("0.0.0.0", True), ("[::1]", False), ("localhost", False)])  # noqa: S104
+def test_metrics_for_everyone_are_warned_of_at_every_start(tmp_path: Path, host: str, warned: bool) -> None:
+    port = free_port()
+    with Gateway(tmp_path, {"telemetry": {"metrics": f"{host}:{port}"}}) as gateway:
+        local = "[::1]" if host == "[::1]" else "127.0.0.1"
+        assert value(read(f"{local}:{port}"), "hexapod_mode", mode="idle") == 1
+        gateway.child.terminate()
+        assert gateway.child.wait() == 0
+        assert (f"anyone who reaches {host}:{port}" in gateway.child.stderr) is warned
+
+
+def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) -> None:
+    address = f"127.0.0.1:{free_port()}"
+    settings = {"telemetry": {"metrics": address}}
+    with Gateway(tmp_path, settings), Gateway(tmp_path, settings, wait=False) as second:
+        assert second.child.wait() == 2
+        assert second.child.stderr == (
+            f"hexapod-gateway: telemetry.metrics: {address} cannot be opened: Address already in use\n"
+        )

@@ -1,0 +1,174 @@
+"""The locks by which a gateway learns of `stop-servos`, between processes; and what the gateway then says."""
+
+import asyncio
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from gateway.protocol.frames import stop_leg
+from gateway.spi import outside
+from gateway.spi.outside import Listener, Notice
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.robot import leg, started_and_quiet
+
+LEG_3 = keys.leg_command(3)
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Path:
+    """A file in place of the device: locks are the same on both."""
+    path = tmp_path / "device"
+    path.touch()
+    return path
+
+
+def opened(device: Path) -> int:
+    return os.open(device, os.O_RDWR)
+
+
+def test_a_gateway_sees_it_at_work_and_its_end(device: Path) -> None:
+    gateway = Listener(opened(device))
+    assert not gateway.look()
+    notice = Notice(str(device))
+    notice.give()
+    assert notice.gateway_runs
+    assert gateway.look()
+    assert gateway.look()
+    end = threading.Thread(target=notice.end)
+    end.start()
+    while gateway.look():
+        pass
+    end.join()
+    assert not gateway.look()
+
+
+def test_it_stays_until_the_gateway_has_looked_and_knows_of_its_end(device: Path) -> None:
+    gateway = Listener(opened(device))
+    notice = Notice(str(device))
+    notice.give()
+    ended: list[bool] = []
+    end = threading.Thread(target=lambda: ended.append(notice.end()))
+    end.start()
+    assert gateway.look(), "it has not left, since nobody had looked"
+    while gateway.look():
+        pass
+    end.join()
+    assert ended == [True]
+
+
+def test_a_gateway_that_never_looks_is_not_waited_for_long(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outside, "PATIENCE_S", 0.01)
+    Listener(opened(device))
+    notice = Notice(str(device))
+    notice.give()
+    assert not notice.end()
+
+
+def test_without_a_gateway_nothing_is_waited_for(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outside, "PATIENCE_S", 3600)
+    notice = Notice(str(device))
+    notice.give()
+    assert not notice.gateway_runs
+    assert notice.end()
+
+
+def test_without_a_device_it_is_tried_again_and_raises_nothing(tmp_path: Path) -> None:
+    notice = Notice(str(tmp_path / "device"))
+    notice.give()
+    assert notice.end()
+    (tmp_path / "device").touch()
+    gateway = Listener(opened(tmp_path / "device"))
+    notice.give()
+    assert gateway.look()
+
+
+def test_two_of_them_are_seen_until_the_second_has_ended(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outside, "PATIENCE_S", 0.01)
+    gateway = Listener(opened(device))
+    first, second = Notice(str(device)), Notice(str(device))
+    first.give()
+    second.give()
+    assert gateway.look()
+    assert first.end()
+    assert gateway.look()
+    assert second.end()
+    assert not gateway.look()
+
+
+def test_opening_and_closing_the_device_for_each_round_does_not_end_it(device: Path) -> None:
+    """Record locks of a process end when it closes the file anywhere; these are the open file's."""
+    gateway = Listener(opened(device))
+    notice = Notice(str(device))
+    notice.give()
+    os.close(opened(device))
+    assert gateway.look()
+
+
+def test_its_death_is_its_end(device: Path) -> None:
+    gateway = Listener(opened(device))
+    program = (
+        "import sys, time\nfrom gateway.spi.outside import Notice\n"
+        "notice = Notice(sys.argv[1])\nnotice.give()\nprint('at work', flush=True)\ntime.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, str(device)], stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        assert gateway.look()
+        child.kill()
+    assert not gateway.look()
+
+
+# ---- what the gateway says
+
+
+class Seen:
+    """A device on which `stop-servos` is at work when the test says so."""
+
+    def __init__(self) -> None:
+        self.at_work = False
+
+    def __call__(self) -> bool:
+        return self.at_work
+
+
+@pytest.mark.virtual_time
+async def test_the_gateway_says_so_and_takes_its_servos_as_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet(watchdog={"repeats": 0})
+    seen = Seen()
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", seen)
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    robot.conductor.look_outside()
+    assert robot.mode == Mode.ACTIVE
+    robot.controller.transfers.clear()
+
+    seen.at_work = True
+    for _ in range(3):
+        robot.conductor.look_outside()
+    assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS]
+    (event,) = robot.events(Kind.STOPPED_OUTSIDE)
+    assert event.detail == "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
+    assert robot.states[-1].mode is Mode.IDLE
+    assert not any(servo.running for each in robot.states[-1].legs for servo in each.servos)
+    assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
+
+    seen.at_work = False
+    await asyncio.sleep(0.1)  # past the leg's rate limit, in virtual time
+    robot.conductor.look_outside()
+    assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
+    assert robot.ask(LEG_3, leg("start", 90, 90, 90)).accepted
+    assert robot.mode == Mode.ACTIVE
+
+
+@pytest.mark.virtual_time
+async def test_in_a_bus_fault_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet()
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.bus.close()
+    robot.conductor.look_outside()
+    assert robot.events() == []

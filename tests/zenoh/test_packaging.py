@@ -1,0 +1,92 @@
+"""The wheel in an empty environment: what a laptop gets."""
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.support.child import Child
+from tests.support.gateway_process import READY, free_port
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel and a source archive, built from a copy without what lies around in a working folder."""
+    folder = tmp_path_factory.mktemp("build")
+    names = ("pyproject.toml", "README.md", "LICENSE", "gateway", "schemas")
+    subprocess.run(["cp", "-r", *(REPOSITORY / name for name in names), folder], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "build", "--outdir", folder / "dist", folder], check=True, capture_output=True
+    )
+    return folder / "dist"
+
+
+@pytest.fixture(scope="module")
+def python(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment with nothing but the wheel and what it depends on; no SPI, no compiler."""
+    folder = tmp_path_factory.mktemp("empty")
+    subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
+    python = folder / "venv" / "bin" / "python"
+    (wheel,) = dist.glob("*.whl")
+    environment = {**os.environ, "CC": "/bin/false"}
+    subprocess.run(
+        [python, "-m", "pip", "install", "--quiet", "--only-binary=:all:", wheel], check=True, env=environment
+    )
+    return python
+
+
+def test_the_wheel_holds_both_packages_their_types_the_schemas_and_the_licence(dist: Path) -> None:
+    (wheel,) = dist.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    for name in ("gateway/py.typed", "schemas/py.typed", "schemas/json/LegCommand.json", "gateway/cli.py"):
+        assert name in names
+    assert any(name.endswith("LICENSE") for name in names)
+    assert not any(name.startswith("tests") for name in names)
+    (source,) = dist.glob("*.tar.gz")
+    with tarfile.open(source) as archive:
+        assert any(name.endswith("/gateway/core/supervisor.py") for name in archive.getnames())
+
+
+def test_it_runs_where_nothing_else_is_installed(python: Path, tmp_path: Path) -> None:
+    program = python.with_name("hexapod-gateway")
+    said = subprocess.run([program, "--help"], check=True, capture_output=True, text=True, cwd=tmp_path).stdout
+    assert "Usage: hexapod-gateway" in said
+    decoded = subprocess.run([program, "decode", "060220020000"], capture_output=True, text=True, check=True)
+    assert "servo 32 stop" in decoded.stdout
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    environment = {**os.environ, "HEXAPOD_ZENOH__LISTEN": json.dumps([endpoint])}
+    gateway = Child([str(program), "run", "--sim"], environment, tmp_path)
+    try:
+        gateway.wait_for_output(READY, timeout_s=30)
+        sent = subprocess.run(
+            [program, "send", "leg", "3", "start", "1", "2", "3", "--connect", endpoint, "--timeout", "10"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (sent.returncode, sent.stdout) == (0, "accepted\n"), sent.stderr
+        gateway.terminate()
+        assert gateway.wait() == 0
+    finally:
+        gateway.close()
+
+
+def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "before = set(sys.modules)\n"
+        "import schemas.keys, schemas.command, schemas.telemetry\n"
+        "allowed = {'schemas', 'pydantic', 'pydantic_core', 'annotated_types', 'typing_extensions'}\n"
+        "allowed |= {'typing_inspection'}\n"
+        "roots = {name.partition('.')[0] for name in sys.modules.keys() - before if not name.startswith('_')}\n"
+        "print(sorted(roots - allowed - set(sys.stdlib_module_names)))\n"
+    )
+    said = subprocess.run([python, "-I", "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
+    assert said.stdout == "[]\n"

@@ -1,0 +1,44 @@
+"""README is true: its program runs, its commands exist, its keys are the keys."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from gateway.cli import app
+from schemas import keys
+from tests.support.gateway_process import Gateway
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+
+
+def test_the_python_example_runs(tmp_path: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    with Gateway(tmp_path) as gateway:
+        code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint)
+        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=30)
+        assert "accepted=True" in end.stdout
+        with gateway.client() as client:
+            state = client.state()
+        assert state.commands.accepted == 101
+        assert state.commands.rejected == 0
+
+
+def test_the_keys_are_the_keys() -> None:
+    table = set(re.findall(r"^\| `(hexapod/[^`]+)` \|", README, re.MULTILINE))
+    singles = {keys.LEGS_COMMAND, keys.ESTOP, keys.RESET, keys.STATE, keys.EVENT, keys.FRAME, keys.ALIVE}
+    assert table == singles | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
+
+
+@pytest.mark.parametrize(
+    "command", sorted(set(re.findall(r"(?:\$ |bin/|`)hexapod-gateway (\w[\w-]*(?: (?:init|issue|leg))?)", README)))
+)
+def test_each_command_exists(command: str) -> None:
+    group = typer.main.get_command(app)
+    for word in command.split():
+        commands = getattr(group, "commands", {})
+        assert word in commands, f"there is no `{command}`"
+        group = commands[word]

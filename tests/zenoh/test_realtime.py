@@ -1,0 +1,107 @@
+"""The process's own priority: what it takes, what it leaves to its threads, and that it does without."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.host.realtime import LOOP_PRIORITY, MALLOC_ARENAS, NICE, PAGE_PRIORITY, RECEIVER_PRIORITY
+from tests.support.gateway_process import Gateway
+
+root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
+
+
+def run(program: str, *prefix: str, stderr: int | None = None) -> str:
+    """What a program prints that has imported our module in a process of its own."""
+    command = [
+        *prefix,
+        sys.executable,
+        "-c",
+        f"from gateway.host.realtime import *\nimport gc, os, sys, threading\n{program}",
+    ]
+    return subprocess.run(command, stdout=subprocess.PIPE, stderr=stderr, text=True, check=True).stdout.strip()
+
+
+def test_the_loop_comes_before_those_who_wait_and_they_before_the_metrics_page() -> None:
+    assert LOOP_PRIORITY > RECEIVER_PRIORITY > PAGE_PRIORITY > 0
+
+
+@root_only
+def test_a_threads_priority_is_its_own() -> None:
+    program = """
+print(prefer_thread(7), os.sched_getparam(0).sched_priority)
+thread = threading.Thread(target=lambda: print(os.sched_getscheduler(0) == os.SCHED_OTHER))
+thread.start()
+thread.join()
+"""
+    assert run(program).split() == ["True", "7", "True"]
+
+
+@root_only
+def test_threads_started_later_have_the_process_s_niceness() -> None:
+    program = """
+prefer_process()
+thread = threading.Thread(target=lambda: print(os.getpriority(os.PRIO_PROCESS, threading.get_native_id())))
+thread.start()
+thread.join()
+"""
+    assert run(program) == str(NICE)
+
+
+@root_only
+def test_a_niceness_that_is_better_already_is_kept() -> None:
+    better = -15 - os.getpriority(os.PRIO_PROCESS, 0)
+    assert run("prefer_process(); print(os.getpriority(os.PRIO_PROCESS, 0))", "nice", "-n", str(better)) == "-15"
+
+
+@root_only
+def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
+    without = ("setpriv", "--bounding-set=-sys_nice", "--")
+    program = "prefer_process(); print(prefer_thread(7), os.getpriority(os.PRIO_PROCESS, 0))"
+    before = str(os.getpriority(os.PRIO_PROCESS, 0))
+    assert run(program, "prlimit", "--rtprio=0:0", "--nice=0:0", "--", *without).split() == ["False", before]
+
+
+def test_the_service_unit_allows_what_the_process_takes() -> None:
+    unit = (Path(__file__).parents[2] / "deploy/systemd/hexapod-gateway.service").read_text()
+    assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={NICE}\n" in unit
+
+
+@pytest.mark.parametrize(
+    ("call", "heaps"), [("limit_malloc_arenas()", range(1, MALLOC_ARENAS + 1)), ("pass", range(MALLOC_ARENAS + 1, 17))]
+)
+def test_all_threads_allocate_from_few_heaps(call: str, heaps: range) -> None:
+    program = f"""
+{call}
+import ctypes
+met = threading.Barrier(9)
+threads = [threading.Thread(target=lambda: (bytearray(10_000), met.wait())) for _ in range(8)]
+for thread in threads:
+    thread.start()
+met.wait()
+ctypes.CDLL(None).malloc_stats()
+"""
+    assert run(program, stderr=subprocess.STDOUT).count("Arena ") in heaps
+
+
+def test_what_has_settled_is_collected_no_more() -> None:
+    before, after = run("print(len(gc.get_objects())); settle(); print(len(gc.get_objects()))").split()
+    assert int(before) > 1000
+    assert int(after) < 100
+
+
+@root_only
+def test_the_loop_of_a_running_gateway_has_priority_and_zenohs_threads_have_not(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    with Gateway(tmp_path_factory.mktemp("gateway")) as gateway:
+        pid = gateway.child.pid
+        tasks = [int(task) for task in os.listdir(f"/proc/{pid}/task")]
+        priorities = {task: os.sched_getparam(task).sched_priority for task in tasks}
+        assert priorities[pid] == LOOP_PRIORITY
+        assert sorted(priorities.values()).count(RECEIVER_PRIORITY) == 5
+        assert sorted(priorities.values()).count(PAGE_PRIORITY) >= 2, "those that write stdout and stderr among them"
+        others = [task for task, priority in priorities.items() if priority == 0]
+        assert len(others) >= 3

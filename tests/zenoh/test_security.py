@@ -1,0 +1,168 @@
+"""Who may do what at the running gateway: with certificates, without, and with the wrong ones."""
+
+import datetime as dt
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway import certs
+from gateway.client import Client, leg_payload
+from gateway.edge.config_file import load_config
+from gateway.errors import ConfigError, ZenohError
+from schemas import keys
+from schemas.telemetry import Kind, Mode
+from tests.support.gateway_process import Gateway, free_port
+from tests.support.heard import events, states
+
+HOST = "127.0.0.1"
+TLS = "transport/link/tls"
+
+
+class Secured:
+    """A gateway on every address of this machine, with mTLS and access control as `certs init` makes them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "D"
+        self.port = free_port()
+        certs.init(self.folder, [HOST], port=self.port)
+        certs.issue(self.folder, "anna", "operator")
+        certs.issue(self.folder, "otto", "observer")
+        settings: dict[str, dict[str, Any]] = {
+            "zenoh": {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/0.0.0.0:{self.port}"]},
+            "telemetry": {"frames": True},
+        }
+        self.gateway = Gateway(folder, settings)
+
+    def client(self, name: str) -> Client:
+        return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=10)
+
+    def raw(self, name: str, **overrides: Any) -> zenoh.Config:
+        """A laptop's own configuration, with its paths resolved, and changed as a stranger might."""
+        made = load_config(self.folder / f"{name}.json5")
+        for key, value in overrides.items():
+            made.insert_json5(key, json.dumps(value))
+        return made
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
+    made = Secured(tmp_path_factory.mktemp("secured"))
+    with made.gateway:
+        yield made
+
+
+def test_an_operator_commands_and_watches(secured: Secured) -> None:
+    with secured.client("anna") as anna:
+        heard = states(anna)
+        assert anna.start_leg(3, 90, 45, 120).accepted
+        heard.wait(lambda state: state.mode is Mode.ACTIVE)
+        assert anna.estop().stop_frames == 6
+        assert anna.reset().accepted
+
+
+def test_an_observer_watches_and_commands_nothing(secured: Secured) -> None:
+    with secured.client("anna") as anna, secured.client("otto") as otto:
+        heard = events(otto)
+        before = otto.state().commands
+        with pytest.raises(ZenohError, match="may you command it"):
+            otto.start_leg(3, 1, 2, 3)
+        otto.publish(keys.leg_command(3), leg_payload("start", (1, 2, 3)))
+        otto.session.put(keys.ESTOP, b"")
+        otto.session.delete(keys.leg_command(3))
+        # On the same link, after all that: what the observer may do arrives, so the others had their chance.
+        state = otto.state()
+        assert state.mode == Mode.IDLE
+        assert (state.commands.accepted, state.commands.rejected) == (before.accepted, before.rejected)
+        anna.set_leg(3, 1, 2, 3)
+        assert heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED).source == "anna"
+
+
+def turned_away(config: zenoh.Config) -> None:
+    config.insert_json5("connect/timeout_ms", "3000")
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        zenoh.open(config)
+
+
+def test_no_certificate(secured: Secured) -> None:
+    none = {f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None}
+    turned_away(secured.raw("anna", **none))
+
+
+def test_a_certificate_of_another_ca(secured: Secured, tmp_path: Path) -> None:
+    certs.init(tmp_path / "E", [HOST])
+    certs.issue(tmp_path / "E", "eve", "operator")
+    eves = {
+        f"{TLS}/connect_certificate": str(tmp_path / "E" / "eve.pem"),
+        f"{TLS}/connect_private_key": str(tmp_path / "E" / "eve.key"),
+    }
+    turned_away(secured.raw("anna", **eves))
+
+
+def test_an_expired_certificate(secured: Secured) -> None:
+    past = dt.datetime.now(dt.UTC) - dt.timedelta(days=10)
+    certs.issue(secured.folder, "late", "operator", days=1, now=past)
+    late = {
+        f"{TLS}/connect_certificate": str(secured.folder / "late.pem"),
+        f"{TLS}/connect_private_key": str(secured.folder / "late.key"),
+    }
+    turned_away(secured.raw("anna", **late))
+    with pytest.raises(ConfigError, match=r"late\.pem expired on"):
+        secured.client("late")
+
+
+def test_plain_tcp_to_the_tls_port(secured: Secured) -> None:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([f"tcp/{HOST}:{secured.port}"]))
+    turned_away(config)
+
+
+def test_a_wrong_host_name(secured: Secured) -> None:
+    turned_away(secured.raw("anna", **{"connect/endpoints": [f"tls/localhost:{secured.port}"]}))
+
+
+@pytest.mark.parametrize(
+    ("address", "users"),
+    [("tcp/0.0.0.0", ""), ("tcp/[::]", ""), ("tls/0.0.0.0", ""), ("udp/224.0.0.225", "anna:secret\n")],
+)
+def test_off_loopback_it_does_not_start(tmp_path: Path, address: str, users: str) -> None:
+    """An empty password file demands nothing, and a multicast group asks nobody for a password."""
+    (tmp_path / "users.txt").write_text(users)
+    (tmp_path / "zenoh.json5").write_text('{ transport: { auth: { usrpwd: { dictionary_file: "users.txt" } } } }')
+    settings = {"zenoh": {"listen": [f"{address}:{free_port()}"], "config": str(tmp_path / "zenoh.json5")}}
+    with Gateway(tmp_path, settings, wait=False) as gateway:
+        assert gateway.child.wait() == 2
+        (line,) = gateway.child.stderr.splitlines()
+        assert "would let anyone on the network move the robot" in line
+
+
+def test_allow_insecure_starts_it_with_a_warning(tmp_path: Path) -> None:
+    settings = {"zenoh": {"listen": [f"tcp/0.0.0.0:{free_port()}"], "allow_insecure": True}}
+    with Gateway(tmp_path, settings) as gateway:
+        gateway.child.wait_for_output("anyone who reaches")
+
+
+def test_a_password_is_enough(tmp_path: Path) -> None:
+    (tmp_path / "users.txt").write_text("anna:secret\n")
+    (tmp_path / "zenoh.json5").write_text('{ transport: { auth: { usrpwd: { dictionary_file: "users.txt" } } } }')
+    port = free_port()
+    zenoh_settings = {"config": str(tmp_path / "zenoh.json5"), "listen": [f"tcp/0.0.0.0:{port}"]}
+    with Gateway(tmp_path, {"zenoh": zenoh_settings}):
+        turned_away(_client_config(port))
+        anna = {"transport/auth/usrpwd/user": "anna", "transport/auth/usrpwd/password": "secret"}
+        turned_away(_client_config(port, **{**anna, "transport/auth/usrpwd/password": "guess"}))
+        with zenoh.open(_client_config(port, **anna)) as session:
+            (reply,) = session.get(keys.STATE, timeout=10)
+            assert reply.ok is not None
+
+
+def _client_config(port: int, **settings: Any) -> zenoh.Config:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    for key, value in {"connect/endpoints": [f"tcp/{HOST}:{port}"], **settings}.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

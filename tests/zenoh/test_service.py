@@ -1,0 +1,232 @@
+"""The service as a process on the simulated controller: settings that only a process shows, start and end, mistakes."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client
+from schemas import keys
+from schemas.telemetry import Kind, Mode
+from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
+from tests.support.heard import events, states
+from tests.support.zenoh_actor import Remote
+
+
+def test_it_says_that_it_is_ready_where_and_what_to_try(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway:
+        gateway.child.wait_for_output("Try")
+        assert gateway.child.stdout.splitlines() == [
+            f"{READY}: {gateway.endpoint} → a simulated controller (plain)",
+            "Try, in a second terminal: hexapod-gateway send leg 3 start 90 45 120 --hold 5 "
+            f"--connect {gateway.endpoint}",
+        ]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_ends_it_within_a_second_with_stops_and_exit_code_0(tmp_path: Path, number: signal.Signals) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        client.start_leg(3, 1, 2, 3)
+        heard = events(client)
+        begun = time.monotonic()
+        gateway.child.send_signal(number)
+        assert heard.wait(lambda event: event.kind is Kind.STOPPING)
+        assert gateway.child.wait() == 0
+        assert time.monotonic() - begun < 1
+        assert "Traceback" not in gateway.child.stderr
+
+
+def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
+    publisher = (
+        "import sys, time\n"
+        "from gateway.client import Client\n"
+        "client = Client(sys.argv[1])\n"
+        "heard = client.on_state(lambda state: None)\n"
+        "print('listening', flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    with (
+        Gateway(tmp_path, {"telemetry": {"state_hz": 1000}}) as gateway,
+        subprocess.Popen(
+            [sys.executable, "-c", publisher, gateway.endpoint], stdout=subprocess.PIPE, text=True
+        ) as peer,
+    ):
+        assert peer.stdout is not None
+        assert peer.stdout.readline() == "listening\n"
+        peer.send_signal(signal.SIGSTOP)
+        try:
+            with gateway.client() as client:
+                # Until the frozen one's queues are full: then closing takes Zenoh ten seconds.
+                states(client).wait(lambda _: True, count=2000, timeout_s=30)
+            begun = time.monotonic()
+            gateway.child.terminate()
+            assert gateway.child.wait() == 0
+            assert time.monotonic() - begun < 1.5
+        finally:
+            peer.kill()
+
+
+@pytest.mark.parametrize("state_hz", [0, 5, 100])
+def test_state_hz(tmp_path: Path, state_hz: float) -> None:
+    with Gateway(tmp_path, {"telemetry": {"state_hz": state_hz}}) as gateway, gateway.client() as client:
+        heard = states(client)
+        if state_hz:
+            first = heard.wait(lambda _: True)
+            last = heard.wait(lambda _: True, count=1 + int(state_hz))
+            assert last.uptime_s - first.uptime_s == pytest.approx(1, abs=0.3)
+        client.estop()
+        heard.wait(lambda state: state.mode is Mode.ESTOPPED)
+        if not state_hz:
+            assert [state.mode for state in heard.all] == [Mode.ESTOPPED]
+
+
+def test_listen_takes_several_endpoints(tmp_path: Path) -> None:
+    listen = [f"tcp/127.0.0.1:{free_port()}" for _ in range(2)]
+    with Gateway(tmp_path, {"zenoh": {"listen": listen}}):
+        for endpoint in listen:
+            with Client(endpoint) as client:
+                assert client.state().mode == Mode.IDLE
+
+
+def test_connect_dials_a_router(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    router = tmp_path / "router.json5"
+    router.write_text(
+        json.dumps(
+            {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
+        )
+    )
+    with Remote() as remote:
+        remote.open(str(router), {})
+        with Gateway(tmp_path, {"zenoh": {"connect": [endpoint]}}), Client(endpoint, timeout_s=10) as client:
+            assert _eventually_answers(client)
+
+
+def test_config_gives_a_zenoh_file(tmp_path: Path) -> None:
+    (tmp_path / "zenoh.json5").write_text('{ namespace: "robot-7" }')
+    settings = {"zenoh": {"config": str(tmp_path / "zenoh.json5")}}
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+        (reply,) = client.session.get(f"robot-7/{keys.STATE}", timeout=10)
+        assert reply.ok is not None
+        assert list(client.session.get(keys.STATE, timeout=1)) == []
+
+
+@pytest.mark.parametrize(("level", "lines"), [("debug", True), ("info", False)])
+def test_level_debug_shows_what_the_simulated_controller_does(tmp_path: Path, level: str, lines: bool) -> None:
+    with Gateway(tmp_path, {"log": {"level": level}}) as gateway:
+        gateway.run("send", "leg", "3", "start", "90", "45", "120")
+        gateway.child.terminate()
+        gateway.child.wait()
+        assert ("servo 31 started at 90.00°, 1547 µs" in gateway.child.stderr) is lines
+
+
+def test_a_port_that_is_taken_ends_it_with_4_and_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}}, wait=False) as gateway:
+            assert gateway.child.wait() == 4
+            assert gateway.child.stderr == (
+                f"hexapod-gateway: {endpoint} is taken by another program (perhaps another gateway); "
+                "stop it, or set another zenoh.listen\n"
+            )
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"zenoh": {"listen": ["tcp/203.0.113.1:7447"], "allow_insecure": True}}, "is no address of this machine"),
+        ({"zenoh": {"listen": ["nonsense"]}}, "nonsense"),
+        ({"zenoh": {"config": "/nowhere.json5"}}, "/nowhere.json5"),
+    ],
+)
+def test_a_zenoh_that_cannot_be_opened_ends_it_with_lines_for_people(
+    tmp_path: Path, settings: dict[str, Any], said: str
+) -> None:
+    with Gateway(tmp_path, settings, wait=False) as gateway:
+        assert gateway.child.wait() in (2, 4)
+        assert said in gateway.child.stderr
+        assert "Traceback" not in gateway.child.stderr
+
+
+def test_a_wrong_configuration_ends_it_with_2_and_one_line_per_fault(tmp_path: Path) -> None:
+    path = write_settings(
+        tmp_path / "gateway.toml",
+        {"watchdog": {"timeout_ms": 5}, "limits": {"leg_rate": 50}, "spi": {"speed_hz": "fast"}},
+    )
+    end = subprocess.run([*COMMAND, "run", "--sim", "--config", path], capture_output=True, text=True, check=False)
+    assert end.returncode == 2
+    lines = end.stderr.splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith(f"hexapod-gateway: {path}: ") for line in lines)
+    assert {re.split(": ", line)[2] for line in lines} == {"watchdog.timeout_ms", "limits.leg_rate", "spi.speed_hz"}
+
+
+FAULTY = """
+import sys
+from gateway import cli
+from gateway.runtime import conductor
+def broken(self, received, now_ns):
+    raise RuntimeError("planted")
+conductor.Conductor._receive = broken
+sys.argv[1:] = ["run", "--sim", "--config", sys.argv[1]]
+cli.main()
+"""
+
+
+def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path) -> None:
+    """A fault planted in the process's own code: nobody knows what state is left, so the robot must stand."""
+    config = write_settings(
+        tmp_path / "gateway.toml",
+        {"zenoh": {"listen": [(endpoint := f"tcp/127.0.0.1:{free_port()}")]}, "log": {"level": "debug"}},
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", FAULTY, config], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert READY in process.stdout.readline()
+        with Client(endpoint) as client:
+            client.publish(keys.leg_command(3), {})
+            _, said = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert said.splitlines()[-1] == "hexapod-gateway: a mistake in the gateway ended it: planted"
+    after = said[said.index("planted") :]
+    assert len(re.findall(r"servo \d\d stopped", after)) >= 18
+
+
+def test_it_ends_when_a_thread_that_hears_has_ended(tmp_path: Path) -> None:
+    deaf = FAULTY.replace("conductor.Conductor._receive = broken", "").replace(
+        "def broken", "from gateway import inbox\ninbox.Inbox.hears = property(lambda self: False)\ndef broken"
+    )
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    end = subprocess.run([sys.executable, "-c", deaf, config], capture_output=True, text=True, check=False, timeout=20)
+    assert end.returncode == 1
+    assert "a thread that waits for commands has ended" in end.stderr
+
+
+def test_the_token_says_that_it_lives(tmp_path: Path) -> None:
+    seen: dict[str, threading.Event] = {"SampleKind.PUT": threading.Event(), "SampleKind.DELETE": threading.Event()}
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        subscriber = client.session.liveliness().declare_subscriber(
+            keys.ALIVE, lambda sample: seen[str(sample.kind)].set(), history=True
+        )
+        assert seen["SampleKind.PUT"].wait(10)
+        gateway.child.kill()
+        assert seen["SampleKind.DELETE"].wait(10)
+        del subscriber
+
+
+def _eventually_answers(client: Client) -> bool:
+    # The gateway dials the router on its own, some time around its being ready: the router's answer tells when.
+    end = time.monotonic() + 15
+    while time.monotonic() < end:
+        if list(client.session.get(keys.STATE, timeout=1)):
+            return True
+    return False

@@ -1,0 +1,363 @@
+"""`watch` in a real terminal, on a running gateway: what stands on the screen, and what its keys do."""
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import certs
+from gateway.client import Client
+from schemas.telemetry import GatewayState, Kind, Mode
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import events
+from tests.support.tmux import LATE_S, Terminal, need_tmux
+
+PATIENT = {"watchdog": {"timeout_ms": 10_000, "repeats": 0}}
+"""So that a leg that was started once runs while the test looks at it, and nothing is written that nobody asked for."""
+
+
+@pytest.fixture(autouse=True)
+def _tmux() -> None:
+    need_tmux()
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    with Gateway(tmp_path, PATIENT) as running:
+        yield running
+
+
+@contextmanager
+def watching(folder: Path, *arguments: str) -> Iterator[Terminal]:
+    with Terminal(folder, [*COMMAND, "watch", *arguments]) as terminal:
+        yield terminal
+
+
+@pytest.fixture
+def terminal(gateway: Gateway, tmp_path: Path) -> Iterator[Terminal]:
+    """`watch`, that has heard the gateway."""
+    with watching(tmp_path, "--connect", gateway.endpoint) as running:
+        running.wait(" 1 ○", "q: quit")
+        yield running
+
+
+def wait_for_state(client: Client, holds: Callable[[GatewayState], bool]) -> GatewayState:
+    """Ask until the state is so."""
+    deadline = time.monotonic() + LATE_S
+    while not holds(state := client.state()):
+        assert time.monotonic() < deadline, state
+    return state
+
+
+def test_without_tmux_one_line_names_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CI", raising=False)
+    with pytest.raises(pytest.skip.Exception, match=r"^Debian package missing: tmux$"):
+        need_tmux()
+    monkeypatch.setenv("CI", "true")
+    with pytest.raises(pytest.fail.Exception, match=r"^Debian package missing: tmux$"):
+        need_tmux()
+
+
+# ---- what is shown
+
+
+def test_it_shows_a_running_leg_rejections_and_events(gateway: Gateway, terminal: Terminal) -> None:
+    assert terminal.screen.startswith(" IDLE   0 legs running")
+    with gateway.client(source="anna") as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        shown = terminal.wait("ACTIVE", "3 ● 90.00°", "● 45.00°", "● 120.00°", "last heard / 10000 ms")
+        assert "1 leg running" in shown
+        assert not client.set_leg(4, 1, 2, 3).accepted
+        assert not client.set_leg(4, 1, 2, 3).accepted
+        terminal.wait("rejected anna 2 (servo_stopped)", "command_rejected anna: servo 41 does not run")
+        assert client.stop().accepted
+        terminal.wait("IDLE", "3 ○ —")
+
+
+def test_the_watchdog_is_seen_to_count_and_to_expire(tmp_path: Path) -> None:
+    with (
+        Gateway(tmp_path, {"watchdog": {"timeout_ms": 1500}}) as gateway,
+        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
+        gateway.client() as client,
+    ):
+        terminal.wait(" 1 ○")
+        assert client.start_leg(3, 90, 45, 120).accepted
+        terminal.wait_until(lambda words: re.search(r"━+[╸─]* +\d+ ms 4 ○", words) is not None, "leg 3's bar")
+        terminal.wait("EXPIRED", "watchdog_expired", "watchdog expired 1 time ", "Stop p50")
+
+
+def test_a_small_terminal_keeps_the_legs_and_the_stop_key(terminal: Terminal) -> None:
+    terminal.resize(60, 12)
+    terminal.wait_until(lambda words: "rejected nobody" not in words, "the smaller picture")
+    lines = terminal.screen.splitlines()
+    assert len(lines) == 12
+    assert lines[-1].startswith(" SPACE or e: EMERGENCY STOP")
+    assert " 6  ○" in terminal.screen
+    terminal.press("Space")
+    terminal.wait("ESTOPPED")
+
+
+# ---- the emergency stop and the reset
+
+
+@pytest.mark.parametrize("key", ["Space", "e", "E"])
+def test_the_stop_key_stops_at_once_and_says_so(gateway: Gateway, terminal: Terminal, key: str) -> None:
+    with gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        terminal.wait("ACTIVE")
+        heard = events(client)
+        terminal.press(key)
+        heard.wait(lambda event: event.kind is Kind.ESTOP_ENGAGED)
+        shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames written within", "3 ○ —")
+        assert "ms after the key" in shown
+        assert client.state().mode is Mode.ESTOPPED
+
+
+def test_the_reset_asks_first(gateway: Gateway, terminal: Terminal) -> None:
+    with gateway.client() as client:
+        terminal.press("r")
+        terminal.wait("no emergency stop is engaged, so there is nothing to reset")
+        assert client.estop().accepted
+        terminal.wait("ESTOPPED")
+        terminal.press("y")  # no question stands, so it answers none
+        terminal.press("r")
+        terminal.wait("Leave the emergency stop?")
+        terminal.press("n")
+        terminal.wait("no reset: the emergency stop stays as it is")
+        terminal.press("y")
+        terminal.press("r")
+        terminal.wait("Leave the emergency stop?")
+        assert client.state().mode is Mode.ESTOPPED
+        terminal.press("y")
+        terminal.wait("IDLE", "reset; nothing moves until it is started again")
+        assert client.state().mode is Mode.IDLE
+
+
+def test_the_stop_key_works_while_the_question_stands(gateway: Gateway, terminal: Terminal) -> None:
+    with gateway.client() as client:
+        assert client.estop().accepted
+        terminal.wait("ESTOPPED")
+        terminal.press("r")
+        terminal.wait("Leave the emergency stop?")
+        frames = client.state().spi.frames
+        terminal.press("Space")
+        wait_for_state(client, lambda state: state.spi.frames == frames + 6)
+        shown = terminal.wait("STOPPED: 6 Stop frames")
+        assert "Leave the emergency stop?" not in shown
+
+
+def test_the_stop_key_works_when_the_terminal_takes_no_more(gateway: Gateway) -> None:
+    """A terminal that nobody reads: drawing blocks in the middle of a picture, and the key still stops the robot."""
+    master, slave = pty.openpty()
+    os.set_blocking(master, True)
+    with gateway.client() as client:
+        watch = subprocess.Popen([*COMMAND, "watch", "--connect", gateway.endpoint], stdin=slave, stdout=slave)
+        try:
+            os.close(slave)
+            # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
+            assert os.read(master, 1)
+            wait_for_stuck_writer(watch.pid)
+            os.write(master, b" ")
+            wait_for_state(client, lambda state: state.mode is Mode.ESTOPPED)
+            os.write(master, b"q")
+            assert watch.wait(LATE_S) == 0
+        finally:
+            watch.kill()
+            watch.wait()
+            os.close(master)
+
+
+def wait_for_stuck_writer(pid: int) -> None:
+    """Until a thread of the process waits in the terminal's write, as its kernel stack or wait channel says."""
+    deadline = time.monotonic() + LATE_S
+    while time.monotonic() < deadline:
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            with open(task / "syscall", encoding="ascii") as file:
+                number, descriptor = [*file.read().split(), "", ""][:2]
+            if number == str(_WRITE) and int(descriptor, 16) == 1:
+                return
+        time.sleep(0.05)
+    raise TimeoutError("its drawing never blocked")
+
+
+_WRITE = {"x86_64": 1, "aarch64": 64}.get(os.uname().machine, 1)
+
+
+# ---- silence
+
+
+def test_a_gateway_that_dies_is_called_silent_and_comes_back_by_itself(tmp_path: Path) -> None:
+    listen = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with (
+        Gateway(tmp_path, {**PATIENT, **listen}) as gateway,
+        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
+    ):
+        terminal.wait("IDLE")
+        with gateway.client() as client:
+            assert client.start_leg(3, 90, 45, 120).accepted
+            terminal.wait("ACTIVE")
+        gateway.child.kill()
+        terminal.wait("SILENT for", "was ACTIVE", "No word from the gateway", "the gateway fell silent")
+        with Gateway(tmp_path, {**PATIENT, **listen}) as again:
+            shown = terminal.wait("IDLE", "the gateway is heard again", "the gateway was started anew")
+            assert "SILENT for" not in shown
+            with again.client() as client:
+                assert client.start_leg(5, 10, 20, 30).accepted
+            terminal.wait("5 ● 10.00°")
+            terminal.press("Space")
+            terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+
+
+def test_a_stop_that_nobody_heard_is_sent_again_when_the_gateway_is_back(tmp_path: Path) -> None:
+    sections: dict[str, dict[str, Any]] = {**PATIENT, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with (
+        Gateway(tmp_path, sections) as gateway,
+        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
+    ):
+        terminal.wait("IDLE")
+        gateway.child.kill()
+        terminal.wait("SILENT for")
+        terminal.press("Space")
+        terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying on")
+        with Gateway(tmp_path, sections):
+            shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+            assert "NOT STOPPED" not in shown
+
+
+def test_a_gateway_that_hangs_is_called_silent(gateway: Gateway, terminal: Terminal) -> None:
+    gateway.child.send_signal(signal.SIGSTOP)
+    terminal.wait("SILENT for")
+    terminal.press("Space")
+    terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off")
+    gateway.child.send_signal(signal.SIGCONT)
+    terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")  # it was asked for until it was confirmed
+
+
+def test_a_gateway_that_publishes_no_state_is_not_silent(tmp_path: Path) -> None:
+    with (
+        Gateway(tmp_path, {**PATIENT, "telemetry": {"state_hz": 0}}) as gateway,
+        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
+        gateway.client() as client,
+    ):
+        terminal.wait("IDLE")
+        assert client.start_leg(3, 90, 45, 120).accepted
+        terminal.wait("3 ● 90.00°")
+        later_s = client.state().uptime_s + 4  # longer than silence takes, by the gateway's own time on the screen
+        # The time passes by what it asks for alone, and it calls the gateway by its mode.
+        terminal.wait_until(lambda words: words.startswith("ACTIVE") and up_s(words) >= later_s, "time to pass")
+
+
+def up_s(words: str) -> int:
+    """The uptime in the first line."""
+    hours, minutes, seconds = words.partition(" up ")[2].split()[0].split(":")
+    return int(hours) * 3600 + int(minutes) * 60 + int(seconds)
+
+
+def test_it_waits_for_a_gateway_that_is_not_there_yet(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with watching(tmp_path, "--connect", endpoint, "--timeout", "0.3") as terminal:
+        terminal.wait("WAITING", endpoint, "no gateway answers on", "trying again")
+        terminal.press("Space")
+        terminal.wait("NOT STOPPED, NOBODY ANSWERED")
+        with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}}):
+            terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+            terminal.press("q")
+            assert terminal.wait_for_end() == 0
+
+
+# ---- certificates
+
+
+def test_over_tls_an_operator_stops_and_an_observer_hears_that_he_may_not(tmp_path: Path) -> None:
+    folder, port = tmp_path / "D", free_port()
+    certs.init(folder, ["127.0.0.1"], port=port)
+    certs.issue(folder, "anna", "operator")
+    certs.issue(folder, "otto", "observer")
+    zenoh = {"config": str(folder / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}
+    for name in ("anna", "otto"):
+        (tmp_path / name).mkdir()
+    with (
+        Gateway(tmp_path, {**PATIENT, "zenoh": zenoh}),
+        watching(tmp_path / "otto", "--zenoh-config", str(folder / "otto.json5")) as otto,
+        watching(tmp_path / "anna", "--zenoh-config", str(folder / "anna.json5")) as anna,
+        Client(None, zenoh_config=folder / "anna.json5", timeout_s=5) as client,
+    ):
+        otto.wait("IDLE", f"tls/127.0.0.1:{port}")
+        anna.wait("IDLE")
+        assert client.start_leg(3, 90, 45, 120).accepted
+        for terminal in (otto, anna):
+            terminal.wait("ACTIVE", "3 ● 90.00°")
+        otto.press("Space")
+        otto.wait("NOT STOPPED, NOBODY ANSWERED", "an observer's certificate may not stop")
+        assert client.state().mode in (Mode.ACTIVE, Mode.IDLE)  # idle: the watchdog, on a slow machine
+        anna.press("Space")
+        anna.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+        shown = otto.wait("ESTOPPED, as its state says", "estop_engaged")
+        assert "NOT STOPPED" not in shown
+
+
+# ---- the end
+
+
+def test_a_picture_that_cannot_be_drawn_does_not_stand_still(gateway: Gateway, tmp_path: Path) -> None:
+    watch = ["env", "PYTHONIOENCODING=ascii", *COMMAND, "watch", "--connect", gateway.endpoint]
+    with Terminal(tmp_path, watch) as terminal:
+        assert terminal.wait_for_end() == 1
+        assert "hexapod-gateway: this terminal cannot be drawn on ('ascii' codec can't encode" in terminal.words
+
+
+@pytest.mark.parametrize("key", ["q", "C-c"])
+def test_it_leaves_the_terminal_as_it_found_it(gateway: Gateway, tmp_path: Path, key: str) -> None:
+    watch = " ".join([*COMMAND, "watch", "--connect", gateway.endpoint])
+    with Terminal(tmp_path, ["sh", "-c", f"echo before; {watch}"]) as terminal:
+        terminal.wait("IDLE")
+        terminal.press(key)
+        assert terminal.wait_for_end() == 0
+        shown = terminal.wait("before", "icanon")
+        assert " echo " in shown
+        assert "-icanon" not in shown
+        assert " isig " in shown
+
+
+def test_an_unconfirmed_stop_is_said_once_more_at_the_end(tmp_path: Path) -> None:
+    with watching(tmp_path, "--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.2") as terminal:
+        terminal.wait("WAITING")
+        terminal.press("e")
+        terminal.wait("NOT STOPPED")
+        terminal.press("q")
+        assert terminal.wait_for_end() == 0
+        assert "The emergency stop was NOT confirmed: switch the servos' power off." in terminal.words
+
+
+def test_without_a_terminal_it_says_so(gateway: Gateway) -> None:
+    end = gateway.run("watch")
+    assert end.returncode == 2
+    assert (
+        end.stderr
+        == "hexapod-gateway: watch needs a terminal; a program reads hexapod/state and hexapod/event instead\n"
+    )
+
+
+def test_where_there_are_no_unix_terminals_it_says_so() -> None:
+    code = "import sys; sys.modules['termios'] = None; sys.argv[1:] = ['watch']; import gateway.cli; gateway.cli.main()"
+    end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=LATE_S)
+    assert (end.returncode, end.stderr) == (
+        2,
+        "hexapod-gateway: watch needs a Unix terminal; on Windows, run it in WSL\n",
+    )
+
+
+def test_a_faulty_file_is_said_before_the_screen(tmp_path: Path) -> None:
+    with watching(tmp_path, "--zenoh-config", str(tmp_path / "absent.json5")) as terminal:
+        assert terminal.wait_for_end() == 2
+        assert "absent.json5" in terminal.words
