@@ -248,7 +248,8 @@ class Inbox:
                 self._others.append(_received(item, key, received_ns, self._replies))
                 return
         if isinstance(item, zenoh.Query):
-            self._replies.let_go(item)
+            # Its asker may wait for the end of all that it reached, so an emergency stop's is not sent behind others.
+            (self._estop_replies if key == ESTOP else self._replies).let_go(item)
 
     def _take_commands(self) -> list[Received]:
         now_ns = time.monotonic_ns()

@@ -4,6 +4,7 @@ from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
 from tests.mutants.conductor import CONDUCTOR
 from tests.mutants.exposure import EXPOSURE
+from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
 from tests.mutants.legs import LEGS
 from tests.mutants.mutant import Subject
@@ -15,6 +16,9 @@ SUBJECTS: tuple[Subject, ...] = (
     EXPOSURE,
     ACCESS,
     ZENOH_FILES,
+    INBOX,
+    RINGS,
+    MESSAGE,
     INTAKE,
     STALENESS,
     CONDUCTOR,

@@ -1,0 +1,314 @@
+"""Mutants of gateway/edge/inbox.py, rings.py and core/message.py: what comes in, and in which order."""
+
+from tests.mutants.mutant import Mutant, Subject
+
+_TESTS = ("tests/zenoh/test_rings.py", "tests/zenoh/test_inbox_parts.py", "tests/zenoh/test_inbox_bells.py")
+
+MESSAGE = Subject(
+    "gateway/core/message.py",
+    tests=_TESTS,
+    mutants=(
+        Mutant(
+            """return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}\"""",
+            "return self.key",
+            "a put and a get of one key count as in order: a start overtakes a Stop",
+        ),
+        Mutant(
+            """return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}\"""",
+            """return f"{self.verb} {self.key}\"""",
+            "a delete and a put of one key count as of two: a start after it is rejected",
+        ),
+        Mutant(
+            """return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}\"""",
+            """return f"{'get' if self.verb is Verb.GET else 'put'}\"""",
+            "all keys count as in order: a start overtakes a Stop",
+        ),
+    ),
+)
+
+INBOX = Subject(
+    "gateway/edge/inbox.py",
+    tests=_TESTS,
+    mutants=(
+        Mutant("OTHER_DEPTH: Final = 16", "OTHER_DEPTH: Final = 1", "of two unknown keys one is never answered"),
+        Mutant(
+            "FLOOD_PAUSE_S: Final = 0.001",
+            "FLOOD_PAUSE_S: Final = 0.1",
+            "a flood of one key holds all others for 100 ms",
+        ),
+        Mutant(
+            "        with suppress(zenoh.ZError, RuntimeError):\n            while True:",
+            "        if True:\n            while True:",
+            "each end writes a traceback",
+        ),
+        Mutant(
+            "            if pause_s is None:\n                self._dealt.release()\n            else:\n",
+            "            if pause_s is None:\n                pass\n            else:\n",
+            "a second message of a key is never noticed",
+        ),
+        Mutant(
+            "            pause_s = deal()\n        finally:",
+            "            pause_s = deal()\n        except ZeroDivisionError:",
+            "after one mistake nothing is noticed any more",
+        ),
+        Mutant(
+            'self._estop_replies = ReplySender("estop-answers")',
+            "self._estop_replies = self._replies",
+            "an emergency stop's answer waits behind an asker who does not read",
+        ),
+        Mutant(
+            "self._subscriber(session, key, RING_DEPTH).try_recv",
+            "self._subscriber(session, key, 1).try_recv",
+            "a start and the set behind it: only one is taken",
+        ),
+        Mutant(
+            "self._queryable(session, key, RING_DEPTH).try_recv",
+            "self._queryable(session, key, 1).try_recv",
+            "of two questions one is never answered",
+        ),
+        Mutant(
+            '("estop-get", self._queryable(session, ESTOP, RING_DEPTH), self._estop)',
+            '("estop-get", self._queryable(session, ESTOP, 1), self._estop)',
+            "of two emergency stops one is never answered",
+        ),
+        Mutant(
+            "self._queryable(session, STATE, RING_DEPTH),",
+            "self._queryable(session, STATE, 1),",
+            "of two who ask for the state one waits in vain",
+        ),
+        Mutant(
+            "        self._threads += [self._replies.thread, self._estop_replies.thread]\n",
+            "",
+            "with a dead reply sender the service says that it hears",
+        ),
+        Mutant(
+            "        for received in self._take_commands():\n            while self._estops:\n                yield self._estops.popleft()\n",
+            "        for received in self._take_commands():\n",
+            "an emergency stop waits for all that was taken before",
+        ),
+        Mutant(
+            "            yield received\n        while self._estops:\n            yield self._estops.popleft()\n",
+            "            yield received\n",
+            "an emergency stop without other traffic is never taken",
+        ),
+        Mutant(
+            "return all(thread.is_alive() for thread in self._threads)",
+            "return any(thread.is_alive() for thread in self._threads)",
+            "with a dead receiver the service says that it hears",
+        ),
+        Mutant(
+            "        for answers in (self._replies, self._estop_replies):\n            answers.close()\n",
+            "",
+            "reply senders outlive the inbox",
+        ),
+        Mutant(
+            "        self._estops.append(_received(item, ESTOP, received_ns, self._estop_replies))",
+            "        self._estops.append(_received(item, ESTOP, received_ns, self._replies))",
+            "an emergency stop's answer waits behind an asker who does not read",
+        ),
+        Mutant(
+            "        return self._wake\n\n    # ---- on the loop",
+            "        return lambda: None\n\n    # ---- on the loop",
+            "an emergency stop waits for the next command",
+            equivalent="the wakeup of all commands hears it as well, at most a flood's pause of 1 ms later",
+        ),
+        Mutant(
+            "                self._note(more, received_ns)\n",
+            "                pass\n",
+            "of several messages at once, only the first is taken in time",
+        ),
+        Mutant(
+            "self._read_all = self._read_all or len(waiting) >= OTHER_DEPTH - 2",
+            "pass",
+            "a message whose wakeup was lost is never taken",
+        ),
+        Mutant(
+            "self._read_all = self._read_all or len(waiting) >= OTHER_DEPTH - 2",
+            "self._read_all = True",
+            "each message looks into all rings, and waits a millisecond",
+        ),
+        Mutant(
+            "        return FLOOD_PAUSE_S if flooded else None\n",
+            "        return None\n",
+            "in a flood, ticks take the processor from what receives",
+        ),
+        Mutant('                if "*" in key\n', "                if False\n", "a wildcard stops nothing"),
+        Mutant(
+            "            if not named:\n                self._others.append(",
+            "            if False:\n                self._others.append(",
+            "an unknown key is never answered",
+        ),
+        Mutant(
+            "            (self._estop_replies if key == ESTOP else self._replies).let_go(item)\n",
+            "            pass\n",
+            "the loop ends queries, and waits for askers who do not read",
+        ),
+        Mutant(
+            "(self._estop_replies if key == ESTOP else self._replies).let_go(item)",
+            "self._replies.let_go(item)",
+            "an emergency stop's answer waits behind an asker who does not read",
+        ),
+        Mutant(
+            "        found.extend(self._others)\n        self._others.clear()\n",
+            "        self._others.clear()\n",
+            "an unknown key is never answered",
+        ),
+        Mutant(
+            "        found.extend(self._others)\n        self._others.clear()\n",
+            "        found.extend(self._others)\n",
+            "an unknown key is answered again and again",
+        ),
+        Mutant(
+            "Verb.DELETE if item.kind == zenoh.SampleKind.DELETE else Verb.PUT", "Verb.PUT", "a delete stops nothing"
+        ),
+        Mutant(
+            'if payload is not None and size <= MAX_PAYLOAD_BYTES else b""',
+            'if payload is not None and size < MAX_PAYLOAD_BYTES else b""',
+            "a payload of just 4096 bytes is read as empty",
+        ),
+        Mutant(
+            'if payload is not None and size <= MAX_PAYLOAD_BYTES else b""',
+            'if payload is not None else b""',
+            "16 kB are copied from each message of a flood",
+        ),
+        Mutant(
+            'if item.encoding is not None else "zenoh/bytes"',
+            'if False else "zenoh/bytes"',
+            "an image is parsed as JSON",
+        ),
+        Mutant("if item.source_info is not None else None", "if False else None", "nobody knows who commanded"),
+        Mutant(
+            "    if isinstance(item, zenoh.Sample) and item.kind == zenoh.SampleKind.DELETE:\n        return True\n",
+            "",
+            "a delete in a flood does not keep the instant open: an older start follows it",
+        ),
+        Mutant(
+            'return b"stop" in data or b"\\\\" in data',
+            'return b"stop" in data',
+            "a Stop written with escapes does not keep the instant open",
+        ),
+        Mutant('return b"stop" in data or b"\\\\" in data', "return False", "in a flood an older start follows a Stop"),
+        Mutant(
+            "            if missed_more:\n                self._look(0)\n",
+            "            pass\n",
+            "a message that reaches its ring after its wakeup waits for the next one",
+        ),
+        Mutant(
+            "        if attempt + 1 < len(LOOK_AGAIN_S):\n            self._look(attempt + 1)\n        else:\n",
+            "        if attempt + 1 < len(LOOK_AGAIN_S):\n            self._look(attempt)\n        else:\n",
+            "the loop looks again for ever",
+        ),
+        Mutant(
+            "        self._wake()\n        self._look_at = ()\n",
+            "        self._look_at = ()\n",
+            "a message that reaches its ring after its wakeup waits for the next one",
+        ),
+        Mutant(
+            "            self._loop.call_later(FLOOD_PAUSE_S, self._wake)  # to close it",
+            "            pass  # to close it",
+            "after a flood, an instant stays open: a start is rejected",
+        ),
+    ),
+)
+
+RINGS = Subject(
+    "gateway/edge/rings.py",
+    tests=_TESTS,
+    mutants=(
+        Mutant("RING_DEPTH: Final = 8", "RING_DEPTH: Final = 1", "a start and the set behind it: only one is taken"),
+        Mutant("PASSES: Final = 4", "PASSES: Final = 1", "an older start overtakes a newer Stop of another key"),
+        Mutant("while len(found) < RING_DEPTH and", "while", "a flood of one key holds the loop"),
+        Mutant(
+            "while len(found) < RING_DEPTH and",
+            "while len(found) < 1 and",
+            "of two messages of a key, the second waits",
+        ),
+        Mutant(
+            "key: (Ring(key, 2 * places[key], put), Ring(key, 2 * places[key] + 1, get))",
+            "key: (Ring(key, -2 * places[key], put), Ring(key, -2 * places[key] + 1, get))",
+            "several keys apply in the wrong order",
+        ),
+        Mutant(
+            "if other is not ring and _concerns(ring.key, other.key)",
+            "if False",
+            "an older start overtakes a newer Stop of another key",
+        ),
+        Mutant(
+            "if other is not ring and _concerns(ring.key, other.key)",
+            "if other is not ring",
+            "each command looks into all rings",
+        ),
+        Mutant(
+            "        if keys and not self.instant_open:\n",
+            "        if keys:\n",
+            "in a flood, an older start overtakes a Stop",
+        ),
+        Mutant(
+            "                    again.discard(ring)  # it is read now",
+            "                    pass  # it is read now",
+            "a ring is read twice for nothing",
+            equivalent="only slower: at its second read it is empty, or holds what is newer",
+        ),
+        Mutant(
+            "                    again |= ring.others\n",
+            "                    pass\n",
+            "an older start overtakes a newer Stop of another key",
+        ),
+        Mutant(
+            "            due = again\n            if not due:\n                break\n",
+            "            break\n",
+            "an older start overtakes a newer Stop of another key",
+        ),
+        Mutant(
+            "        self.instant_open = bool(due) and any(",
+            "        self.instant_open = False and any(",
+            "in a flood, an older start overtakes a Stop",
+        ),
+        Mutant(
+            "        self.instant_open = bool(due) and any(",
+            "        self.instant_open = any(",
+            "after each Stop its instant stays open: a start is rejected",
+        ),
+        Mutant(
+            "        self.instant_open = bool(due) and any(",
+            "        self.instant_open = bool(due) or any(",
+            "in a flood of setpoints, nothing that was stopped can be started",
+        ),
+        Mutant("if ring.key != RESET for item in items", "for item in items", "a reset keeps an instant open"),
+        Mutant(
+            "            taken.sort(key=_place)\n",
+            "            pass\n",
+            "keys apply in the order in which they happened to be read",
+        ),
+        Mutant(
+            "            taken.sort(key=_place)\n",
+            "            taken.sort(key=_place, reverse=True)\n",
+            "several keys apply in the wrong order",
+        ),
+        Mutant(
+            "return one.target is Target.RESET", "return False", "what was sent before a reset moves the robot after it"
+        ),
+        Mutant("return one.target is Target.RESET", "return True", "each command looks into the resets' ring"),
+        Mutant(
+            "return Target.LEGS in (one.target, two.target) or (",
+            "return (",
+            "an older start of several legs overtakes a Stop of one",
+        ),
+        Mutant("_leg(one) == _leg(two) and (", "(", "each command looks into other legs' rings"),
+        Mutant(
+            "(one.target is not two.target or one.number == two.number)",
+            "(one.number == two.number)",
+            "an older start of a leg overtakes a Stop of its servo",
+        ),
+        Mutant(
+            "(one.target is not two.target or one.number == two.number)",
+            "(one.target is not two.target)",
+            "an older put overtakes a newer get of its key",
+        ),
+        Mutant(
+            "return key.number // 10 if key.target is Target.SERVO else key.number",
+            "return key.number",
+            "an older start of a leg overtakes a Stop of its servo",
+        ),
+    ),
+)

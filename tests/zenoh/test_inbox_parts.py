@@ -1,0 +1,353 @@
+"""The inbox part by part: depths, order, channels, threads. A session's own messages take the same rings."""
+
+import asyncio
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import closing
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway.core.message import Received, Verb
+from gateway.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _may_stop, _received
+from gateway.edge.rings import RING_DEPTH, Ring
+from gateway.edge.session import open_session, service_config
+from gateway.settings import ZenohSettings
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
+from tests.support.gateway_process import free_port
+from tests.zenoh.test_inbox_bells import Taker
+
+LEG_1, SERVO_11 = leg_command(1), servo_command(11)
+PATIENCE_S = 5.0
+
+
+class Held:
+    """Takes nothing by itself: what a tick would take is looked at one by one."""
+
+    def __init__(self, opened: zenoh.Session) -> None:
+        self.wakeups = asyncio.Event()
+        self.inbox = Inbox(
+            opened,
+            asyncio.get_running_loop(),
+            on_wakeup=self.wakeups.set,
+            on_state_query=lambda reply: reply(b"{}"),
+        )
+
+    async def woken(self) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            await self.wakeups.wait()
+        self.wakeups.clear()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """For what a receiver thread does beside the loop."""
+        ends_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < ends_s
+            await asyncio.to_thread(time.sleep, 0.001)
+
+    async def close(self) -> None:
+        await asyncio.to_thread(self.inbox.close)
+
+
+@pytest.fixture
+async def session() -> AsyncIterator[zenoh.Session]:
+    settings = ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))
+    with closing(open_session(service_config(settings))) as opened:
+        yield opened
+
+
+@pytest.fixture
+async def held(session: zenoh.Session) -> AsyncIterator[Held]:
+    made = Held(session)
+    yield made
+    await made.close()
+
+
+def received(key: str, verb: Verb) -> Received:
+    return Received(key, key, COMMAND_KEYS[key], verb, b"", 0, "", None, 0)
+
+
+# ---- channels
+
+
+def test_put_and_delete_of_a_key_are_in_order_and_a_get_is_another_channel() -> None:
+    put, delete, get = (received(LEG_1, verb).channel for verb in (Verb.PUT, Verb.DELETE, Verb.GET))
+    assert put == delete != get
+    others = {received(SERVO_11, Verb.PUT).channel, received(SERVO_11, Verb.GET).channel}
+    assert len({put, get} | others) == 4
+
+
+# ---- what is kept
+
+
+async def test_as_many_as_a_ring_is_deep_are_kept_in_their_order(session: zenoh.Session, held: Held) -> None:
+    assert RING_DEPTH == 8
+    for number in range(RING_DEPTH + 3):
+        session.put(LEG_1, f"{number}")
+    session.put("hexapod/legs/cmd", b"{}")
+    await held.woken()
+    taken = [each for each in held.inbox.take() if each.key == LEG_1]
+    assert [each.payload for each in taken] == [b"%d" % number for number in range(3, RING_DEPTH + 3)]
+
+
+async def test_several_questions_are_kept(session: zenoh.Session, held: Held) -> None:
+    asked = [session.get(LEG_1, payload=f"{number}", timeout=PATIENCE_S) for number in range(RING_DEPTH)]
+    taken: list[Received] = []
+    while len(taken) < RING_DEPTH:
+        await held.woken()
+        taken += held.inbox.take()
+    assert [each.payload for each in taken] == [b"%d" % number for number in range(RING_DEPTH)]
+    for each in taken:
+        assert each.reply is not None
+        each.reply(b"{}")
+    for replies in asked:
+        assert len(await asyncio.to_thread(list, replies)) == 1
+
+
+@pytest.mark.parametrize("key", [ESTOP, STATE])
+async def test_who_asks_for_an_emergency_stop_or_the_state_is_answered_however_many_ask(
+    session: zenoh.Session, held: Held, key: str
+) -> None:
+    asked = [session.get(key, timeout=PATIENCE_S) for _ in range(RING_DEPTH)]  # all before the loop turns again
+    waits = [asyncio.create_task(asyncio.to_thread(list, replies)) for replies in asked]
+    while not all(wait.done() for wait in waits):
+        await asyncio.sleep(0.001)
+        for each in held.inbox.take():
+            assert each.reply is not None
+            each.reply(b"{}")
+    answered = sum([len(await wait) for wait in waits])
+    assert answered == RING_DEPTH
+
+
+async def test_unknown_keys_are_taken_once_each(session: zenoh.Session, held: Held) -> None:
+    wanted = {f"hexapod/x{number}/cmd" for number in range(OTHER_DEPTH)}
+    for key in sorted(wanted):
+        session.put(key, b"{}")
+    taken: list[str] = []
+    while not wanted <= set(taken):
+        await held.woken()
+        taken += [each.expression for each in held.inbox.take() if each.target is None]
+    taken += [each.expression for each in held.inbox.take()]
+    assert sorted(taken) == sorted(wanted)
+
+
+# ---- the emergency stop
+
+
+async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dealt_with(
+    session: zenoh.Session, held: Held
+) -> None:
+    for _ in range(4):
+        session.put(LEG_1, b"{}")
+    await held.woken()
+    taking = iter(held.inbox.take())
+    assert next(taking).key == LEG_1
+    session.put(ESTOP, b"")
+    await held.until(lambda: bool(held.inbox._estops))
+    assert [each.key for each in taking] == [ESTOP, LEG_1, LEG_1, LEG_1]
+
+
+async def test_an_emergency_stop_wakes_the_loop_by_itself(session: zenoh.Session, held: Held) -> None:
+    session.put(ESTOP, b"")
+    await held.woken()
+    assert [each.key for each in held.inbox.take()] == [ESTOP]
+
+
+async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:
+    """The sender of all other answers is held up by an asker who does not read."""
+    gate = threading.Event()
+
+    held_up: list[bool] = []
+
+    def hold_up() -> None:
+        held_up.append(gate.wait(PATIENCE_S))
+
+    held.inbox._replies._work.put(hold_up)
+    asked = session.get(ESTOP, timeout=PATIENCE_S)
+    await held.woken()
+    (each,) = held.inbox.take()
+    assert each.reply is not None
+    each.reply(b"stopped")
+    reply = await asyncio.to_thread(lambda: next(iter(asked)))
+    assert not held_up
+    gate.set()
+    assert reply.ok is not None
+    assert reply.ok.payload.to_bytes() == b"stopped"
+
+
+async def test_the_loop_ends_no_query_by_itself(
+    session: zenoh.Session, held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To end one waits while its asker's link is full."""
+    let_go: list[zenoh.Query] = []
+    monkeypatch.setattr(held.inbox._replies, "let_go", let_go.append)
+    asked = session.get(LEG_1, timeout=PATIENCE_S)
+    await held.woken()
+    for each in held.inbox.take():
+        assert each.reply is not None
+        each.reply(b"{}")
+    assert len(let_go) == 1
+    let_go.pop().drop()
+    assert len(await asyncio.to_thread(list, asked)) == 1
+
+
+# ---- threads
+
+
+def any_ended(threads: list[threading.Thread]) -> bool:
+    return not all(thread.is_alive() for thread in threads)
+
+
+async def test_each_of_its_threads_that_ends_is_noticed(session: zenoh.Session) -> None:
+    ways: list[Callable[[Inbox], None]] = [
+        *(lambda inbox, place=place: inbox._declared[place].undeclare() for place in (-5, -4, -3, -2, -1)),
+        lambda inbox: inbox._replies.close(),
+        lambda inbox: inbox._estop_replies.close(),
+    ]
+    ended = 0
+    for end in ways:
+        held = Held(session)
+        assert held.inbox.hears
+        alive = [thread for thread in held.inbox._threads if thread.is_alive()]
+        end(held.inbox)
+        await held.until(partial(any_ended, alive))
+        assert not held.inbox.hears
+        ended += 1
+        await held.close()
+        assert not any(thread.is_alive() for thread in held.inbox._threads)
+    assert ended == 7
+
+
+async def test_a_mistake_on_the_loop_does_not_end_the_hearing(session: zenoh.Session, held: Held) -> None:
+    loop, mistakes = asyncio.get_running_loop(), []
+    loop.set_exception_handler(lambda _, context: mistakes.append(context))
+
+    def fail() -> None:
+        raise KeyError("a mistake of our own")
+
+    held.inbox._wake = fail
+    session.put(LEG_1, b"{}")
+    await held.until(lambda: bool(mistakes))
+    held.inbox._wake = held.wakeups.set
+    session.put(LEG_1, b"{}")
+    await held.woken()
+    assert len(mistakes) == 1
+
+
+# ---- wakeups
+
+
+def named(key: str) -> Any:
+    """As much of a sample as a wakeup looks at."""
+    return SimpleNamespace(key_expr=key)
+
+
+async def test_one_message_is_read_from_few_rings_and_the_next_need_not_wait(
+    session: zenoh.Session, held: Held
+) -> None:
+    for _ in range(20):
+        session.put(LEG_1, b"{}")
+        await held.woken()
+        assert not held.inbox._read_all
+        assert [each.key for each in held.inbox.take()] == [LEG_1]
+    assert held.inbox._on_wakeup(named(SERVO_11), 0) is None, "no pause"
+
+
+async def test_a_flood_lets_the_receivers_have_the_processor_for_a_moment(held: Held) -> None:
+    held.inbox._read_all = True
+    assert held.inbox._on_wakeup(named(SERVO_11), 0) == FLOOD_PAUSE_S <= 0.002
+
+
+async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_comes(
+    held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rings = SimpleNamespace(read=lambda _keys: [], instant_open=True)
+    monkeypatch.setattr(held.inbox, "_rings", rings)
+    assert list(held.inbox.take()) == []
+    await held.woken()
+
+
+def test_of_a_flooded_ring_no_more_than_its_depth_is_taken_at_once() -> None:
+    flood = iter(range(1000))
+    assert len(Ring(LEG_1, 0, lambda: next(flood)).rest(-1)) == RING_DEPTH
+
+
+async def test_looking_again_ends(session: zenoh.Session) -> None:
+    """A wakeup whose message never comes to its ring."""
+    taker = Taker(session)
+    taker.inbox._on_wakeup(named(LEG_1), 0)
+    began_s = time.monotonic()
+    assert taker.inbox._missed
+    while taker.inbox._missed:
+        await asyncio.sleep(0.01)
+        assert time.monotonic() - began_s < PATIENCE_S
+    ticks = taker.ticks
+    session.put(SERVO_11, b"{}")
+    await taker.wait_for(SERVO_11)
+    assert taker.ticks <= ticks + 2
+    assert ticks <= 8
+    await asyncio.to_thread(taker.inbox.close)
+
+
+# ---- what a message says
+
+
+async def test_what_a_message_says_is_taken_as_it_is(session: zenoh.Session, held: Held) -> None:
+    whole, more = b"x" * MAX_PAYLOAD_BYTES, b"x" * (MAX_PAYLOAD_BYTES + 1)
+    session.put(LEG_1, whole, encoding="image/png")
+    session.put(LEG_1, more)
+    session.delete(LEG_1)
+    taken: list[Received] = []
+    while len(taken) < 3:
+        await held.woken()
+        taken += held.inbox.take()
+    assert [(each.verb, each.size, each.payload) for each in taken] == [
+        (Verb.PUT, MAX_PAYLOAD_BYTES, whole),
+        (Verb.PUT, MAX_PAYLOAD_BYTES + 1, b""),
+        (Verb.DELETE, 0, b""),
+    ]
+    assert [each.encoding for each in taken] == ["image/png", "zenoh/bytes", "zenoh/bytes"]
+
+
+@pytest.mark.parametrize("zid", [None, "a1b2"])
+def test_whoever_says_who_they_are_is_known(zid: str | None) -> None:
+    info = None if zid is None else SimpleNamespace(source_id=SimpleNamespace(zid=zid))
+    put: Any = SimpleNamespace(key_expr=LEG_1, payload=None, encoding=None, kind=zenoh.SampleKind.PUT, source_info=info)
+    answers: Any = None
+    assert _received(put, LEG_1, 0, answers).source == zid
+
+
+async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) -> None:
+    with session.declare_subscriber(LEG_1, zenoh.handlers.FifoChannel(10)) as subscriber:
+        for payload in (b'{"op": "stop"}', b'{"op": "\\u0073top"}', b'{"op": "set"}', b"stop" * MAX_PAYLOAD_BYTES):
+            session.put(LEG_1, payload)
+        session.delete(LEG_1)
+        samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
+    assert [_may_stop(sample) for sample in samples] == [True, True, False, False, True]
+
+
+async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.Session, held: Held) -> None:
+    session.put("hexapod/leg/*/cmd", b"{}")
+    taken: list[str] = []
+    while len(taken) < 6:
+        await held.woken()
+        taken += [each.key for each in held.inbox.take()]
+    assert taken == [leg_command(number) for number in range(1, 7)]
+
+
+async def test_several_keys_of_one_instant_are_in_the_contracts_order(session: zenoh.Session, held: Held) -> None:
+    keys = [RESET, servo_command(63), SERVO_11, leg_command(6), LEG_1, LEGS_COMMAND]
+    for key in keys:
+        session.put(key, b"{}")
+    await held.until(lambda: True)
+    taken: list[str] = []
+    while len(taken) < len(keys):
+        await held.woken()
+        taken += [each.key for each in held.inbox.take()]
+    places = list(COMMAND_KEYS)
+    assert taken == sorted(keys, key=places.index)
