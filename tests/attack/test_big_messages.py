@@ -7,7 +7,7 @@ import zenoh
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.telemetry import Reason
-from tests.attack.secured import Secured
+from tests.support.secured import Secured
 
 BIG = 50_000_000
 AT_MOST_MB = 15

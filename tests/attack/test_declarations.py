@@ -7,7 +7,7 @@ from typing import Any
 from zenoh.handlers import RingChannel
 
 from schemas import keys
-from tests.attack.secured import Secured
+from tests.support.secured import Secured
 
 COUNT = 4000
 LATE_US = 100_000

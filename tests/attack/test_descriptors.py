@@ -14,11 +14,11 @@ from gateway.edge.doorkeeper import VISITORS
 from gateway.host.descriptors import NEEDED
 from gateway.limits import MAX_SESSIONS
 from schemas.telemetry import Mode
-from tests.attack.secured import HOST, Secured
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS
 from tests.support.gateway_process import Gateway
 from tests.support.heard import states
+from tests.support.secured import HOST, Secured
 
 LIMIT = NEEDED + 60
 """Enough to start, and few enough to be taken quickly."""

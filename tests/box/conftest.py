@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import Box, lacks
-from tests.box.robot import Robot
+from tests.box.installed import InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, missing_packages
 
 REPOSITORY = Path(__file__).parents[2]
@@ -46,14 +46,14 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Box]:
 
 
 @pytest.fixture(scope="module")
-def installed(box: Box, wheels: Path) -> Iterator[Robot]:
+def installed(box: Box, wheels: Path) -> Iterator[InstalledGateway]:
     """A box with the gateway installed from wheels, and an emulated SPI device behind it."""
-    with Robot(box, wheels) as robot:
+    with InstalledGateway(box, wheels) as robot:
         yield robot
 
 
 @pytest.fixture
-def robot(installed: Robot) -> Iterator[Robot]:
+def robot(installed: InstalledGateway) -> Iterator[InstalledGateway]:
     """The same, with the service stopped and the configuration as installed, before and after."""
     installed.reset()
     cursor = installed.cursor()

@@ -9,7 +9,7 @@ import pytest
 from gateway import certs, settings
 from gateway.settings import LimitSettings, ServoLimits, Settings
 from tests.box.box import SHARED_INSIDE, Box, Unit
-from tests.box.robot import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
+from tests.box.installed import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
 
 pytestmark = pytest.mark.systemd
 

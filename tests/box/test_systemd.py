@@ -9,7 +9,7 @@ import pytest
 
 from gateway.protocol.frames import Op, decode, stop_leg
 from tests.box.box import Unit
-from tests.box.robot import CONFIGURATION, NAME, REPOSITORY, STOPS, Robot
+from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
 from tests.support.child import Child
 
@@ -24,7 +24,7 @@ def has_started(transfer: Transfer) -> bool:
     return any(command.op is Op.START for _, command in decode(transfer.data).servos)
 
 
-def start_moving(robot: Robot) -> tuple[Child, int]:
+def start_moving(robot: InstalledGateway) -> tuple[Child, int]:
     """Hold leg 3 in motion; the client that does, and the number of the service's opening of the device."""
     before = len(robot.bed.transfers)
     client = Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "60"), {"PATH": "/usr/local/bin:/usr/bin"})
@@ -32,7 +32,7 @@ def start_moving(robot: Robot) -> tuple[Child, int]:
     return client, moving[-1].opening
 
 
-def stopped_by(robot: Robot, opening: int, timeout_s: float = 10) -> list[Transfer]:
+def stopped_by(robot: InstalledGateway, opening: int, timeout_s: float = 10) -> list[Transfer]:
     """Wait until each leg got its Stop in that opening of the device; what was written in it."""
 
     def written(seen: list[Transfer]) -> list[Transfer]:
@@ -48,7 +48,7 @@ def test_exposure() -> None:
     assert analysed.returncode == 0, analysed.stdout
 
 
-def test_start_command_stop(robot: Robot) -> None:
+def test_start_command_stop(robot: InstalledGateway) -> None:
     """`systemctl start` returns once commands are taken; a command moves; `systemctl stop` ends in Stops, two times."""
     before = len(robot.bed.transfers)
     robot.unit.systemctl("start")
@@ -66,7 +66,7 @@ def test_start_command_stop(robot: Robot) -> None:
     assert robot.unit.properties("ActiveState", "Result", "ExecMainStatus") == ["inactive", "success", "0"]
 
 
-def test_sandbox(robot: Robot) -> None:
+def test_sandbox(robot: InstalledGateway) -> None:
     """The running service: a user of its own, no privileges, a read-only system, no device but SPI."""
     cursor = robot.cursor()
     open_kmsg = ("/bin/sh", "-c", ": </dev/kmsg")
@@ -95,7 +95,7 @@ def test_sandbox(robot: Robot) -> None:
     assert limits == (["30", "20"] if raised else ["0", "0"]), "systemd gives what its own machine lets it"
 
 
-def test_killed(robot: Robot) -> None:
+def test_killed(robot: InstalledGateway) -> None:
     """SIGKILL with a leg in motion: Stops from outside, then a new start, which moves nothing."""
     robot.unit.systemctl("start")
     client, opening = start_moving(robot)
@@ -116,7 +116,7 @@ def test_killed(robot: Robot) -> None:
     assert {transfer.data for transfer in restarted} == STOPS
 
 
-def test_hanging(robot: Robot) -> None:
+def test_hanging(robot: InstalledGateway) -> None:
     """A transfer that never returns: killed by the watchdog with its stack in the journal, Stops, and a new start."""
     robot.unit.systemctl("start")
     opening = robot.bed.transfers[-1].opening
@@ -152,7 +152,7 @@ with socket.socket(fileno=stderr) as journal:
 
 
 @pytest.fixture
-def stuck_journal(robot: Robot) -> Iterator[None]:
+def stuck_journal(robot: InstalledGateway) -> Iterator[None]:
     """The service runs, and the journal reads nothing of what it says."""
     robot.unit.systemctl("start")
     journald = Unit(robot.box, "systemd-journald.service")
@@ -163,7 +163,7 @@ def stuck_journal(robot: Robot) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("stuck_journal")
-def test_a_stuck_journal_holds_no_stop(robot: Robot) -> None:
+def test_a_stuck_journal_holds_no_stop(robot: InstalledGateway) -> None:
     """Rejected commands are logged, and nobody reads that: the watchdog's Stop comes, and those of the end."""
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
     assert "rejected" in robot.gateway("send", "leg", "1", "set", "1", "1", "1", check=False)
@@ -180,7 +180,7 @@ def test_a_stuck_journal_holds_no_stop(robot: Robot) -> None:
 
 
 @pytest.mark.usefixtures("stuck_journal")
-def test_hanging_with_a_stuck_journal(robot: Robot) -> None:
+def test_hanging_with_a_stuck_journal(robot: InstalledGateway) -> None:
     """It dies of the watchdog's SIGABRT, stacks and all, and need not be killed another second later."""
     opening = robot.bed.transfers[-1].opening
     robot.bed.block()
@@ -193,7 +193,7 @@ def test_hanging_with_a_stuck_journal(robot: Robot) -> None:
     assert robot.unit.properties("Result", "ExecMainStatus") == ["watchdog", str(int(signal.SIGABRT))]
 
 
-def test_stop_servos_beside_the_service(robot: Robot) -> None:
+def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
     """By root and by somebody in the group spi, beside the sandboxed service: it takes its servos as stopped."""
     robot.unit.systemctl("start")
     node = robot.emulated
@@ -217,7 +217,7 @@ def test_stop_servos_beside_the_service(robot: Robot) -> None:
         assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
 
 
-def test_no_framing(robot: Robot) -> None:
+def test_no_framing(robot: InstalledGateway) -> None:
     """Neither the service nor stop-servos guesses: exit code 2, said twice in two lines, and nothing on the wire."""
     before = len(robot.bed.transfers)
     robot.box.write(CONFIGURATION, "")
@@ -230,7 +230,7 @@ def test_no_framing(robot: Robot) -> None:
     assert len(robot.bed.transfers) == before
 
 
-def test_broken_configuration(robot: Robot) -> None:
+def test_broken_configuration(robot: InstalledGateway) -> None:
     """Broken while the service runs: its end is still cleaned up with what it ran with; exit code 2, no second try."""
     robot.configure("[watchdog]\nrepeats = 1\n")
     robot.unit.systemctl("start")
@@ -247,7 +247,7 @@ def test_broken_configuration(robot: Robot) -> None:
     assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "2"]
 
 
-def test_no_device(robot: Robot) -> None:
+def test_no_device(robot: InstalledGateway) -> None:
     """Exit code 3: tried again within the limits, then given up."""
     robot.drop_in("sooner", "RestartSec=20ms")
     robot.configure('spi.device = "/dev/spidev9.9"\n')
@@ -258,7 +258,7 @@ def test_no_device(robot: Robot) -> None:
     assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "3"]
 
 
-def test_device_that_comes_late(robot: Robot) -> None:
+def test_device_that_comes_late(robot: InstalledGateway) -> None:
     """Not there at the first start, there at a later one."""
     robot.bed.remove_node()
     with robot.journal() as journal:

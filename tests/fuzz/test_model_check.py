@@ -2,17 +2,13 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from multiprocessing.pool import AsyncResult
-from typing import Any
 
 import pytest
 
-from gateway.core.events import Command, Effect, EmergencyStop, Event, Rejected, Reset, StoppedOutside, TimePassed
-from gateway.core.legs import Leg, Legs, Rules, Servo
-from gateway.core.pacing import RateSlots, StartQueue
+from gateway.core.legs import Rules
 from gateway.core.supervisor import Supervisor
-from schemas.telemetry import Cause, Reason
+from tests.fuzz import planted
 from tests.support.history import Violation
 from tests.support.model_check import CONFIGURATIONS, Configuration, Key, Report, State, check, start, successors
 
@@ -67,351 +63,49 @@ def test_states_that_count_as_one_have_one_future(configuration: Configuration) 
 # ---- planted bugs
 
 
-class WatchdogWithoutWaitingStarts(Leg):
-    """The watchdog looks only at what runs, so a start that waited too long is sent after all."""
-
-    @property
-    def armed(self) -> bool:
-        return any(servo.running for servo in self.servos)
-
-
-class WatchdogWithoutJoint3(Leg):
-    """A leg of which only the last servo runs has no watchdog."""
-
-    @property
-    def armed(self) -> bool:
-        first, second, _ = self.servos
-        return first.will_run or second.will_run
-
-
-class StopsFeed(Legs):
-    """A Stop for one servo keeps its leg's others running."""
-
-    def apply(self, command: Command, now_ns: int) -> list[Effect]:
-        for servo_id, _ in command.targets:
-            self.by_number[servo_id // 10].heard_ns = now_ns
-        return super().apply(command, now_ns)
-
-
-class InstantsOfTheirOwn(Supervisor):
-    """What was collected together is taken for ordered, as soon as dealing with it takes time."""
-
-    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
-        del instant_ns
-        return super().step(event, now_ns)
-
-
-class LatchedWhenDealtWith(Supervisor):
-    """An emergency stop is as new as the moment in which it was dealt with, so a reset of its instant leaves it."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        effects = super()._emergency_stop(event, now_ns)
-        self._latched_ns = now_ns
-        return effects
-
-
-class AnyNumberResets(Supervisor):
-    """A reset leaves newer emergency stops than the one that it names."""
-
-    def _reset(self, event: Reset) -> list[Effect]:
-        older = event.estop is not None and event.estop < self.estops
-        return super()._reset(replace(event, estop=self.estops) if older else event)
-
-
-class NumbersToComeReset(Supervisor):
-    """A reset may name an emergency stop that nobody has requested yet."""
-
-    def _reset(self, event: Reset) -> list[Effect]:
-        newer = event.estop is not None and event.estop > self.estops
-        return super()._reset(replace(event, estop=self.estops) if newer else event)
-
-
-class UnnumberedResetsAtOnce(Supervisor):
-    """A reset without a number is taken as soon as one that names the latest."""
-
-    def _reset(self, event: Reset) -> list[Effect]:
-        return super()._reset(replace(event, estop=self.estops) if event.estop is None else event)
-
-
-class CountsOnlyTheFirst(Supervisor):
-    """Requests while the emergency stop is engaged are not numbered."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        engaged, before = self._latched_ns is not None, self.estops
-        effects = super()._emergency_stop(event, now_ns)
-        self.estops = before if engaged else self.estops
-        return effects
-
-
-class KeepsTheFirstInstant(Supervisor):
-    """Engaging again does not make the emergency stop newer."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        first_ns = self._latched_ns
-        effects = super()._emergency_stop(event, now_ns)
-        self._latched_ns = self._latched_ns if first_ns is None else first_ns
-        return effects
-
-
-class SetStarts(Servo):
-    """A set is accepted after a Stop."""
-
-    @property
-    def will_run(self) -> bool:
-        return True
-
-
-class ForgetsOthersStops(Servo):
-    """Only the last who stopped a servo in an instant counts."""
-
-    def note_stop(self, by: str, now_ns: int) -> None:
-        self.stopped_by, self.stopped_ns = frozenset((by,)), now_ns
-
-
-class NeverSkips(RateSlots):
-    """Every missed slot is made up."""
-
-    def take(self, now_ns: int) -> None:
-        self.oldest_ns += self.period_ns
-        self.next_ns = max(self.oldest_ns, now_ns + self.period_ns // 4)
-
-
-class Bursts(RateSlots):
-    """What the bucket holds may go out in one instant."""
-
-    def take(self, now_ns: int) -> None:
-        super().take(now_ns)
-        self.next_ns = self.oldest_ns
-
-
-class NoBucket(RateSlots):
-    """A stream at the limit waits for its own jitter."""
-
-    def take(self, now_ns: int) -> None:
-        self.next_ns = now_ns + self.period_ns
-
-
-def with_parts(
-    *, leg: type[Leg] = Leg, servo: type[Servo] = Servo, slots: type[RateSlots] = RateSlots
-) -> type[Supervisor]:
-    """A supervisor whose legs are made of other parts."""
-
-    class Planted(Supervisor):
-        def __init__(self, rules: Rules) -> None:
-            super().__init__(rules)
-            for number in self.legs.by_number:
-                first, second, third = (servo(s.servo_id, number) for s in self.legs.by_number[number].servos)
-                self.legs.by_number[number] = leg(number, (first, second, third), slots(rules.period_ns))
-
-    return Planted
-
-
-def with_legs(legs: type[Legs]) -> type[Supervisor]:
-    """A supervisor with other legs."""
-
-    class Planted(Supervisor):
-        def __init__(self, rules: Rules) -> None:
-            super().__init__(rules)
-            self.legs = legs(rules)
-
-    return Planted
-
-
 def test_parts_without_a_bug_keep_every_promise() -> None:
     """Else the bugs planted below might be found for the planting alone."""
-    check(ONE_SERVO, with_parts())
-
-
-class StopsTakeSlots(Legs):
-    """A Stop on command waits for the leg's rate slot."""
-
-    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
-        if not leg.slots.is_open(now_ns):
-            return []
-        return super()._stop_on_command(leg, servos, command, now_ns)
-
-
-class RepeatsAfterStart(Legs):
-    """Repeats still to come are kept when the servo is started again."""
-
-    def _send(self, leg: Leg, now_ns: int) -> list[Effect]:
-        kept = [(servo, servo.repeats_left) for servo in leg.servos]
-        effects = super()._send(leg, now_ns)
-        for servo, repeats in kept:
-            servo.repeats_left = repeats
-        return effects
-
-
-class OlderStartSurvivesStop(Legs):
-    """A Stop leaves what waits for its servo, which is then sent after it."""
-
-    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
-        waiting = [(servo, servo.waiting) for servo in servos]
-        effects = super()._stop_on_command(leg, servos, command, now_ns)
-        for servo, older in waiting:
-            servo.waiting = older
-            if older is not None:
-                self._pending.setdefault(older.number, self._order_of_one())
-        return [effect for effect in effects if getattr(effect, "order", None) not in self._pending]
-
-    def _order_of_one(self) -> Any:
-        from gateway.core.legs import _PendingCommand  # noqa: PLC0415
-
-        return _PendingCommand(1)
-
-
-class RefusedInPart(Legs):
-    """What was rejected because of one leg still takes effect on another."""
-
-    def drop(self, servos: Any, reason: Reason, detail: str) -> list[Effect]:
-        named = list(servos)
-        others = [(servo, servo.waiting) for servo in self.servos.values() if servo not in named]
-        effects = super().drop(named, reason, detail)
-        for servo, waiting in others:
-            servo.waiting = waiting
-        return effects
-
-    def _target_done(self, number: int) -> list[Effect]:
-        return super()._target_done(number) if number in self._pending else []
-
-
-class LatchLostInFault(Supervisor):
-    """A bus fault loses the emergency stop."""
-
-    def _bus_opened(self, now_ns: int) -> list[Effect]:
-        self._latched_ns = None
-        return super()._bus_opened(now_ns)
-
-
-class LateCommandsCount(Supervisor):
-    """A command that comes after the deadline, but before anyone looked, saves its leg."""
-
-    def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
-        if isinstance(event, Command) and self._rejection(event) is None:
-            for servo_id, _ in event.targets:
-                self.legs.by_number[servo_id // 10].heard_ns = now_ns
-        return super()._in_time(event, now_ns)
-
-
-class RefusedCommandsFeed(Supervisor):
-    """A rejected command counts as heard."""
-
-    def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        effects = super()._command(command, now_ns)
-        if effects and isinstance(effects[0], Rejected):
-            for servo_id, _ in command.targets:
-                self.legs.by_number[servo_id // 10].heard_ns = now_ns
-        return effects
-
-
-class OversleepsTheWatchdog(Supervisor):
-    """Wakes up a tick late."""
-
-    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
-        effects = super().step(event, now_ns, instant_ns)
-        self.due_ns = None if self.due_ns is None else self.due_ns + 1
-        return effects
-
-
-class EmergencyStopAfterSlots(Supervisor):
-    """An emergency stop comes after the frames whose rate slot has come."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        moves = self.legs.take_slots(now_ns) if self._bus_ok else []
-        return moves + super()._emergency_stop(event, now_ns)
-
-
-class ResetInTheSameInstant(Supervisor):
-    """A reset leaves an emergency stop of the same instant, which may be the newer of the two."""
-
-    def _reset(self, event: Reset) -> list[Effect]:
-        self.legs.instant_ns += 1
-        return super()._reset(event)
-
-
-class RecoversWithoutStops(Supervisor):
-    """After a fault the bus is used at once."""
-
-    def _bus_opened(self, now_ns: int) -> list[Effect]:
-        effects = super()._bus_opened(now_ns)
-        return [effect for effect in effects if getattr(effect, "cause", None) is not Cause.STARTUP]
-
-
-class BelievesInStopsFromOutside(Supervisor):
-    """All count as stopped, and one that was started after its Stop from outside runs on."""
-
-    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
-        effects = super()._stop_with_outside(now_ns)
-        return [effect for effect in effects if getattr(effect, "cause", None) is not Cause.REPEAT]
-
-
-class StartsBesideStopServos(Supervisor):
-    """A start is taken that a Stop from outside undoes, unseen."""
-
-    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
-        effects = super()._stop_with_outside(now_ns)
-        self.stopped_outside = False
-        return effects
-
-
-class OneSilentLegOnly(Supervisor):
-    """The scope of the watchdog is a setting that is accepted and ignored."""
-
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
-        self._rules = replace(rules, whole_robot=False)
-
-
-class NoPause(StartQueue):
-    """The pause between two legs that are energised is accepted and ignored."""
-
-    def started(self, leg: int, now_ns: int) -> None:
-        super().started(leg, now_ns)
-        self.next_ns = now_ns
-
-
-class AllAtOnce(Legs):
-    """See NoPause."""
-
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
-        self._queue = NoPause(rules.start_pause_ns)
+    check(ONE_SERVO, planted.with_parts())
 
 
 @pytest.mark.parametrize(
     ("configuration", "make", "promise"),
     [
-        (SLOW, with_parts(leg=WatchdogWithoutWaitingStarts), "not heard for the timeout"),
-        (JOINTS, with_parts(leg=WatchdogWithoutJoint3), "not heard for the timeout|wakes up in time"),
-        (JOINTS, with_legs(StopsFeed), "not heard for the timeout|wakes up in time"),
-        (INSTANTS, InstantsOfTheirOwn, "rejected for servo_stopped|rejected for estopped"),
-        (INSTANTS, LatchedWhenDealtWith, "a reset rejected for estopped"),
-        (INSTANTS, AnyNumberResets, "a reset rejected for estopped"),
-        (INSTANTS, NumbersToComeReset, "a reset rejected for estopped"),
-        (INSTANTS, UnnumberedResetsAtOnce, "a reset rejected for estopped"),
-        (INSTANTS, CountsOnlyTheFirst, "emergency stops were requested"),
-        (INSTANTS, KeepsTheFirstInstant, "a reset rejected for estopped"),
-        (ONE_SERVO, with_parts(servo=SetStarts), "rejected for servo_stopped"),
-        (ONE_SERVO, with_parts(servo=ForgetsOthersStops), "rejected for servo_stopped"),
-        (ONE_SERVO, with_parts(slots=NeverSkips), "no frame without a rate slot"),
-        (ONE_SERVO, with_parts(slots=Bursts), "no burst"),
-        (QUARTER, with_parts(slots=Bursts), "no burst"),
-        (ONE_SERVO, with_parts(slots=NoBucket), "sent when the rate slot comes|wakes up in time"),
-        (ONE_SERVO, with_legs(StopsTakeSlots), "is sent at once"),
-        (ONE_SERVO, with_legs(RepeatsAfterStart), "wake up|repeated any more"),
-        (ONE_SERVO, with_legs(OlderStartSurvivesStop), "every command is answered|nobody asked"),
-        (TWO_SLOW_LEGS, with_legs(RefusedInPart), "every command is answered|nobody asked|wakes up in time"),
-        (ONE_LEG, LatchLostInFault, "the mode is estopped"),
-        (ONE_LEG, LateCommandsCount, "not heard for the timeout"),
-        (ONE_LEG, RefusedCommandsFeed, "wakes up in time|not heard for the timeout"),
-        (ONE_SERVO, OversleepsTheWatchdog, "wakes up in time"),
-        (ONE_SERVO, EmergencyStopAfterSlots, "a Stop to each leg and nothing else"),
-        (ONE_SERVO, ResetInTheSameInstant, "a reset rejected for estopped"),
-        (ONE_LEG, RecoversWithoutStops, "a Stop to each leg"),
-        (ONE_LEG, BelievesInStopsFromOutside, "a Stop to each leg"),
-        (ONE_LEG, StartsBesideStopServos, "rejected for servo_stopped|announced once"),
-        (WHOLE_ROBOT, OneSilentLegOnly, "not heard for the timeout"),
-        (STAGGERED, with_legs(AllAtOnce), "with a pause"),
+        (SLOW, planted.with_parts(leg=planted.WatchdogWithoutWaitingStarts), "not heard for the timeout"),
+        (JOINTS, planted.with_parts(leg=planted.WatchdogWithoutJoint3), "not heard for the timeout|wakes up in time"),
+        (JOINTS, planted.with_legs(planted.StopsFeed), "not heard for the timeout|wakes up in time"),
+        (INSTANTS, planted.InstantsOfTheirOwn, "rejected for servo_stopped|rejected for estopped"),
+        (INSTANTS, planted.LatchedWhenDealtWith, "a reset rejected for estopped"),
+        (INSTANTS, planted.AnyNumberResets, "a reset rejected for estopped"),
+        (INSTANTS, planted.NumbersToComeReset, "a reset rejected for estopped"),
+        (INSTANTS, planted.UnnumberedResetsAtOnce, "a reset rejected for estopped"),
+        (INSTANTS, planted.CountsOnlyTheFirst, "emergency stops were requested"),
+        (INSTANTS, planted.KeepsTheFirstInstant, "a reset rejected for estopped"),
+        (ONE_SERVO, planted.with_parts(servo=planted.SetStarts), "rejected for servo_stopped"),
+        (ONE_SERVO, planted.with_parts(servo=planted.ForgetsOthersStops), "rejected for servo_stopped"),
+        (ONE_SERVO, planted.with_parts(slots=planted.NeverSkips), "no frame without a rate slot"),
+        (ONE_SERVO, planted.with_parts(slots=planted.Bursts), "no burst"),
+        (QUARTER, planted.with_parts(slots=planted.Bursts), "no burst"),
+        (ONE_SERVO, planted.with_parts(slots=planted.NoBucket), "sent when the rate slot comes|wakes up in time"),
+        (ONE_SERVO, planted.with_legs(planted.StopsTakeSlots), "is sent at once"),
+        (ONE_SERVO, planted.with_legs(planted.RepeatsAfterStart), "wake up|repeated any more"),
+        (ONE_SERVO, planted.with_legs(planted.OlderStartSurvivesStop), "every command is answered|nobody asked"),
+        (
+            TWO_SLOW_LEGS,
+            planted.with_legs(planted.RejectedInPart),
+            "every command is answered|nobody asked|wakes up in time",
+        ),
+        (ONE_LEG, planted.LatchLostInFault, "the mode is estopped"),
+        (ONE_LEG, planted.LateCommandsCount, "not heard for the timeout"),
+        (ONE_LEG, planted.RejectedCommandsFeed, "wakes up in time|not heard for the timeout"),
+        (ONE_SERVO, planted.OversleepsTheWatchdog, "wakes up in time"),
+        (ONE_SERVO, planted.EmergencyStopAfterSlots, "a Stop to each leg and nothing else"),
+        (ONE_SERVO, planted.ResetInTheSameInstant, "a reset rejected for estopped"),
+        (ONE_LEG, planted.RecoversWithoutStops, "a Stop to each leg"),
+        (ONE_LEG, planted.BelievesInStopsFromOutside, "a Stop to each leg"),
+        (ONE_LEG, planted.StartsBesideStopServos, "rejected for servo_stopped|announced once"),
+        (WHOLE_ROBOT, planted.OneSilentLegOnly, "not heard for the timeout"),
+        (STAGGERED, planted.with_legs(planted.AllAtOnce), "with a pause"),
     ],
     ids=lambda value: getattr(value, "name", None) or getattr(value, "__name__", None),
 )

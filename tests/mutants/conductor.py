@@ -8,7 +8,7 @@ CONDUCTOR = Subject(
         "tests/unit/test_conductor.py",
         "tests/unit/test_conductor_safety.py",
         "tests/zenoh/test_conductor_counts.py",
-        "tests/unit/test_staleness.py",
+        "tests/unit/test_staleness_pauses.py",
         "tests/unit/test_preamble.py",
         "tests/unit/test_setting_effects.py",
         "tests/unit/test_stop.py",

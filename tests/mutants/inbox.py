@@ -2,7 +2,7 @@
 
 from tests.mutants.mutant import Mutant, Subject
 
-_TESTS = ("tests/zenoh/test_rings.py", "tests/zenoh/test_inbox_parts.py", "tests/zenoh/test_inbox_bells.py")
+_TESTS = ("tests/zenoh/test_rings.py", "tests/zenoh/test_inbox_parts.py", "tests/zenoh/test_inbox_wakeups.py")
 
 MESSAGE = Subject(
     "gateway/core/message.py",

@@ -4,7 +4,11 @@ from tests.mutants.mutant import Mutant, Subject
 
 STALENESS = Subject(
     "gateway/core/staleness.py",
-    tests=("tests/unit/test_staleness.py",),
+    tests=(
+        "tests/unit/test_staleness.py",
+        "tests/unit/test_staleness_clocks.py",
+        "tests/unit/test_staleness_pauses.py",
+    ),
     mutants=(
         Mutant("SOURCES: Final = 256", "SOURCES: Final = 100_000", "invented names fill the memory"),
         Mutant("CLOCKS: Final = 8", "CLOCKS: Final = 800", "invented clocks fill the memory"),

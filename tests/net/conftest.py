@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from tests.net.hosts import Laptop, Robot
+from tests.net.hosts import LaptopHost, RobotHost
 from tests.net.namespaces import Network, lacks
 
 
@@ -37,17 +37,17 @@ def network(hosts_network: Network) -> Network:
 class Hosts:
     """What runs in it."""
 
-    robot: Robot
-    laptops: tuple[Laptop, Laptop]
+    robot: RobotHost
+    laptops: tuple[LaptopHost, LaptopHost]
 
 
 @pytest.fixture(scope="module")
 def running(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
     """The robot and both laptops. They take seconds to start on a busy machine, so all at once, and once for all."""
     with (
-        Laptop(hosts_network, 0) as first,
-        Laptop(hosts_network, 1) as second,
-        Robot(hosts_network, tmp_path_factory.mktemp("robot")) as robot,
+        LaptopHost(hosts_network, 0) as first,
+        LaptopHost(hosts_network, 1) as second,
+        RobotHost(hosts_network, tmp_path_factory.mktemp("robot")) as robot,
     ):
         yield Hosts(robot, (first.ready(), second.ready()))
 
@@ -65,12 +65,12 @@ def hosts(network: Network, running: Hosts) -> Hosts:
 
 
 @pytest.fixture
-def robot(hosts: Hosts) -> Robot:
+def robot(hosts: Hosts) -> RobotHost:
     """The robot of these."""
     return hosts.robot
 
 
 @pytest.fixture
-def laptops(hosts: Hosts) -> tuple[Laptop, Laptop]:
+def laptops(hosts: Hosts) -> tuple[LaptopHost, LaptopHost]:
     """The laptops of these."""
     return hosts.laptops

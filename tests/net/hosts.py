@@ -26,7 +26,7 @@ LEASE_MS = 5000
 """How long a laptop waits for a sign of life from the gateway before it opens a new session."""
 
 
-class Robot(AbstractContextManager["Robot"]):
+class RobotHost(AbstractContextManager["RobotHost"]):
     """A gateway that laptops reach over their links, and an observer that stands on the robot itself.
 
     The observer's way is a Unix socket, which network namespaces leave alone: it sees what happens while links are cut.
@@ -136,7 +136,7 @@ def is_stop(*legs: int) -> Callable[[FrameRecord], bool]:
     return lambda frame: frame.cause is Cause.WATCHDOG and _leg(frame) in legs
 
 
-def is_from(laptop: "Laptop") -> Callable[[FrameRecord], bool]:
+def is_from(laptop: "LaptopHost") -> Callable[[FrameRecord], bool]:
     """Whether a ONE LEG frame carries that laptop's mark: the whole degrees of joint 2."""
     return lambda frame: frame.cause is Cause.COMMAND and bytes.fromhex(frame.bytes)[8] == laptop.mark_deg
 
@@ -146,7 +146,7 @@ def _leg(frame: FrameRecord) -> int:
     return bytes.fromhex(frame.bytes)[2] // 10
 
 
-class Laptop(AbstractContextManager["Laptop"]):
+class LaptopHost(AbstractContextManager["LaptopHost"]):
     """A publisher in its namespace; see `tests.net.publisher` for what can be asked of it."""
 
     def __init__(self, network: Network, number: int, *, port: int = PORT, zenoh_config: Path | None = None) -> None:

@@ -72,7 +72,7 @@ class Sent:
     """From an acknowledged one to its answer, as the laptop sees it."""
 
 
-class Laptop:
+class Streamer:
     """A client of a gateway, with at most one stream."""
 
     def __init__(self, client: Client, source: str, mark_deg: float) -> None:
@@ -222,7 +222,7 @@ def main() -> None:
     with Client(
         arguments.endpoint or None, zenoh_config=arguments.zenoh_config, source=arguments.source, timeout_s=ANSWER_S
     ) as client:
-        laptop = Laptop(client, arguments.source, arguments.mark)
+        laptop = Streamer(client, arguments.source, arguments.mark)
         print(json.dumps({"zid": str(client.session.zid())}), flush=True)
         for line in sys.stdin:
             try:

@@ -16,7 +16,7 @@ import pytest
 
 from schemas.robot import LEGS
 from schemas.telemetry import Mode
-from tests.net.hosts import PORT, TIMEOUT_MS, Laptop
+from tests.net.hosts import PORT, TIMEOUT_MS, LaptopHost
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
@@ -86,7 +86,7 @@ def test_a_stop_finds_the_other_host_in_mid_stream(
     """The host in use is lost without a word. The Stop is first, and the session with its stream comes behind it."""
     config = hosts_file(tmp_path, hosts_network.nowhere(0), *addresses)
     took_ms: list[float] = []
-    with Laptop(hosts_network, 0, zenoh_config=config) as laptop:
+    with LaptopHost(hosts_network, 0, zenoh_config=config) as laptop:
         laptop.ask("in-reach")
         for lost in (addresses[0], addresses[1], addresses[0]):
             laptop.ask("reset")

@@ -14,7 +14,7 @@ import pytest
 
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.net.hosts import TIMEOUT_MS, Laptop, Robot, is_command, is_from, is_stop
+from tests.net.hosts import TIMEOUT_MS, LaptopHost, RobotHost, is_command, is_from, is_stop
 from tests.net.namespaces import BUFFER_BYTES, Network
 
 pytestmark = pytest.mark.net
@@ -24,7 +24,9 @@ HZ = 50
 FIRST, LAST = (1, 2, 3), (4, 5, 6)
 
 
-def test_a_cut_link_stops_every_leg_in_time(network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]) -> None:
+def test_a_cut_link_stops_every_leg_in_time(
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
+) -> None:
     laptop = laptops[0]
     late_ms: list[float] = []
     for _ in range(CUTS):
@@ -41,7 +43,7 @@ def test_a_cut_link_stops_every_leg_in_time(network: Network, robot: Robot, lapt
 
 
 def test_sets_that_were_queued_while_the_link_was_cut_are_rejected(
-    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
 ) -> None:
     """The cut is shorter than Zenoh's lease, so the session lives, and what TCP held back comes all at once."""
     laptop = laptops[0]
@@ -66,7 +68,7 @@ def test_sets_that_were_queued_while_the_link_was_cut_are_rejected(
 
 
 def test_a_publisher_that_lost_the_gateway_comes_back_by_itself_and_moves_nothing(
-    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
 ) -> None:
     """The cut is longer than the lease: the session ends, and its stream goes on without anyone to hear it."""
     laptop = laptops[0]
@@ -96,9 +98,9 @@ def test_with_an_age_limit_not_even_queued_starts_move_a_leg_and_another_laptop_
 ) -> None:
     port = 7448
     with (
-        Laptop(network, 0, port=port) as lost,
-        Laptop(network, 1, port=port) as other,
-        Robot(network, tmp_path, limits={"max_age_ms": 200}, lease_ms=10_000, port=port) as robot,
+        LaptopHost(network, 0, port=port) as lost,
+        LaptopHost(network, 1, port=port) as other,
+        RobotHost(network, tmp_path, limits={"max_age_ms": 200}, lease_ms=10_000, port=port) as robot,
     ):
         lost.ready()
         other.ready()
@@ -119,7 +121,9 @@ def test_with_an_age_limit_not_even_queued_starts_move_a_leg_and_another_laptop_
         check_undisturbed(other.ask("pause"))
 
 
-def test_two_laptops_at_once_and_one_is_cut_off(network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]) -> None:
+def test_two_laptops_at_once_and_one_is_cut_off(
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
+) -> None:
     lost, other = laptops
     lost.start(*FIRST)
     lost.stream(*FIRST)
@@ -140,7 +144,7 @@ def test_two_laptops_at_once_and_one_is_cut_off(network: Network, robot: Robot, 
 
 
 def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(
-    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
 ) -> None:
     frozen, other = laptops
     other.start(*LAST)
@@ -168,7 +172,7 @@ def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(
 
 
 def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
-    robot: Robot, laptops: tuple[Laptop, Laptop]
+    robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
 ) -> None:
     flood, other = laptops
     flood.start(*FIRST)
@@ -195,10 +199,10 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
 
 
 def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(
-    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
 ) -> None:
     """Its link is full, since nothing that the gateway sends is read; and it goes on asking for acknowledgements."""
-    with Laptop(network, 0) as deaf:
+    with LaptopHost(network, 0) as deaf:
         late_ms: list[float] = []
         deaf.ask("deaf 1 2 3")
         for _ in range(4):
@@ -212,13 +216,13 @@ def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(
 
 
 def test_a_laptop_that_floods_with_questions_and_does_not_read_holds_nobody_up(
-    network: Network, robot: Robot, laptops: tuple[Laptop, Laptop]
+    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
 ) -> None:
     """Most of its questions are pushed out of their rings, and end there; nobody waits until it reads of that."""
     other = laptops[1]
     other.start(*LAST)
     other.stream_acknowledged(*LAST)
-    with Laptop(network, 0) as deaf:
+    with LaptopHost(network, 0) as deaf:
         deaf.ask("deaf-flood 1 2 3")
         robot.forget()
         other.ask(f"sent {other.ask('sent')['sent'] + 3 * HZ}")
@@ -245,7 +249,7 @@ def check_undisturbed(stream: dict[str, float]) -> None:
     assert stream["longest_gap_ms"] < TIMEOUT_MS
 
 
-def check_a_start_moves_it(robot: Robot, laptop: Laptop) -> None:
+def check_a_start_moves_it(robot: RobotHost, laptop: LaptopHost) -> None:
     robot.forget()
     laptop.start(1)
     laptop.stream(1)

@@ -5,6 +5,7 @@ from operator import attrgetter
 from typing import Any, Self
 
 from gateway.core.events import StoppedOutside
+from gateway.core.legs import Rules
 from gateway.protocol.frames import Op
 
 STOP_SERVOS = {
@@ -47,6 +48,15 @@ class ServoHistory:
         """A copy."""
         return type(self)(*_SERVO_FIELDS(self))
 
+    def key(self, now_ns: int, instant_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
+        """What of it still matters; see `Oracle.key`."""
+        return (
+            self.written_cdeg,
+            self.want and (self.want.op, self.want.angle_cdeg, rank[self.want.number]),
+            self.owed and (self.owed, self.owed_ns - now_ns),
+            self.stopped_by if self.stopped_ns == instant_ns else None,
+        )
+
     @property
     def on(self) -> bool:
         return self.written_cdeg is not None
@@ -61,6 +71,10 @@ class ServoHistory:
         self.stopped_by = (self.stopped_by if self.stopped_ns == instant_ns else frozenset()) | {by}
         self.stopped_ns = instant_ns
 
+    def owe(self, rules: Rules, now_ns: int) -> None:
+        """A Stop was written, and is to be repeated."""
+        self.owed, self.owed_ns = rules.repeats, now_ns + rules.repeat_interval_ns
+
 
 @dataclass(slots=True)
 class LegHistory:
@@ -74,6 +88,36 @@ class LegHistory:
     def clone(self) -> Self:
         """A copy."""
         return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns)
+
+    def key(self, now_ns: int, rules: Rules, *, watched: bool) -> tuple[object, ...]:
+        """What of it still matters; see `Oracle.key`."""
+        return (
+            min(now_ns - self.heard_ns, rules.timeout_ns) if self.heard_ns is not None and watched else None,
+            self.held_ns(now_ns, rules.period_ns),
+            max(0, self.slot_ns(rules.period_ns) - now_ns),
+        )
+
+    # The rate is a token bucket: it fills by a rate slot in a period, up to three.
+
+    def moved(self, now_ns: int, period_ns: int) -> None:
+        """A frame moves this leg now; raise Violation where it may not."""
+        held_ns = self.held_ns(now_ns, period_ns)
+        demand(held_ns >= period_ns, "no frame without a rate slot")
+        apart = self.moved_ns is None or 4 * (now_ns - self.moved_ns) >= period_ns
+        demand(apart, "two frames of a leg are a quarter of its period apart: no burst")
+        self.moved_ns, self.bucket_ns = now_ns, held_ns - period_ns
+
+    def held_ns(self, now_ns: int, period_ns: int) -> int:
+        """What the bucket holds now."""
+        full_ns = 3 * period_ns
+        return full_ns if self.moved_ns is None else min(full_ns, self.bucket_ns + now_ns - self.moved_ns)
+
+    def slot_ns(self, period_ns: int) -> int:
+        """From when a frame for this leg need not wait any more."""
+        if self.moved_ns is None:
+            return 0
+        quarter_ns = -(-period_ns // 4)
+        return self.moved_ns + max(quarter_ns, period_ns - self.bucket_ns)
 
 
 _SERVO_FIELDS: "attrgetter[tuple[Any, ...]]" = attrgetter(*(f.name for f in fields(ServoHistory)))

@@ -67,25 +67,8 @@ class Oracle:
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
         """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
-        legs = tuple(
-            (
-                min(now_ns - leg.heard_ns, self.rules.timeout_ns)
-                if leg.heard_ns is not None and self._watched(number)
-                else None,
-                self._bucket_ns(leg, now_ns),
-                max(0, self._slot_ns(leg) - now_ns),
-            )
-            for number, leg in self.legs.items()
-        )
-        servos = tuple(
-            (
-                servo.written_cdeg,
-                servo.want and (servo.want.op, servo.want.angle_cdeg, rank[servo.want.number]),
-                servo.owed and (servo.owed, servo.owed_ns - now_ns),
-                servo.stopped_by if servo.stopped_ns == self.instant_ns else None,
-            )
-            for servo in self.servos.values()
-        )
+        legs = tuple(leg.key(now_ns, self.rules, watched=self._watched(number)) for number, leg in self.legs.items())
+        servos = tuple(servo.key(now_ns, self.instant_ns, rank) for servo in self.servos.values())
         latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
         pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
         if not self.rules.start_pause_ns:
@@ -142,16 +125,14 @@ class Oracle:
                 engaged, self.latched_ns = self.latched_ns is not None, self.instant_ns
                 self.estops += 1
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
-                told = any(isinstance(effect, Announce) and effect.kind is Kind.ESTOP_ENGAGED for effect in effects)
-                demand(told != engaged, "an emergency stop is announced once")
+                demand(_told(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
             case StoppedOutside(at_work=False):
                 self.outside = False
                 self._in_time(event, now_ns, effects)
             case StoppedOutside():
                 known, self.outside = self.outside, True
                 self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
-                told = any(isinstance(effect, Announce) and effect.kind is Kind.STOPPED_OUTSIDE for effect in effects)
-                demand(told != known, "Stops from outside are announced once")
+                demand(_told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
             case BusOpened():
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
@@ -176,7 +157,7 @@ class Oracle:
             if self.bus_ok:
                 servo.written_cdeg = None
                 servo.stop(cause, self.instant_ns)
-                self._owe(servo, now_ns)
+                servo.owe(self.rules, now_ns)
         for effect in effects:
             if isinstance(effect, Completed | Rejected):
                 demand(isinstance(effect, Rejected) and effect.reason is reason, f"what waited is rejected: {reason}")
@@ -252,7 +233,7 @@ class Oracle:
                 if servo.want is not None:
                     self._lost.add(servo.want.number)
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
-                self._owe(servo, now_ns)
+                servo.owe(self.rules, now_ns)
         return stopped
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
@@ -329,7 +310,7 @@ class Oracle:
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
             demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
-            self._rated(leg, now_ns)
+            leg.moved(now_ns, self.rules.period_ns)
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]
             if op.op is Op.STOP:
@@ -337,7 +318,7 @@ class Oracle:
                 demand(servo.want is None, f"{servo_id} is stopped although a newer command wants it to move")
                 servo.written_cdeg = None
                 if servo_id in stops:
-                    self._owe(servo, now_ns)
+                    servo.owe(self.rules, now_ns)
                 continue
             demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
             if servo.want is None:
@@ -349,11 +330,6 @@ class Oracle:
                 self._energised(leg_number, now_ns)
             servo.written_cdeg, servo.want, servo.owed = op.angle_cdeg, None, 0
 
-    def _energised(self, leg: int, now_ns: int) -> None:
-        if self.energised_leg not in (None, leg):
-            demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
-        self.energised_leg, self.energised_ns = leg, now_ns
-
     def _repeated(self, transmit: Transmit, now_ns: int) -> None:
         demand(transmit.frame.is_stop, "only Stops are repeated")
         for servo_id, _ in transmit.frame.servos:
@@ -363,30 +339,12 @@ class Oracle:
             servo.owed -= 1
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
 
-    def _owe(self, servo: ServoHistory, now_ns: int) -> None:
-        servo.owed, servo.owed_ns = self.rules.repeats, now_ns + self.rules.repeat_interval_ns
+    # ---- starts one after the other
 
-    # ---- the rate: a token bucket, as the contract says it
-
-    def _rated(self, leg: LegHistory, now_ns: int) -> None:
-        """A frame moves this leg."""
-        held_ns = self._bucket_ns(leg, now_ns)
-        demand(held_ns >= self.rules.period_ns, "no frame without a rate slot")
-        apart = leg.moved_ns is None or 4 * (now_ns - leg.moved_ns) >= self.rules.period_ns
-        demand(apart, "two frames of a leg are a quarter of its period apart: no burst")
-        leg.moved_ns, leg.bucket_ns = now_ns, held_ns - self.rules.period_ns
-
-    def _bucket_ns(self, leg: LegHistory, now_ns: int) -> int:
-        """What the bucket holds now: it fills by a slot in a period, up to three."""
-        full_ns = 3 * self.rules.period_ns
-        return full_ns if leg.moved_ns is None else min(full_ns, leg.bucket_ns + now_ns - leg.moved_ns)
-
-    def _slot_ns(self, leg: LegHistory) -> int:
-        """From when a frame for this leg need not wait any more."""
-        if leg.moved_ns is None:
-            return 0
-        quarter_ns = -(-self.rules.period_ns // 4)
-        return leg.moved_ns + max(quarter_ns, self.rules.period_ns - leg.bucket_ns)
+    def _energised(self, leg: int, now_ns: int) -> None:
+        if self.energised_leg not in (None, leg):
+            demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
+        self.energised_leg, self.energised_ns = leg, now_ns
 
     def _head_of_queue(self, now_ns: int) -> list[int]:
         """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
@@ -395,7 +353,7 @@ class Oracle:
         if not self.queue or not self.rules.start_pause_ns:
             return []
         pause_ns = 0 if self.energised_leg is None else self.energised_ns + self.rules.start_pause_ns
-        slot_ns = max(self._slot_ns(self.legs[self.queue[0]]), pause_ns)
+        slot_ns = max(self.legs[self.queue[0]].slot_ns(self.rules.period_ns), pause_ns)
         demand(now_ns < slot_ns, f"leg {self.queue[0]} is energised when it is the first in the queue")
         return [slot_ns]
 
@@ -419,7 +377,7 @@ class Oracle:
                 demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
                 latest.append(deadline_ns)
             if any(servo.want is not None for servo in servos) and not self.rules.start_pause_ns:
-                slot_ns = self._slot_ns(leg)
+                slot_ns = leg.slot_ns(self.rules.period_ns)
                 demand(now_ns < slot_ns, "what is pending is sent when the rate slot comes")
                 latest.append(slot_ns)
             for servo in servos:
@@ -430,3 +388,7 @@ class Oracle:
             demand(due_ns is not None and due_ns <= min(latest), f"wakes up in time: {due_ns}, not {min(latest)}")
         else:
             demand(due_ns is None, f"has nothing to wake up for: {due_ns}")
+
+
+def _told(effects: Sequence[Effect], kind: Kind) -> bool:
+    return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)

@@ -31,19 +31,19 @@ def op(word: str) -> ServoOp:
     return STOP if name == "stop" else ServoOp(Op[name.upper()], round(float(angle) * 100))
 
 
-def servo(servo_id: int, word: str) -> Targets:
+def servo_to(servo_id: int, word: str) -> Targets:
     """One servo's target."""
     return ((servo_id, op(word)),)
 
 
-def leg(number: int, *words: str) -> Targets:
+def leg_to(number: int, *words: str) -> Targets:
     """A leg's three targets; a single word is for all three."""
     return tuple(zip(servo_ids_of(number), (op(word) for word in words * (3 // len(words))), strict=True))
 
 
-def legs(numbers: str, word: str) -> Targets:
+def legs_to(numbers: str, word: str) -> Targets:
     """The same for all servos of several legs, such as "123"."""
-    return tuple(target for number in numbers for target in leg(int(number), word))
+    return tuple(target for number in numbers for target in leg_to(int(number), word))
 
 
 def said(effect: Effect) -> str:

@@ -5,7 +5,7 @@ import pytest
 from gateway.core.legs import Rules
 from gateway.core.pacing import NS_PER_MS
 from schemas.telemetry import Mode, WatchdogState
-from tests.support.steps import Steps, leg, legs, servo
+from tests.support.steps import Steps, leg_to, legs_to, servo_to
 
 JOINTS = pytest.mark.parametrize("joint", [1, 2, 3])
 
@@ -20,15 +20,15 @@ def staggered(pause_ms: int) -> Steps:
 @JOINTS
 def test_a_single_running_joint_is_activity(joint: int) -> None:
     robot = Steps()
-    robot.command(100, servo(10 + joint, "start 90"))
+    robot.command(100, servo_to(10 + joint, "start 90"))
     assert robot.supervisor.mode is Mode.ACTIVE
 
 
 @JOINTS
 def test_a_single_pending_joint_is_sent_in_its_rate_slot(joint: int) -> None:
     robot = Steps()
-    robot.command(100, leg(1, "start 90"))
-    assert robot.command(101, servo(10 + joint, "set 80")) == []
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(101, servo_to(10 + joint, "set 80")) == []
     assert robot.due_ms == 105
     assert robot.time(105) == [f"command {10 + joint} set 80", "completed 2"]
 
@@ -36,8 +36,8 @@ def test_a_single_pending_joint_is_sent_in_its_rate_slot(joint: int) -> None:
 @JOINTS
 def test_a_single_joint_waits_to_be_energised_like_a_leg(joint: int) -> None:
     robot = staggered(50)
-    robot.command(100, leg(1, "start 90"))
-    assert robot.command(110, servo(20 + joint, "start 90")) == []
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(110, servo_to(20 + joint, "start 90")) == []
     assert robot.due_ms == 150
     assert robot.time(150) == [f"command {20 + joint} start 90", "completed 2"]
 
@@ -47,21 +47,21 @@ def test_a_single_joint_waits_to_be_energised_like_a_leg(joint: int) -> None:
 
 def test_a_leg_that_need_not_be_energised_any_more_keeps_nobody_off() -> None:
     robot = staggered(50)
-    robot.command(100, servo(22, "start 90"))
-    assert robot.command(110, servo(21, "start 90")) == []
-    assert robot.command(112, leg(3, "start 90")) == []
-    robot.command(115, servo(21, "stop") + servo(22, "set 80"))
+    robot.command(100, servo_to(22, "start 90"))
+    assert robot.command(110, servo_to(21, "start 90")) == []
+    assert robot.command(112, leg_to(3, "start 90")) == []
+    robot.command(115, servo_to(21, "stop") + servo_to(22, "set 80"))
     assert robot.due_ms == 150
     assert robot.time(150) == ["command 3 start 90", "completed 3"]
 
 
 def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
     robot = staggered(50)
-    robot.command(100, leg(1, "start 90"))
-    robot.command(110, leg(2, "start 90"))
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(110, leg_to(2, "start 90"))
     assert "rejected 2 estopped" in robot.estop(120)
     robot.reset(130)
-    assert robot.command(200, leg(3, "start 90"))[0] == "command 3 start 90"
+    assert robot.command(200, leg_to(3, "start 90"))[0] == "command 3 start 90"
 
 
 # ---- the watchdog, as the state shows it
@@ -69,7 +69,7 @@ def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
 
 def test_every_silent_leg_is_counted() -> None:
     robot = Steps()
-    robot.command(100, legs("134", "start 90"))
+    robot.command(100, legs_to("134", "start 90"))
     robot.time(350)
     assert robot.supervisor.expirations == 3
 
@@ -78,13 +78,13 @@ def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -
     robot = Steps()
     first = robot.supervisor.legs.by_number[1]
     for word, shown in (("stop", WatchdogState.IDLE), ("start 90", WatchdogState.ARMED)):
-        robot.command(1000, leg(1, "start 90"))
+        robot.command(1000, leg_to(1, "start 90"))
         robot.time(1250)
-        assert robot.command(1300, servo(12, "stop"))[0] == "command 12 stop"
+        assert robot.command(1300, servo_to(12, "stop"))[0] == "command 12 stop"
         assert first.watchdog is WatchdogState.EXPIRED, "one servo says nothing of the leg"
-        robot.command(1310, leg(1, word))
+        robot.command(1310, leg_to(1, word))
         assert first.watchdog is shown
-        robot.command(1320, leg(1, "stop"))
+        robot.command(1320, leg_to(1, "stop"))
 
 
 # ---- Stops that come with moves
@@ -92,9 +92,9 @@ def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -
 
 def test_a_stream_above_the_rate_that_keeps_a_servo_stopped_leaves_it_to_the_repeats() -> None:
     robot = Steps(Rules(repeats=3))
-    robot.command(100, leg(1, "start 90"))
-    assert "command 11 stop" in robot.command(101, leg(1, "stop", "set 80", "set 80"))
-    assert "command 11 stop" not in robot.command(102, leg(1, "stop", "set 70", "set 70"))
+    robot.command(100, leg_to(1, "start 90"))
+    assert "command 11 stop" in robot.command(101, leg_to(1, "stop", "set 80", "set 80"))
+    assert "command 11 stop" not in robot.command(102, leg_to(1, "stop", "set 70", "set 70"))
     assert "repeat 11 stop" in robot.time(121)
 
 
@@ -112,20 +112,20 @@ def test_a_bus_that_was_never_open_is_at_fault_and_told() -> None:
 
 def test_a_start_does_not_overtake_a_stop_of_its_instant_that_comes_with_moves() -> None:
     robot = Steps()
-    robot.command(99, leg(1, "start 90"))
+    robot.command(99, leg_to(1, "start 90"))
     robot.instant_ms = 100
-    robot.command(101, leg(1, "stop", "set 80", "set 80"), "put legs")
-    assert robot.command(102, servo(11, "start 10"), "put leg/1") == ["rejected 3 servo_stopped"]
-    assert robot.command(103, servo(11, "start 10"), "put legs") == [], "of one channel it is newer: it is pending"
+    robot.command(101, leg_to(1, "stop", "set 80", "set 80"), "put legs")
+    assert robot.command(102, servo_to(11, "start 10"), "put leg/1") == ["rejected 3 servo_stopped"]
+    assert robot.command(103, servo_to(11, "start 10"), "put legs") == [], "of one channel it is newer: it is pending"
 
 
 def test_a_start_does_not_undo_the_watchdogs_stop_of_its_instant() -> None:
     robot = Steps()
-    robot.command(100, leg(1, "start 90"))
+    robot.command(100, leg_to(1, "start 90"))
     robot.instant_ms = 349
-    assert robot.command(351, leg(1, "start 90"), "put leg/1") == [
+    assert robot.command(351, leg_to(1, "start 90"), "put leg/1") == [
         "watchdog 1 stop",
         "announce watchdog_expired",
         "rejected 2 servo_stopped",
     ]
-    assert robot.command(352, leg(1, "start 90"), "put leg/1") == ["rejected 3 servo_stopped"]
+    assert robot.command(352, leg_to(1, "start 90"), "put leg/1") == ["rejected 3 servo_stopped"]

@@ -29,7 +29,7 @@ TELEMETRY = ["hexapod/state", "hexapod/event", "hexapod/frame"]
 
 
 @dataclass
-class Robot:
+class SecuredRobot:
     """A stand-in for the gateway, opened from the gateway.json5 that `init` made, and the folder it came from."""
 
     gateway: Remote
@@ -44,13 +44,13 @@ class Robot:
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredRobot]:
     with start(tmp_path_factory.mktemp("robot") / "D") as started:
         yield started
 
 
 @contextmanager
-def start(folder: Path, namespace: str = "", **overrides: object) -> Iterator[Robot]:
+def start(folder: Path, namespace: str = "", **overrides: object) -> Iterator[SecuredRobot]:
     port = free_port()
     certs.init(folder, [HOST], port=port, namespace=namespace)
     with Remote() as gateway:
@@ -60,11 +60,11 @@ def start(folder: Path, namespace: str = "", **overrides: object) -> Iterator[Ro
         certs.issue(folder, "alice", "operator")
         certs.issue(folder, "bob", "operator")
         certs.issue(folder, "carol", "observer")
-        yield Robot(gateway, zid, folder, port)
+        yield SecuredRobot(gateway, zid, folder, port)
 
 
 @pytest.fixture(scope="module")
-def alice(robot: Robot) -> Iterator[Remote]:
+def alice(robot: SecuredRobot) -> Iterator[Remote]:
     with Remote() as laptop:
         robot.join(laptop, "alice")
         assert laptop.matching("hexapod/leg/1/cmd")
@@ -72,14 +72,14 @@ def alice(robot: Robot) -> Iterator[Remote]:
 
 
 @pytest.fixture(scope="module")
-def carol(robot: Robot) -> Iterator[Remote]:
+def carol(robot: SecuredRobot) -> Iterator[Remote]:
     with Remote() as laptop:
         robot.join(laptop, "carol")
         yield laptop
 
 
 @pytest.fixture(autouse=True)
-def quiet(robot: Robot) -> None:
+def quiet(robot: SecuredRobot) -> None:
     """Forgets what earlier tests sent."""
     robot.gateway.taken()
     robot.gateway.asked()
@@ -113,7 +113,7 @@ def keys(samples: list[list[Any]]) -> list[str]:
 # --- an operator
 
 
-def test_an_operator_commands_with_every_verb(robot: Robot, alice: Remote) -> None:
+def test_an_operator_commands_with_every_verb(robot: SecuredRobot, alice: Remote) -> None:
     put_and_settle(alice, COMMANDS)
     assert keys(robot.gateway.taken()) == COMMANDS
     alice.delete("hexapod/leg/1/cmd")
@@ -127,7 +127,7 @@ def test_an_operator_commands_with_every_verb(robot: Robot, alice: Remote) -> No
         assert alice.get(key, "hello") == ["answer to hello"]
 
 
-def test_an_operator_cannot_pose_as_the_robot(robot: Robot, alice: Remote, carol: Remote) -> None:
+def test_an_operator_cannot_pose_as_the_robot(robot: SecuredRobot, alice: Remote, carol: Remote) -> None:
     """Neither telemetry nor the token nor the answers to others' commands; and it does not overhear them."""
     with Remote() as bob:
         robot.join(bob, "bob")
@@ -150,13 +150,13 @@ def test_an_operator_cannot_pose_as_the_robot(robot: Robot, alice: Remote, carol
         assert robot.gateway.get_alive("**/hexapod/alive") == ["hexapod/alive"]
 
 
-def test_an_operators_reach_ends_at_the_commands(robot: Robot, alice: Remote) -> None:
+def test_an_operators_reach_ends_at_the_commands(robot: SecuredRobot, alice: Remote) -> None:
     """Wildcards that match a command and more than commands do not pass; nothing is half allowed."""
     put_and_settle(alice, ["**", "hexapod/**", "hexapod/leg/1/**", "hexapod/leg/1/*", "*/leg/1/cmd", "**/cmd"])
     assert robot.gateway.taken() == []
 
 
-def test_payloads_too_large_for_the_gateway_reach_it_but_not_huge_ones(robot: Robot, alice: Remote) -> None:
+def test_payloads_too_large_for_the_gateway_reach_it_but_not_huge_ones(robot: SecuredRobot, alice: Remote) -> None:
     for size in (MAX_PAYLOAD_BYTES, MAX_PAYLOAD_BYTES + 1, SIZE_LIMIT, SIZE_LIMIT + 1, 1_000_000):
         alice.put("hexapod/leg/1/cmd", "x" * size)
     put_and_settle(alice, [])
@@ -167,7 +167,7 @@ def test_payloads_too_large_for_the_gateway_reach_it_but_not_huge_ones(robot: Ro
 # --- an observer
 
 
-def test_an_observer_watches(robot: Robot) -> None:
+def test_an_observer_watches(robot: SecuredRobot) -> None:
     with Remote() as watcher:
         robot.join(watcher, "carol")
         watcher.watch_alive("hexapod/alive")
@@ -179,7 +179,7 @@ def test_an_observer_watches(robot: Robot) -> None:
         assert watcher.get_alive("hexapod/alive") == ["hexapod/alive"]
 
 
-def test_watching_shows_telemetry_only_and_takes_no_wildcard(robot: Robot, alice: Remote) -> None:
+def test_watching_shows_telemetry_only_and_takes_no_wildcard(robot: SecuredRobot, alice: Remote) -> None:
     """Whoever may declare a wildcard may declare 20 000 keys that it contains, each to be compared with all others."""
     with Remote() as watcher, Remote() as wild:
         robot.join(watcher, "carol")
@@ -194,7 +194,7 @@ def test_watching_shows_telemetry_only_and_takes_no_wildcard(robot: Robot, alice
         assert wild.taken() == []
 
 
-def test_an_observer_commands_nothing(robot: Robot, carol: Remote) -> None:
+def test_an_observer_commands_nothing(robot: SecuredRobot, carol: Remote) -> None:
     for key in COMMANDS:
         carol.delete(key)
     assert [carol.get(key) for key in [*COMMANDS, "hexapod/**/cmd", "hexapod/**", "**"]] == [[]] * (len(COMMANDS) + 3)
@@ -207,7 +207,7 @@ def test_an_observer_commands_nothing(robot: Robot, carol: Remote) -> None:
 # --- several laptops
 
 
-def test_two_laptops_of_one_role_work_side_by_side(robot: Robot, alice: Remote) -> None:
+def test_two_laptops_of_one_role_work_side_by_side(robot: SecuredRobot, alice: Remote) -> None:
     with Remote() as bob:
         zid = robot.join(bob, "bob")
         assert robot.gateway.identity(zid) == "operator"
@@ -220,7 +220,7 @@ def test_two_laptops_of_one_role_work_side_by_side(robot: Robot, alice: Remote) 
     assert alice.get("hexapod/leg/1/cmd", "still") == ["answer to still"]
 
 
-def test_a_bundle_works_where_it_is_unzipped(robot: Robot, tmp_path: Path) -> None:
+def test_a_bundle_works_where_it_is_unzipped(robot: SecuredRobot, tmp_path: Path) -> None:
     certs.issue(robot.folder, "dave", "operator", bundle=tmp_path / "dave.zip")
     with zipfile.ZipFile(tmp_path / "dave.zip") as archive:
         archive.extractall(tmp_path / "some where")
@@ -233,7 +233,7 @@ def test_a_bundle_works_where_it_is_unzipped(robot: Robot, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("role", ["stranger", "gateway", "Operator", "operator*"])
-def test_a_certificate_without_a_role_commands_nothing(robot: Robot, role: str) -> None:
+def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role: str) -> None:
     """It takes one of our own CA: the session opens, and that is all. An operator who does the same is heard."""
     outcome = []
     for name, common_name in (("someone", role), ("someone-else", "operator")):
@@ -281,7 +281,7 @@ def outsider() -> Iterator[Remote]:
         yield laptop
 
 
-def turned_away(robot: Robot, outsider: Remote, overrides: Mapping[str, object], name: str = "alice") -> None:
+def turned_away(robot: SecuredRobot, outsider: Remote, overrides: Mapping[str, object], name: str = "alice") -> None:
     """Without TLS's consent no session opens; with alice's own files, right after, one does."""
     with pytest.raises(RefusedError, match="Unable to connect to any of"):
         outsider.open(str(robot.folder / f"{name}.json5"), {**absolute(robot.folder, name), **overrides}, False)
@@ -290,12 +290,12 @@ def turned_away(robot: Robot, outsider: Remote, overrides: Mapping[str, object],
     assert robot.gateway.wait_gone(zid)
 
 
-def test_no_certificate(robot: Robot, outsider: Remote) -> None:
+def test_no_certificate(robot: SecuredRobot, outsider: Remote) -> None:
     none = {f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None}
     turned_away(robot, outsider, none)
 
 
-def test_a_certificate_of_another_ca(robot: Robot, outsider: Remote, tmp_path: Path) -> None:
+def test_a_certificate_of_another_ca(robot: SecuredRobot, outsider: Remote, tmp_path: Path) -> None:
     """Even if it trusts the gateway, and calls itself operator."""
     certs.init(tmp_path / "E", [HOST])
     certs.issue(tmp_path / "E", "eve", "operator")
@@ -303,25 +303,25 @@ def test_a_certificate_of_another_ca(robot: Robot, outsider: Remote, tmp_path: P
     turned_away(robot, outsider, eve)
 
 
-def test_a_gateway_of_another_ca(robot: Robot, outsider: Remote, tmp_path: Path) -> None:
+def test_a_gateway_of_another_ca(robot: SecuredRobot, outsider: Remote, tmp_path: Path) -> None:
     """A laptop does not talk to a robot that it does not know."""
     certs.init(tmp_path / "E", [HOST])
     turned_away(robot, outsider, {f"{TLS}/root_ca_certificate": str(tmp_path / "E" / "ca.pem")})
 
 
-def test_an_expired_certificate(robot: Robot, outsider: Remote) -> None:
+def test_an_expired_certificate(robot: SecuredRobot, outsider: Remote) -> None:
     certs.issue(robot.folder, "late", "operator", days=1, now=now() - dt.timedelta(days=10))
     turned_away(robot, outsider, {}, "late")
     with pytest.raises(RefusedError, match=r"ConfigError: .*late\.pem expired on"):  # what a person gets to read
         robot.join(outsider, "late")
 
 
-def test_plain_tcp_to_the_tls_port(robot: Robot, outsider: Remote) -> None:
+def test_plain_tcp_to_the_tls_port(robot: SecuredRobot, outsider: Remote) -> None:
     plain = {"connect/endpoints": [f"tcp/{HOST}:{robot.port}"], "transport/link/protocols": ["tcp"]}
     turned_away(robot, outsider, plain)
 
 
-def test_a_host_name_that_is_not_in_the_certificate(robot: Robot, outsider: Remote) -> None:
+def test_a_host_name_that_is_not_in_the_certificate(robot: SecuredRobot, outsider: Remote) -> None:
     other = {"connect/endpoints": [f"tls/localhost:{robot.port}"]}
     turned_away(robot, outsider, other)
     # The name was all that was wrong.
@@ -330,7 +330,7 @@ def test_a_host_name_that_is_not_in_the_certificate(robot: Robot, outsider: Remo
     outsider.close()
 
 
-def test_a_laptop_cannot_pose_as_the_gateway(robot: Robot, outsider: Remote) -> None:
+def test_a_laptop_cannot_pose_as_the_gateway(robot: SecuredRobot, outsider: Remote) -> None:
     port = free_port()
     bobs = {f"{TLS}/listen_certificate": "bob.pem", f"{TLS}/listen_private_key": "bob.key"}
     files = {key: str(robot.folder / value) for key, value in bobs.items()}
@@ -341,7 +341,7 @@ def test_a_laptop_cannot_pose_as_the_gateway(robot: Robot, outsider: Remote) -> 
         turned_away(robot, outsider, there)
 
 
-def test_a_link_ends_when_its_certificate_expires(robot: Robot) -> None:
+def test_a_link_ends_when_its_certificate_expires(robot: SecuredRobot) -> None:
     forge(robot.folder, "brief", "operator", now() - dt.timedelta(days=1, seconds=-3))
     with Remote() as brief:
         zid = robot.join(brief, "brief")

@@ -20,7 +20,7 @@ from gateway.settings import ZenohSettings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from tests.support.gateway_process import free_port
-from tests.zenoh.test_inbox_bells import Taker
+from tests.zenoh.test_inbox_wakeups import Taker
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
 PATIENCE_S = 5.0

@@ -71,8 +71,8 @@ class Deliveries:
         return receive
 
 
-class Robot:
-    """Rings, and a supervisor that takes what they hold: a tick is an instant, unless the last is still open."""
+class ReadRings:
+    """Rings and the supervisor that is given what they hold: a tick is an instant, unless the last is still open."""
 
     def __init__(self, deliveries: Deliveries, keys: Iterable[str] = KEYS) -> None:
         self.rings = Rings[Message](
@@ -146,7 +146,7 @@ def test_no_start_overtakes_a_stop_whenever_the_two_arrive(flood: str, first_tic
     for start, stop in pairs:
         for arrivals in itertools.combinations_with_replacement(range(14 if alone else 40), 2):
             sent = (message(start, START), message(stop, STOP))
-            robot = Robot(
+            robot = ReadRings(
                 deliveries := Deliveries(deque(zip(arrivals, sent, strict=True)), FLOODS[flood]()), (*KEYS, UNRELATED)
             )
             robot.tick(first_tick)
@@ -162,7 +162,7 @@ def test_no_start_overtakes_a_stop_whenever_the_two_arrive(flood: str, first_tic
 
 def taken(messages: tuple[Message, Message], arrivals: tuple[int, ...], first_tick: str) -> list[str]:
     """The keys of two messages in the order in which they are dealt with; the first tick heard only this wakeup."""
-    robot = Robot(deliveries := Deliveries(deque(zip(arrivals, messages, strict=True))), (*KEYS, RESET))
+    robot = ReadRings(deliveries := Deliveries(deque(zip(arrivals, messages, strict=True))), (*KEYS, RESET))
     order = [key for key, _ in robot.rings.read([first_tick])]
     while deliveries.due or any(deliveries.rings.values()):
         order += [key for key, _ in robot.rings.read()]
@@ -204,7 +204,7 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
         return Message(key, verb, op, (13,)) if (key, verb) in ways and not flood_ends else None
 
     deliveries = Deliveries(deque(), flood)
-    robot = Robot(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
+    robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
     for _ in range(5):
         robot.rings.read()
         before = deliveries.reads
@@ -219,6 +219,6 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
 def test_an_ordinary_command_looks_into_few_rings() -> None:
     """Each key has two rings; a leg's command concerns its own, `legs` and three servos."""
     deliveries = Deliveries(deque([(0, message((LEG, "put"), START))]))
-    robot = Robot(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
+    robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
     robot.rings.read([LEG])
     assert deliveries.reads <= 12

@@ -10,48 +10,21 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.client import Client, leg_payload
-from gateway.edge.config_file import load_config
+from gateway.client import leg_payload
 from gateway.errors import ConfigError, ZenohError
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, states
+from tests.support.secured import HOST, Secured
 
-HOST = "127.0.0.1"
 TLS = "transport/link/tls"
-
-
-class Secured:
-    """A gateway on every address of this machine, with mTLS and access control as `certs init` makes them."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder / "D"
-        self.port = free_port()
-        certs.init(self.folder, [HOST], port=self.port)
-        certs.issue(self.folder, "anna", "operator")
-        certs.issue(self.folder, "otto", "observer")
-        settings: dict[str, dict[str, Any]] = {
-            "zenoh": {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/0.0.0.0:{self.port}"]},
-            "telemetry": {"frames": True},
-        }
-        self.gateway = Gateway(folder, settings)
-
-    def client(self, name: str) -> Client:
-        return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=10)
-
-    def raw(self, name: str, **overrides: Any) -> zenoh.Config:
-        """A laptop's own configuration, with its paths resolved, and changed as a stranger might."""
-        made = load_config(self.folder / f"{name}.json5")
-        for key, value in overrides.items():
-            made.insert_json5(key, json.dumps(value))
-        return made
 
 
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
-    made = Secured(tmp_path_factory.mktemp("secured"))
-    with made.gateway:
+    folder = tmp_path_factory.mktemp("secured")
+    with Secured(folder, {"telemetry": {"frames": True}}, address="0.0.0.0") as made:  # noqa: S104  (with mTLS)
         yield made
 
 

@@ -2,12 +2,12 @@
 
 from gateway.core.legs import Rules
 from schemas.telemetry import Mode
-from tests.support.steps import Steps, all_stopped, leg, legs, servo
+from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 
 
 def test_all_count_as_stopped_and_get_a_stop_from_here_too() -> None:
     robot = Steps()
-    robot.command(100, legs("36", "start 90"))
+    robot.command(100, legs_to("36", "start 90"))
     assert robot.outside(110, at_work=True) == [*all_stopped("repeat"), "announce stopped_outside"]
     assert robot.running == []
     assert robot.supervisor.mode is Mode.IDLE
@@ -16,8 +16,8 @@ def test_all_count_as_stopped_and_get_a_stop_from_here_too() -> None:
 
 def test_what_waited_is_rejected() -> None:
     robot = Steps()
-    robot.command(100, leg(1, "start 90"))
-    robot.command(101, leg(1, "set 80"))
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(101, leg_to(1, "set 80"))
     assert "rejected 2 servo_stopped" in robot.outside(102, at_work=True)
     assert robot.time(1000) == []
 
@@ -25,13 +25,13 @@ def test_what_waited_is_rejected() -> None:
 def test_starts_and_sets_are_rejected_until_it_has_ended_and_stops_are_taken() -> None:
     robot = Steps()
     robot.outside(100, at_work=True)
-    assert robot.command(110, leg(1, "start 90")) == ["rejected 1 servo_stopped"]
+    assert robot.command(110, leg_to(1, "start 90")) == ["rejected 1 servo_stopped"]
     assert "once it has ended" in str(robot.effects)
-    assert robot.command(111, servo(11, "set 90")) == ["rejected 2 servo_stopped"]
-    assert robot.command(112, leg(1, "stop")) == ["command 1 stop", "completed 3"]
+    assert robot.command(111, servo_to(11, "set 90")) == ["rejected 2 servo_stopped"]
+    assert robot.command(112, leg_to(1, "stop")) == ["command 1 stop", "completed 3"]
     assert robot.outside(120, at_work=False) == []
-    assert robot.command(130, servo(11, "set 90")) == ["rejected 4 servo_stopped"], "it does not run"
-    assert robot.command(131, leg(1, "start 90")) == ["command 1 start 90", "completed 5"]
+    assert robot.command(130, servo_to(11, "set 90")) == ["rejected 4 servo_stopped"], "it does not run"
+    assert robot.command(131, leg_to(1, "start 90")) == ["command 1 start 90", "completed 5"]
 
 
 def test_it_is_announced_once_and_again_the_next_time() -> None:
@@ -61,8 +61,8 @@ def test_the_latch_of_an_emergency_stop_stays() -> None:
 
 def test_beside_a_bus_fault_nothing_is_sent_until_the_bus_answers() -> None:
     robot = Steps()
-    robot.command(100, leg(1, "start 90"))
+    robot.command(100, leg_to(1, "start 90"))
     robot.fail(110)
     assert robot.outside(120, at_work=True) == ["announce stopped_outside"]
     assert robot.open(130)[:6] == all_stopped("startup")
-    assert robot.command(140, leg(1, "start 90")) == ["rejected 2 servo_stopped"]
+    assert robot.command(140, leg_to(1, "start 90")) == ["rejected 2 servo_stopped"]

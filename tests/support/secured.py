@@ -24,15 +24,17 @@ class Secured:
         folder: Path,
         settings: Mapping[str, Mapping[str, Any]] | None = None,
         *,
+        address: str = HOST,
         bed: SpiTestbed | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
+        """It listens on `address`; its certificate names this machine."""
         self.folder = folder / "D"
         self.port = free_port()
         certs.init(self.folder, [HOST], port=self.port)
         certs.issue(self.folder, "anna", "operator")
         certs.issue(self.folder, "otto", "observer")
-        listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{HOST}:{self.port}"]}
+        listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}
         self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix)
 
     def __enter__(self) -> "Secured":
@@ -44,12 +46,16 @@ class Secured:
     def client(self, name: str) -> Client:
         return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=10)
 
-    def session(self, name: str, **settings: Any) -> zenoh.Session:
-        """A session with that certificate, and nothing of ours besides."""
+    def raw(self, name: str, **overrides: Any) -> zenoh.Config:
+        """A laptop's own configuration, with its paths resolved, and changed as a stranger might."""
         made = load_config(self.folder / f"{name}.json5")
-        for key, value in settings.items():
+        for key, value in overrides.items():
             made.insert_json5(key, json.dumps(value))
-        return zenoh.open(made)
+        return made
+
+    def session(self, name: str, **overrides: Any) -> zenoh.Session:
+        """A session with that certificate, and nothing of ours besides."""
+        return zenoh.open(self.raw(name, **overrides))
 
     def memory_mb(self, field: str = "VmRSS") -> float:
         """What the gateway's process takes now (VmRSS), or took at most (VmHWM)."""

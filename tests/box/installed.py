@@ -33,7 +33,7 @@ def share(box: Box, folder: Path) -> str:
     return str(SHARED_INSIDE / folder.name)
 
 
-class Robot:
+class InstalledGateway:
     """An installed gateway whose SPI device is emulated outside the box, so that it outlives every process inside."""
 
     def __init__(self, box: Box, wheels: Path) -> None:
