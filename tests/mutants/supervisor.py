@@ -8,11 +8,27 @@ SUPERVISOR = Subject(
         "tests/unit/test_supervisor.py",
         "tests/unit/test_supervisor_stops.py",
         "tests/unit/test_supervisor_faults.py",
+        "tests/zenoh/test_supervisor_outside.py",
         "tests/unit/test_legs.py",
         "tests/unit/test_conductor_safety.py",
         "tests/unit/test_supervisor_machine.py",
     ),
     mutants=(
+        Mutant(
+            "        if moves and self.stopped_outside:\n",
+            "        if False:\n",
+            "a start is accepted, and stop-servos undoes it unseen",
+        ),
+        Mutant(
+            "            case StoppedOutside():\n                self.stopped_outside = False\n",
+            "            case StoppedOutside():\n                pass\n",
+            "after stop-servos nothing can ever be started",
+        ),
+        Mutant(
+            "effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)",
+            "effects: list[Effect] = []",
+            "what stop-servos stopped counts as running",
+        ),
         Mutant(
             "        EmergencyStop: frozenset({Mode.STARTING}),\n",
             "",
