@@ -120,9 +120,9 @@ Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it i
 
 In Python:
 
-  import zenoh
-  from gateway.edge.config_file import load_client_config
-  session = zenoh.open(load_client_config("path/to/@NAME@.json5"))
+  from gateway.client import Client
+  with Client(zenoh_config="path/to/@NAME@.json5") as robot:
+      print(robot.state().mode)
 
 Other Zenoh programs read the paths in @NAME@.json5 from the folder they are started in: start them in this one.
 """

@@ -1,20 +1,9 @@
-"""What a laptop's own program uses to talk to a gateway; needs neither SPI nor a compiler.
-
->>> from gateway.client import Client
->>> with Client(endpoint) as robot:                 # such as "tcp/192.0.2.7:7447"
-...     robot.start_leg(3, 90, 45, 120).accepted    # acknowledged: the frame has been handed to SPI
-...     robot.set_leg(3, 91, 45, 120).accepted      # only what runs can be set
-...     robot.set_leg(4, 91, 45, 120).detail        # leg 4 was never started
-...     robot.stop().accepted
-True
-True
-'servo 41 does not run; start it before you set it'
-True
-"""
+"""A connection to one gateway whose calls wait for their answers."""
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
@@ -22,12 +11,15 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 import zenoh
 from pydantic import BaseModel, Field, ValidationError
 
+from gateway.client.ending import close_at_the_end
+from gateway.client.payloads import Angle, leg_payload, servo_payload
+from gateway.edge.config_file import get, one_line
 from gateway.edge.hosts import Hosts
 from gateway.edge.question import JSON, Question
 from gateway.edge.session import client_config
-from gateway.errors import ZenohError
+from gateway.errors import ConfigError, ZenohError
 from schemas import keys
-from schemas.robot import JOINTS, LEGS
+from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -43,22 +35,32 @@ class Client:
 
     def __init__(
         self,
-        endpoint: str | None = DEFAULT_ENDPOINT,
+        endpoint: str | None = None,
         *,
-        zenoh_config: Path | None = None,
+        zenoh_config: str | Path | None = None,
         source: str | None = None,
         timeout_s: float = 2.0,
     ) -> None:
         """Connect, by whichever host of the file answers first. `source` (1 to 64 characters) is who you are in events.
 
-        Raises ZenohError, ConfigError.
+        `zenoh_config` is the file that came with your certificate, and says where the robot is. An `endpoint` that is
+        given goes before the file's; with neither, it is this machine's gateway. `timeout_s`: how long an answer may
+        take. Raises ZenohError, ConfigError.
         """
-        self._hosts = Hosts(client_config(endpoint, zenoh_config), timeout_s)
+        file = None if zenoh_config is None else Path(zenoh_config).expanduser()
+        if endpoint is None and file is None:
+            endpoint = DEFAULT_ENDPOINT
+        config = client_config(endpoint, file)
+        self._hosts = Hosts(config, timeout_s)
+        if not self._hosts.endpoints and get(config, "scouting/multicast/enabled") is not True:
+            raise ConfigError(f"{file} names no gateway: set connect.endpoints in it, or give an endpoint")
         self._timeout_s = timeout_s
         self._source = source
+        self._closed = False
         self._answered: dict[str, Question[Any]] = {}
         self.session = self._hosts.open()
         """Lives until `close`: when its link breaks, it comes back by any of the hosts, with all that is declared."""
+        close_at_the_end(self)
 
     def __enter__(self) -> Self:
         return self
@@ -69,16 +71,21 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Disconnect. A leg that is left running is stopped by the gateway's watchdog."""
-        self.session.close()
+        """Disconnect. A leg that is left running is stopped by the gateway's watchdog.
+
+        A program that forgets it ends all the same.
+        """
+        self._closed = True
+        with suppress(zenoh.ZError):  # a frozen gateway did not say good-bye within ten seconds
+            self.session.close()
 
     # ---- commands, acknowledged
 
-    def start_leg(self, leg: int, *angles_deg: float) -> Ack:
+    def start_leg(self, leg: int, *angles_deg: Angle) -> Ack:
         """Energise a leg's three servos at these angles (degrees, 0 to 180, joints 1, 2, 3)."""
         return self.ask(keys.leg_command(leg), leg_payload("start", angles_deg))
 
-    def set_leg(self, leg: int, *angles_deg: float) -> Ack:
+    def set_leg(self, leg: int, *angles_deg: Angle) -> Ack:
         """Move a running leg's servos to these angles."""
         return self.ask(keys.leg_command(leg), leg_payload("set", angles_deg))
 
@@ -88,7 +95,7 @@ class Client:
             return self.ask(keys.leg_command(leg), leg_payload("stop"), again=True)
         return self.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg_payload("stop") for number in LEGS}}, again=True)
 
-    def servo(self, servo_id: int, op: str, angle_deg: float | None = None) -> Ack:
+    def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         """Start, set or stop one servo (11 to 63)."""
         return self.ask(keys.servo_command(servo_id), servo_payload(op, angle_deg), again=op == "stop")
 
@@ -131,7 +138,9 @@ class Client:
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
         """Send one command without waiting; a rejection shows on `hexapod/event` only."""
-        self.session.put(key, self._payload(key, payload), encoding=JSON, express=True)
+        data = self._payload(key, payload)
+        with self._open_session() as session:
+            session.put(key, data, encoding=JSON, express=True)
 
     # ---- watching
 
@@ -150,12 +159,27 @@ class Client:
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
         def take(sample: zenoh.Sample) -> None:
             try:
+                if self._closed:
+                    return
                 found = report.model_validate_json(sample.payload.to_bytes())
             except ValidationError:  # without access control, anybody may publish there
                 return
             callback(found)
 
-        return self.session.declare_subscriber(key, take)
+        with self._open_session() as session:
+            return session.declare_subscriber(key, take)
+
+    @contextmanager
+    def _open_session(self) -> Iterator[zenoh.Session]:
+        """The session, for one call. Raises ZenohError, one sentence, once it is closed."""
+        try:
+            if not self._closed:
+                yield self.session
+                return
+        except zenoh.ZError as error:
+            if not self.session.is_closed():
+                raise ZenohError(f"Zenoh cannot do that: {one_line(error)}") from error
+        raise ZenohError("this client is closed; make a new one")
 
     def _payload(self, key: str, payload: Mapping[str, Any]) -> str:
         if key == keys.ESTOP:
@@ -177,7 +201,8 @@ class Client:
         end_s = time.monotonic() + timeout_s
         question = Question(key, payload, answer.model_validate_json, priority)
         other_ways = self._hosts if again and payload is not None else None
-        found = question.ask(self.session, end_s, again=again, other_ways=other_ways)
+        with self._open_session() as session:
+            found = question.ask(session, end_s, again=again, other_ways=other_ways)
         if found is not None:
             self._answered[key] = question
             return found
@@ -192,20 +217,6 @@ class _EstopAck(Ack):
     accepted: Literal[True]
     stop_frames: Annotated[int, Field(ge=0)]
     latency_us: Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
-
-def leg_payload(op: str, angles_deg: tuple[float, ...] = ()) -> dict[str, Any]:
-    """The payload of a leg's command: one operation for its three servos, with three angles unless it stops."""
-    if op == "stop":
-        return {"servos": [servo_payload(op)] * 3}
-    if len(angles_deg) != len(JOINTS):
-        raise ValueError(f"{len(angles_deg)} angles; a leg has three joints")
-    return {"servos": [servo_payload(op, angle_deg) for angle_deg in angles_deg]}
-
-
-def servo_payload(op: str, angle_deg: float | None = None) -> dict[str, Any]:
-    """The payload of a servo's command."""
-    return {"op": op} if angle_deg is None else {"op": op, "angle_deg": angle_deg}
 
 
 def several_answer(count: int, key: str) -> str:

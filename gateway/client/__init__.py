@@ -1,0 +1,18 @@
+"""What a laptop's own program uses to talk to a gateway; needs neither SPI nor a compiler.
+
+>>> from gateway.client import Client
+>>> with Client(endpoint) as robot:                 # such as "tcp/192.0.2.7:7447"
+...     robot.start_leg(3, 90, 45, 120).accepted    # acknowledged: the frame has been handed to SPI
+...     robot.set_leg(3, 91, 45, 120).accepted      # only what runs can be set
+...     robot.set_leg(4, 91, 45, 120).detail        # leg 4 was never started
+...     robot.stop().accepted
+True
+True
+'servo 41 does not run; start it before you set it'
+True
+"""
+
+from gateway.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
+from gateway.client.payloads import leg_payload, legs_payload, servo_payload
+
+__all__ = ["DEFAULT_ENDPOINT", "Client", "leg_payload", "legs_payload", "servo_payload", "several_answer"]

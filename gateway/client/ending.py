@@ -1,0 +1,45 @@
+"""Closes what a program forgot to close, so that it ends.
+
+Zenoh calls back on threads for which Python waits at a program's end, and these end with their session. Nothing that
+`atexit` runs comes before that wait.
+"""
+
+import threading
+from contextlib import suppress
+from typing import Final, Protocol
+from weakref import WeakSet
+
+_CALLBACKS: Final = "pyo3-closure"
+"""In the names of Zenoh's own threads."""
+
+
+class Closable(Protocol):
+    """A client."""
+
+    def close(self) -> None:
+        """Close its session."""
+
+
+_open: WeakSet[Closable] = WeakSet()
+_lock: Final = threading.Lock()
+
+
+def close_at_the_end(client: Closable) -> None:
+    """Close it when the main thread and all other threads of the program's own have ended."""
+    with _lock:
+        _open.add(client)
+        if not any(isinstance(thread, _Closer) for thread in threading.enumerate()):
+            with suppress(RuntimeError):  # the program is ending already
+                _Closer(name="close clients at the end").start()
+
+
+class _Closer(threading.Thread):
+    def run(self) -> None:
+        threading.main_thread().join()
+        for thread in threading.enumerate():
+            if not thread.daemon and thread is not self and _CALLBACKS not in thread.name:
+                thread.join()
+        with _lock:
+            forgotten = list(_open)
+        for client in forgotten:
+            client.close()

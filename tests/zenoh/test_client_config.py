@@ -1,0 +1,142 @@
+"""How a program's client finds its gateway, and lets go of it; what it takes for a number."""
+
+import os
+import re
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import certs
+from gateway.client import Client, leg_payload
+from gateway.errors import ConfigError, ZenohError
+from schemas import keys
+from tests.support.child import Child
+from tests.support.gateway_process import Gateway, free_port
+
+FORGETFUL = """
+from gateway.client import Client
+robot = Client({endpoint!r})
+heard = [robot.on_state(lambda state: None), robot.on_event(print)]
+print(robot.start_leg(3, 90, 45, 120).accepted)
+"""
+
+
+def zenoh_file(path: Path, endpoint: str) -> Path:
+    path.write_text(f'{{ mode: "client", connect: {{ endpoints: ["{endpoint}"] }} }}')
+    return path
+
+
+def test_the_file_says_where_unless_an_endpoint_is_given(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway:
+        right = zenoh_file(tmp_path / "right.json5", gateway.endpoint)
+        wrong = zenoh_file(tmp_path / "wrong.json5", f"tcp/127.0.0.1:{free_port()}")
+        for file in (right, str(right)):
+            with Client(zenoh_config=file) as client:
+                assert client.state().mode == "idle"
+        with Client(gateway.endpoint, zenoh_config=wrong) as client:
+            assert client.state().mode == "idle"
+        with pytest.raises(ZenohError, match="no gateway answers"):
+            Client(zenoh_config=wrong, timeout_s=0.3)
+
+
+def test_with_neither_it_is_this_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Gateway(tmp_path) as gateway:
+        monkeypatch.setattr("gateway.client.blocking.DEFAULT_ENDPOINT", gateway.endpoint)
+        for client in (Client(), Client(None)):
+            with client:
+                assert client.state().mode == "idle"
+
+
+def test_a_file_that_names_no_gateway_is_said(tmp_path: Path) -> None:
+    (tmp_path / "empty.json5").write_text("{}")
+    with pytest.raises(ConfigError, match=r"empty\.json5 names no gateway"):
+        Client(zenoh_config=tmp_path / "empty.json5")
+
+
+def test_the_lines_in_a_bundle_work(tmp_path: Path) -> None:
+    port = free_port()
+    folder, laptop = tmp_path / "D", tmp_path / "laptop"
+    certs.init(folder, ["127.0.0.1"], port=port)
+    certs.issue(folder, "anna", "operator", bundle=tmp_path / "anna.zip")
+    with zipfile.ZipFile(tmp_path / "anna.zip") as archive:
+        archive.extractall(laptop)
+    found = re.search(r"In Python:\n\n((?:  .*\n)+)", (laptop / "README.txt").read_text())
+    assert found
+    code = re.sub("^  ", "", found[1], flags=re.MULTILINE).replace("path/to/", "laptop/")
+    settings = {"zenoh": {"config": str(folder / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}}
+    with Gateway(tmp_path, settings):
+        child = Child([sys.executable, "-c", code], os.environ, cwd=tmp_path)
+        assert child.wait() == 0, child.stderr
+        child.close()
+    assert child.stdout == "idle\n"
+
+
+class Float32:
+    """What numpy's floats are to others."""
+
+    def __float__(self) -> float:
+        return 45.5
+
+
+class Int64:
+    """What numpy's integers are to others."""
+
+    def __index__(self) -> int:
+        return 90
+
+
+def test_whatever_is_a_number_is_an_angle() -> None:
+    servos = leg_payload("start", (Int64(), Float32(), 120))["servos"]
+    assert [servo["angle_deg"] for servo in servos] == [90, 45.5, 120]
+
+
+@pytest.mark.parametrize("wrong", [True, "90", None, [90]])
+def test_what_is_no_number_is_none(wrong: Any) -> None:
+    with pytest.raises(TypeError, match="an angle is a number of degrees"):
+        leg_payload("start", (90, wrong, 90))
+
+
+def test_a_closed_client_says_so(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway:
+        client = gateway.client()
+        client.close()
+        client.close()
+        for call in (
+            client.state,
+            client.stop,
+            client.estop,
+            lambda: client.start_leg(3, 1, 2, 3),
+            lambda: client.publish(keys.leg_command(3), leg_payload("stop")),
+            lambda: client.on_state(print),
+        ):
+            with pytest.raises(ZenohError, match="this client is closed; make a new one"):
+                call()
+
+
+@pytest.mark.parametrize(("end", "status"), [("", 0), ("1 / 0", 1), ("raise SystemExit(3)", 3)])
+def test_a_program_that_forgets_to_close_ends(tmp_path: Path, end: str, status: int) -> None:
+    with Gateway(tmp_path) as gateway:
+        child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + end], os.environ)
+        assert child.wait(20) == status, child.stderr
+        child.close()
+    assert child.stdout.startswith("True\n")
+
+
+def test_what_a_thread_still_does_comes_before_that_end(tmp_path: Path) -> None:
+    later = """
+import threading
+def on():
+    threading.main_thread().join()
+    for _ in range(50):
+        answer = robot.set_leg(3, 90, 45, 120)
+    print("at last", answer.accepted)
+threading.Thread(target=on).start()
+"""
+    with Gateway(tmp_path) as gateway:
+        child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + later], os.environ)
+        assert child.wait(20) == 0, child.stderr
+        child.close()
+    assert "at last True" in child.stdout
