@@ -93,7 +93,10 @@ def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -
 def test_a_stop_that_comes_with_moves_is_repeated_like_any_other() -> None:
     robot = Steps(Rules(repeats=2))
     robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(130, leg_to(1, "stop", "set 80", "set 80"))[0] == "command 1 stop | set 80 | set 80"
+    assert robot.command(130, leg_to(1, "stop", "set 80", "set 80"))[-2:] == [
+        "command 1 stop | set 80 | set 80",
+        "completed 2",
+    ]
     assert "repeat 11 stop" in robot.time(150)
     assert "repeat 11 stop" in robot.time(170)
 
