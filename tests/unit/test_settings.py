@@ -28,7 +28,7 @@ allow_insecure = false
 device = "/dev/spidev0.0"
 speed_hz = 2_500_000
 framing = "plain"
-frame_gap_us = 100
+frame_gap_us = 50
 resync_ms = 1000
 [limits]
 leg_rate_hz = 50.0

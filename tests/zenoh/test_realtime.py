@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.realtime import LOOP_PRIORITY, MALLOC_ARENAS, NICE, PAGE_PRIORITY, RECEIVER_PRIORITY
+from gateway.host.realtime import LOOP_PRIORITY, MALLOC_ARENAS, NICE, PAGE_PRIORITY, RECEIVER_PRIORITY, TIMER_SLACK_NS
 from tests.support.gateway_process import Gateway
 
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
@@ -50,6 +50,22 @@ thread.join()
     assert run(program) == str(NICE)
 
 
+def test_timers_are_on_time_in_every_thread() -> None:
+    """Asked of the kernel (PR_GET_TIMERSLACK)."""
+    program = """
+import ctypes
+slack = lambda: ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)
+before = slack()
+prefer_process()
+later = []
+thread = threading.Thread(target=lambda: later.append(slack()))
+thread.start()
+thread.join()
+print(before > 1, slack(), *later)
+"""
+    assert run(program) == f"True {TIMER_SLACK_NS} {TIMER_SLACK_NS}"
+
+
 @root_only
 def test_a_niceness_that_is_better_already_is_kept() -> None:
     better = -15 - os.getpriority(os.PRIO_PROCESS, 0)
@@ -86,8 +102,8 @@ ctypes.CDLL(None).malloc_stats()
     assert run(program, stderr=subprocess.STDOUT).count("Arena ") in heaps
 
 
-def test_what_has_settled_is_collected_no_more() -> None:
-    before, after = run("print(len(gc.get_objects())); settle(); print(len(gc.get_objects()))").split()
+def test_what_is_frozen_is_collected_no_more() -> None:
+    before, after = run("print(len(gc.get_objects())); freeze_gc(); print(len(gc.get_objects()))").split()
     assert int(before) > 1000
     assert int(after) < 100
 
