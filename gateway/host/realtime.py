@@ -40,10 +40,10 @@ SWITCH_INTERVAL_S: Final = 0.0005
 5 ms would be half of what an emergency stop may take."""
 
 TIMER_SLACK_NS: Final = 1
-"""By how much Linux may delay the timers of a thread without real-time priority, to bundle them; its own choice is 50 µs.
+"""By how much Linux may delay the timers of a thread without real-time priority, to bundle them (50 µs by default).
 
-With that, a pause of 50 µs between two transfers took 104 µs at the median, and with 1 ns it takes 53, for the same 4 µs
-of CPU time. To wait for it in a loop would take 50, and keep the interpreter's lock all the while.
+With that, a pause of 50 µs between two transfers took 104 µs at the median. With 1 ns it takes 53, for the same 4 µs of
+CPU time. To wait for it in a loop would take 50, and keep the interpreter's lock all the while.
 """
 _PR_SET_TIMERSLACK: Final = 29  # as linux/prctl.h has it
 
@@ -57,7 +57,7 @@ logger = logging.getLogger(__name__)
 
 
 def prefer_process() -> None:
-    """Let this thread, and those that it starts from now on (Zenoh's), go before the rest of the machine, and wake on time."""
+    """Let this thread, and those that it starts (Zenoh's), go before the rest of the machine, and wake on time."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with suppress(OSError, AttributeError):  # only Linux knows this
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
