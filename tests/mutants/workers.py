@@ -20,7 +20,7 @@ from hypothesis import Phase, settings
 
 from tests.mutants.mutant import Mutant, Subject, mutated
 
-TIMEOUT_S: Final = 30.0
+TIMEOUT_S: Final = 60.0
 """For one mutant's tests, which take a few seconds: a fault that makes them wait for ever is noticed, too."""
 LIBRARIES: Final = (
     *("async_solipsism", "asyncio", "cryptography.x509", "hypothesis.stateful", "hypothesis.strategies"),
