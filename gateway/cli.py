@@ -114,14 +114,22 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 
 @app.command()
-def check(config: ConfigOption = None) -> None:
+def check(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
     """Say whether this machine can run the service, line by line, and how to fix what it lacks.
 
+    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there.
     Looks only: nothing reaches the robot, and a running gateway is not disturbed. Exit codes: 0 it can, 1 it cannot,
     2 spi.framing is not set.
     """
-    from gateway.tools.check import check
+    from gateway.tools.check import check, check_laptop
 
+    if connect is not None or zenoh_config is not None:
+        sys.exit(check_laptop(connect, zenoh_config, timeout))
     sys.exit(check(config))
 
 

@@ -25,3 +25,11 @@ class ZenohError(GatewayError):
     """Zenoh cannot be opened, or no gateway answers."""
 
     exit_code = 4
+
+
+class UnreachedError(ZenohError):
+    """No connection comes about."""
+
+
+class UnansweredError(ZenohError):
+    """Nobody who may answer has answered."""

@@ -17,7 +17,7 @@ from gateway.edge.config_file import get, one_line
 from gateway.edge.hosts import Hosts
 from gateway.edge.question import JSON, Question
 from gateway.edge.session import client_config
-from gateway.errors import ConfigError, ZenohError
+from gateway.errors import ConfigError, UnansweredError, ZenohError
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState
@@ -208,7 +208,7 @@ class Client:
             return found
         waited = f"within {timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
         others = f" (what answers on {key} is none)" if question.answerers else ""
-        raise ZenohError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
+        raise UnansweredError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
 
 
 class _EstopAck(Ack):

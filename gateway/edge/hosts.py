@@ -21,7 +21,7 @@ import zenoh
 
 from gateway.edge.config_file import get, one_line
 from gateway.edge.session import CANNOT_CONNECT, why_not_opened
-from gateway.errors import ZenohError
+from gateway.errors import UnreachedError, ZenohError
 
 NEXT_HOST_S: Final = 0.2
 """When the next host begins, unless the one before has failed by then.
@@ -65,7 +65,8 @@ class Hosts:
             if session is None:
                 search.close()
         if session is None:
-            raise ZenohError(why_not_opened(search.error, self.endpoints))
+            kind = UnreachedError if search.error == CANNOT_CONNECT else ZenohError
+            raise kind(why_not_opened(search.error, self.endpoints))
         return session
 
     def config_for(self, first: int) -> zenoh.Config:

@@ -1,13 +1,13 @@
 """`send`, `estop` and `reset`: one acknowledged command each, through a running gateway."""
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
-from gateway.client import DEFAULT_ENDPOINT, Client, leg_payload, servo_payload, several_answer
+from gateway.client import Client, leg_payload, servo_payload, several_answer
 from gateway.errors import ConfigError
+from gateway.tools import reach
+from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
@@ -19,14 +19,7 @@ HOLD_PERIOD_S = 0.05
 OTHERS_S = 0.2
 """How long a command goes on listening after the answer, but only where somebody has yet to answer or decline."""
 
-Connection = Callable[[], AbstractContextManager[Client]]
-
-
-def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Connection:
-    """How to reach the gateway: the endpoint given, or the file's, or this machine's."""
-    if connect is None and zenoh_config is None:
-        connect = DEFAULT_ENDPOINT
-    return partial(Client, connect, zenoh_config=zenoh_config, source="hexapod-gateway send", timeout_s=timeout_s)
+connection = partial(reach.connection, source="hexapod-gateway send")
 
 
 def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:

@@ -4,7 +4,7 @@ It looks, and changes nothing: no byte reaches the robot, and a running gateway 
 """
 
 import datetime as dt
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +15,7 @@ from gateway import settings as settings_file
 from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
 from gateway.settings import FramingNotSetError, Settings
-from gateway.tools.check import device, machine, network
+from gateway.tools.check import device, laptop, machine, network
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -26,18 +26,28 @@ def check(config: Path | None) -> int:
 
     Raises FramingNotSetError: what the machine can do matters only once it is known what the controller understands.
     """
+    return _tell(run(config), "This machine can run the service", "This machine cannot run the service")
+
+
+def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
+    """The same of a laptop: whether it reaches the robot, and what it may do there."""
+    steps = laptop.checks(connect, zenoh_config, timeout_s)
+    return _tell(steps, "This machine reaches the gateway", "This machine does not reach the gateway")
+
+
+def _tell(found: Iterable[Result], well: str, unwell: str) -> int:
     console = Console(highlight=False, soft_wrap=True)
     results = []
-    for result in run(config):
+    for result in found:
         results.append(result)
         console.print(line(result))
     failures = sum(result.verdict is Verdict.FAILURE for result in results)
     warnings = sum(result.verdict is Verdict.WARNING for result in results)
     if failures:
-        console.print(Text(f"This machine cannot run the service: {_count(failures, 'failure')}.", "bold red"))
+        console.print(Text(f"{unwell}: {_count(failures, 'failure')}.", "bold red"))
         return 1
     remark = f", with {_count(warnings, 'warning')}" if warnings else ""
-    console.print(Text(f"This machine can run the service{remark}.", "bold green"))
+    console.print(Text(f"{well}{remark}.", "bold green"))
     return 0
 
 

@@ -15,6 +15,7 @@ from typing import NoReturn
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.edge.session import client_config
 from gateway.errors import ConfigError
+from gateway.tools import why
 from gateway.tools.terminal import hint
 
 
@@ -34,7 +35,7 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
     config = client_config(connect, zenoh_config)  # a faulty file is said now, and not on the screen
     endpoints = json.loads(config.get_json("connect/endpoints"))
     client = partial(Client, connect, zenoh_config=zenoh_config, source="hexapod-gateway watch", timeout_s=timeout_s)
-    view = Watch(client, ", ".join(map(str, endpoints)))
+    view = Watch(client, ", ".join(map(str, endpoints)), partial(why.unreached, connect, zenoh_config))
     view.run()
     if view.unconfirmed_stop:
         hint("The emergency stop was NOT confirmed: switch the servos' power off.")

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.client import Client, several_answer
 from gateway.errors import GatewayError
-from gateway.tools.watch.model import Model, visible
+from gateway.tools.watch.model import Model, Presence, visible
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState
 
@@ -23,6 +23,8 @@ POLL_S: Final = 0.4
 """How often a gateway that publishes no state (`telemetry.state_hz = 0`) is asked for it."""
 ASK_AFTER_MS: Final = 300.0
 ANSWER_S: Final = 0.6
+LOOK_EVERY_S: Final = 3.0
+"""How often it is looked why there is no connection: each look is a connection, which costs the robot something."""
 OTHERS_S: Final = 0.2
 """How long others that answer besides the gateway are listened for."""
 STOPS_AT_ONCE: Final = 4
@@ -41,12 +43,21 @@ class Link:
     """
 
     def __init__(
-        self, connect: Callable[[], Client], model: Model, lock: threading.Lock, changed: Callable[[], None]
+        self,
+        connect: Callable[[], Client],
+        model: Model,
+        lock: threading.Lock,
+        changed: Callable[[], None],
+        why: Callable[[], list[str]] = list,
     ) -> None:
+        """`why` says, a line for each host, why no connection comes about; it may take a second."""
         self._connect = connect
         self._model = model
         self._lock = lock
         self._changed = changed
+        self._why = why
+        self._next_look_s = 0.0
+        self._looks = threading.Semaphore(1)
         self._client: Client | None = None
         self._subscribers: list[Any] = []
         self._ended = threading.Event()
@@ -125,11 +136,14 @@ class Link:
         while not self._ended.wait(POLL_S):
             with self._lock:
                 quiet = self._model.state_age_ms(time.monotonic_ns()) > ASK_AFTER_MS
+                silent = self._model.presence(time.monotonic_ns()) is Presence.SILENT
                 stop_wanted = self._model.stop_wanted_ns is not None
             if stop_wanted:
                 self._try_stop()
             if quiet:
                 self._ask_for_state()
+            if silent:
+                self._look_why()
 
     def _open(self) -> None:
         try:
@@ -140,16 +154,36 @@ class Link:
         except _ERRORS as error:
             self._client = None
             with self._lock:
-                self._model.trouble = visible(str(error))
+                if not self._model.trouble:
+                    self._model.trouble = visible(str(error))
                 if self._model.stop_wanted_ns is not None:
                     self._model.stop_unanswered()
             self._changed()
+            self._look_why()
             return
         with self._lock:
             stop_wanted = self._model.stop_wanted_ns is not None
         if stop_wanted:
             self._try_stop()
         self._ask_for_state()
+
+    def _look_why(self) -> None:
+        """Find out which step of the way fails, on a thread of its own: nothing waits for that, least of all a Stop."""
+        if time.monotonic() >= self._next_look_s and self._looks.acquire(blocking=False):
+            self._next_look_s = time.monotonic() + LOOK_EVERY_S
+            threading.Thread(target=self._look, name="look why", daemon=True).start()
+
+    def _look(self) -> None:
+        with suppress(*_ERRORS):
+            client = self._client
+            # A link that is there has a gateway at its end that is frozen, or nobody behind a router.
+            linked = client is not None and bool(client.session.info.links())
+            found = [] if linked else self._why()
+            with self._lock:
+                if found and self._model.presence(time.monotonic_ns()) is not Presence.LIVE:
+                    self._model.trouble = "\n".join(visible(line) for line in found)
+            self._changed()
+        self._looks.release()
 
     def _subscribe(self, session: zenoh.Session) -> None:
         for key, kind in ((keys.STATE, GatewayState), (keys.EVENT, Event)):

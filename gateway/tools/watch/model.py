@@ -98,7 +98,7 @@ class Model:
 
     state: GatewayState | None = None
     trouble: str = ""
-    """Why no connection comes about, as long as none does."""
+    """Why no connection comes about, as long as none does: a line for each host."""
     remark: Remark | None = None
     rejected: Counter[str] = field(default_factory=Counter)
     """Commands rejected since we watch, by source, with those that the gateway left out of its events."""

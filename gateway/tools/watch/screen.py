@@ -34,7 +34,7 @@ _INTERRUPT: Final = 3
 class Watch:
     """One view; `run` shows it until q."""
 
-    def __init__(self, connect: Callable[[], Client], where: str) -> None:
+    def __init__(self, connect: Callable[[], Client], where: str, why: Callable[[], list[str]]) -> None:
         self._model = Model()
         self._lock = threading.Lock()
         self._where = where
@@ -43,7 +43,7 @@ class Watch:
         self.fault: Exception | None = None
         """Why drawing failed: the view has ended then. A picture that stands still must not pass for the robot's."""
         self._wake = -1
-        self._link = Link(connect, self._model, self._lock, self._news.set)
+        self._link = Link(connect, self._model, self._lock, self._news.set, why)
         self._console = Console()
         self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
         self._drawer = threading.Thread(target=self._draw, name="draw", daemon=True)

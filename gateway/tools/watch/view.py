@@ -24,6 +24,8 @@ _TONES: Final = {Tone.GOOD: "bold green", Tone.NOTE: "cyan", Tone.BAD: "bold whi
 _ALARM: Final = "bold white on red"
 _ASK: Final = "bold black on yellow"
 _BANNER_ROWS: Final = 2
+_MAX_TROUBLES: Final = 3
+_TROUBLE_ROWS: Final = 4
 _ROOMY_ROWS: Final = 24
 _AGE_COLUMNS: Final = 22
 _LEG_COLUMNS: Final = 4
@@ -38,9 +40,10 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
     top = [_header(model, now_ns, where), *_banner(model, now_ns, width)]
     body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
     numbers = [] if model.state is None else [*blank, *_numbers(model.state, model.rates(), live)]
-    room = max(0, height - len(top) - len(body) - 1)
+    trouble = [] if live else _trouble(model, width)
+    room = max(0, height - len(top) - len(trouble) - len(body) - 1)
     rest = [*numbers, *_rejections(model), *blank, *_events(model, width, room)][:room]
-    lines = [*top, *body, *rest][: height - 1]
+    lines = [*top, *trouble, *body, *rest][: height - 1]
     lines += [Text()] * (height - 1 - len(lines))
     lines.append(_keys())
     for line in lines:
@@ -85,11 +88,20 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
     if model.remark is not None:
         messages.append((model.remark.text, _TONES[model.remark.tone]))
     if model.presence(now_ns) is Presence.WAITING:
-        messages.append((f"{model.trouble}; trying again" if model.trouble else "connecting …", "yellow"))
+        messages.append(("no connection; trying again" if model.trouble else "connecting …", "yellow"))
     rows = _BANNER_ROWS if len(messages) == 1 else 1
     lines = [Text(f" {row} ", style) for text, style in messages for row in _wrapped(text, width - 2, rows)]
     del lines[_BANNER_ROWS:]
     return lines + [Text()] * (_BANNER_ROWS - len(lines))
+
+
+def _trouble(model: Model, width: int) -> list[Text]:
+    """Why there is no connection, a few rows for each host."""
+    return [
+        Text(f" {row} ", "yellow")
+        for line in model.trouble.splitlines()[:_MAX_TROUBLES]
+        for row in _wrapped(line, width - 2, _TROUBLE_ROWS)
+    ]
 
 
 def _wrapped(text: str, width: int, rows: int) -> list[str]:
