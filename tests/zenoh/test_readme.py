@@ -1,5 +1,6 @@
 """README is true: its program runs, its commands exist, its keys are the keys."""
 
+import queue
 import re
 import subprocess
 import sys
@@ -9,7 +10,9 @@ import pytest
 import typer.main
 
 from gateway.cli import app
+from gateway.client import leg_payload
 from schemas import keys
+from schemas.telemetry import Event, Kind
 from tests.support.gateway_process import Gateway
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
@@ -25,6 +28,32 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
             state = client.state()
         assert state.commands.accepted == 101
         assert state.commands.rejected == 0
+
+
+def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
+    """Those that a gateway without a fault can be brought to say; each stands in the README as it is printed."""
+    with Gateway(tmp_path) as gateway:
+
+        def said(*arguments: str) -> str:
+            command = [sys.executable, "-m", "gateway", *arguments, "--connect", gateway.endpoint]
+            end = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+            return (end.stdout or end.stderr).strip().removeprefix("hexapod-gateway: ")
+
+        told = [said("send", "leg", "4", "set", "10", "20", "30")]
+        with gateway.client() as client:
+            events: queue.Queue[Event] = queue.Queue()
+            client.on_event(events.put)
+            assert client.start_leg(3, 90, 45, 120).accepted
+            while (event := events.get(timeout=10)).kind is not Kind.WATCHDOG_EXPIRED:
+                pass
+            told.append(event.detail)
+            ack = client.ask("hexapod/leg/7/cmd", leg_payload("start", (90, 45, 120)))
+            told.append(f"rejected: {ack.reason}: {ack.detail}")
+        said("estop")
+        told.append(said("send", "leg", "3", "start", "90", "45", "120"))
+    told.append(said("reset").replace(gateway.endpoint, "tcp/127.0.0.1:7447"))
+    for message in told:
+        assert f"`{message}`" in README
 
 
 def test_the_keys_are_the_keys() -> None:

@@ -1,0 +1,56 @@
+"""What README, CONTRIBUTING and docs/ name exists: files, folders, tests, links, and headings that links lead to."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")), *ROOT.glob("*/README.md")]
+FOLDERS = ("gateway", "schemas", "tests", "docs", "deploy", "examples")
+ROOMS = tuple(
+    sorted(path.name for parent in ("gateway", "tests") for path in (ROOT / parent).iterdir() if path.is_dir())
+)
+"""In prose, gateway/core/legs.py is `core/legs.py`, and tests/hil/test_load.py `hil/test_load.py`."""
+
+
+def named(page: str) -> set[str]:
+    """The paths of this repository that stand in backticks, or as a whole word that begins with one of its folders."""
+    prose = re.sub(r"```.*?```", "", page, flags=re.DOTALL)
+    quoted = [word for code in re.findall(r"`([^`\n]+)`", prose) for word in code.split()]
+    words = [word.strip("`()[],;:.") for word in page.split()]
+    found = {word for word in words if word.startswith(tuple(f"{folder}/" for folder in FOLDERS))}
+    found |= {word for word in quoted if re.fullmatch(r"[\w./-]+\.(py|md|sh|toml|json5?|service)", word)}
+    found |= {word for word in quoted if word.startswith(tuple(f"{room}/" for room in ROOMS))}
+    return {path for path in found if re.fullmatch(r"[\w.][\w./-]*", path)} - MADE_ELSEWHERE
+
+
+MADE_ELSEWHERE = frozenset({"gateway.toml", "router.json5", "robot-1.json5", "anna.json5", "NAME.json5"})
+"""Files of the reader's own, which the pages tell how to make or fill."""
+
+
+def exists(path: str) -> bool:
+    """From the root, or inside `gateway/` or `tests/`."""
+    return any((ROOT / parent / path).exists() for parent in ("", "gateway", "tests"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_the_files_that_a_page_names_exist(page: Path) -> None:
+    assert {path for path in named(page.read_text()) if not exists(path)} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)]+)\)", page.read_text()):
+        path, _, heading = link.partition("#")
+        if "://" in path:
+            continue
+        target = page.parent / path if path else page
+        assert target.exists(), link
+        assert not heading or heading in headings(target), link
+
+
+def headings(page: Path) -> set[str]:
+    """As GitHub makes them: lower case, punctuation gone, spaces as hyphens."""
+    lines = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in lines}
