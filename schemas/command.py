@@ -45,6 +45,16 @@ class Sender(Closed):
     sent_ms: SentMs | None = None
 
 
+class AnySender(BaseModel):
+    """Who sent something that may have any other field as well."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore")
+    source: Source | None = None
+
+
+SENDER: Final[TypeAdapter[AnySender]] = TypeAdapter(AnySender)
+
+
 class Move(Closed):
     """Energise a servo and set its angle (`start`), or set the angle of one that runs (`set`)."""
 

@@ -55,6 +55,7 @@ class Kind(StrEnum):
     BUS_RECOVERED = "bus_recovered"
     STOPPING = "stopping"
     STOPPED_OUTSIDE = "stopped_outside"
+    SOURCE_CHANGED = "source_changed"
 
 
 class Cause(StrEnum):
@@ -110,12 +111,16 @@ class ServoReport(Report):
 
 
 class LegReport(Report):
-    """One leg; `age_ms` is the time since an accepted command started or set a servo of it, null before."""
+    """One leg; `age_ms` is the time since an accepted command started or set a servo of it, null before.
+
+    `source` gave the command that is in force; null where it gave no name, and once the gateway stopped the leg itself.
+    """
 
     leg: int
     watchdog: AnyWatchdogState
     age_ms: float | None
     servos: tuple[ServoReport, ServoReport, ServoReport]
+    source: str | None = None
 
 
 class CommandCounts(Report):
@@ -165,6 +170,7 @@ class GatewayState(Report):
     spi: SpiReport
     watchdog: WatchdogReport
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
+    estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
 
 
 class Event(Report):

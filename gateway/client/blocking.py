@@ -182,9 +182,9 @@ class Client:
         raise ZenohError("this client is closed; make a new one")
 
     def _payload(self, key: str, payload: Mapping[str, Any]) -> str:
-        if key == keys.ESTOP:
-            return json.dumps(payload)
         named = {} if self._source is None else {"source": self._source}
+        if key == keys.ESTOP:
+            return json.dumps({**named, **payload})
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})
 
     def _get(

@@ -30,6 +30,8 @@ class Command:
     number: int
     channel: str
     targets: tuple[tuple[int, ServoOp], ...]
+    source: str | None = None
+    """For people: it decides nothing that is sent."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from schemas.command import (
     MAX_ESTOP,
     MAX_PAYLOAD_BYTES,
     MAX_SENT_MS,
+    SENDER,
     SERVO_COMMAND,
     LegCommand,
     LegsCommand,
@@ -78,6 +79,14 @@ def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection
     if twice is not None:
         return Rejection(Reason.INVALID, f"{_name(twice)} is given twice in one object; which one counts is not clear")
     return intent
+
+
+def named_source(payload: bytes) -> str | None:
+    """Who an emergency stop's payload says has sent it. It may be anything, and stops whatever it is."""
+    try:
+        return SENDER.validate_json(payload).source
+    except ValidationError:
+        return None
 
 
 def stop_all_of(key: CommandKey) -> Intent | Rejection:

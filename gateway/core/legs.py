@@ -8,11 +8,11 @@ commands are thereby done.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from gateway.core.events import Command, Completed, Effect, Rejected, Transmit
+from gateway.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
 from gateway.core.pacing import NS_PER_MS, NS_PER_S, RateSlots, StartQueue, Waiting, merged
 from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, servo_ids_of, stop_leg
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Reason, WatchdogState
+from schemas.telemetry import Cause, Kind, Reason, WatchdogState
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,8 @@ class Leg:
     slots: RateSlots
     heard_ns: int | None = None
     expired: bool = False
+    source: str | None = None
+    """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
 
     @property
     def waits(self) -> bool:
@@ -135,6 +137,15 @@ def _stops(leg: Leg, servos: list[Servo], cause: Cause) -> list[Effect]:
     return [Transmit(OneServo(servo.servo_id, STOP), cause) for servo in servos]
 
 
+def _taken_over(leg: Leg, source: str | None) -> list[Effect]:
+    """Another source's command is in force from now on. A leg that nothing runs on is taken from nobody."""
+    before, leg.source = leg.source, source
+    if not leg.armed:
+        return []
+    new, old = ("somebody without a name" if name is None else name for name in (source, before))
+    return [Announce(Kind.SOURCE_CHANGED, f"leg {leg.number} is commanded by {new}, and was by {old}", source)]
+
+
 def _servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
     first, second, third = servo_ids_of(leg)
     return Servo(first, leg), Servo(second, leg), Servo(third, leg)
@@ -196,8 +207,11 @@ class Legs:
         self._pending[command.number] = _PendingCommand(len(command.targets))
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
+        taken: list[Effect] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
+            if leg.source != command.source:
+                taken += _taken_over(leg, command.source)
             if any(op.op is not Op.STOP for _, op in targets):
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns
@@ -208,7 +222,7 @@ class Legs:
             effects += self._stop_on_command(leg, servos, command, now_ns)
         if stops:  # they may have ended what its own starts queued behind
             effects += self.take_slots(now_ns)
-        return effects
+        return effects + taken if taken else effects
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
@@ -283,6 +297,7 @@ class Legs:
             self._stopped(servo, now_ns)
         for number in deadlines_ns:
             self.by_number[number].expired = False
+            self.by_number[number].source = None
         return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:

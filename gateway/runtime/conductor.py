@@ -34,7 +34,8 @@ from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
-from gateway.runtime.report import report, wall_clock
+from gateway.runtime.report import WARNINGS, report, wall_clock
+from gateway.runtime.sources import Sources
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas import keys, telemetry
@@ -84,6 +85,7 @@ class Conductor:
         self._pending: dict[int, _PendingCommand] = {}
         self._numbers = itertools.count(1)
         self._rejections = RejectionLimit()
+        self._sources = Sources()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer: asyncio.TimerHandle | None = None
         self._reopen_timer: asyncio.TimerHandle | None = None
@@ -181,7 +183,7 @@ class Conductor:
         if received.key == keys.RESET:
             self._step(Reset(number, source, received.key, intent.estop), instant_ns)
         else:
-            self._step(Command(number, received.channel, intent.targets), instant_ns)
+            self._step(Command(number, received.channel, intent.targets, source), instant_ns)
 
     def _too_old(self, intent: Intent, source: str | None, instant_ns: int) -> str | None:
         if self._staleness is None:
@@ -191,7 +193,8 @@ class Conductor:
         return None if intent.only_stops else too_old
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
-        # Nothing of the payload is looked at: whatever it is, somebody wants the robot to stop.
+        # Nothing of the payload is looked at before the Stops: whatever it is, somebody wants the robot to stop.
+        self._sources.note_estop(received)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).count(Cause.ESTOP)
@@ -241,7 +244,7 @@ class Conductor:
                 case Announce(kind=Kind.BUS_RECOVERED) if fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
-                    self._tell(effect.kind, effect.detail, effect.source, effect.key, None)
+                    self._sources.announce(effect, self._clock(), self._tell)
         if self._settings.telemetry.frames:
             for transmit, monotonic_ns in written:
                 self._tell_frame(transmit, monotonic_ns)
@@ -341,7 +344,7 @@ class Conductor:
     def _tell(
         self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
     ) -> None:
-        level = logging.WARNING if kind in _WARNINGS else logging.INFO
+        level = logging.WARNING if kind in WARNINGS else logging.INFO
         extra = {"kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None}
         logger.log(level, detail, extra=extra)
         event = telemetry.Event(
@@ -372,12 +375,8 @@ class Conductor:
             started_ns=self._started_ns,
             now_ns=self._clock(),
             simulated=self._simulated,
+            estop_source=self._sources.estop,
         )
-
-
-_WARNINGS: Final = frozenset(
-    {Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE}
-)
 
 
 def _intent(received: Received) -> Intent | Rejection:

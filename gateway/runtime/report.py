@@ -1,6 +1,7 @@
 """What the gateway knows, as `hexapod/state` tells it."""
 
 from datetime import UTC, datetime
+from typing import Final
 
 from gateway import __version__
 from gateway.core.legs import Leg, Servo
@@ -12,12 +13,18 @@ from gateway.spi.bus import Bus
 from schemas.telemetry import (
     CommandCounts,
     GatewayState,
+    Kind,
     LegReport,
     ServoReport,
     SpiReport,
     StopLatency,
     WatchdogReport,
 )
+
+WARNINGS: Final = frozenset(
+    {Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE}
+)
+"""Events that somebody should look at; the others are the normal course."""
 
 
 def wall_clock() -> datetime:
@@ -34,6 +41,7 @@ def report(
     started_ns: int,
     now_ns: int,
     simulated: bool,
+    estop_source: str | None = None,
 ) -> GatewayState:
     """The state at `now_ns`."""
     p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -60,6 +68,7 @@ def report(
             stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
         ),
         estop=supervisor.estops,
+        estop_source=estop_source,
     )
 
 
@@ -70,6 +79,7 @@ def _leg(leg: Leg, now_ns: int) -> LegReport:
         watchdog=leg.watchdog,
         age_ms=None if leg.heard_ns is None else (now_ns - leg.heard_ns) / 1e6,
         servos=(first, second, third),
+        source=leg.source,
     )
 
 

@@ -98,18 +98,18 @@ CONDUCTOR = Subject(
             "a reset that was sent before an emergency stop leaves it",
         ),
         Mutant(
-            "            self._step(Command(number, received.channel, intent.targets), instant_ns)\n",
-            "            self._step(Command(number, received.channel, intent.targets))\n",
+            "            self._step(Command(number, received.channel, intent.targets, source), instant_ns)\n",
+            "            self._step(Command(number, received.channel, intent.targets, source))\n",
             "an older start overtakes a Stop of its instant",
         ),
         Mutant(
-            "Command(number, received.channel, intent.targets)",
-            "Command(number, received.key, intent.targets)",
+            "Command(number, received.channel, intent.targets, source)",
+            "Command(number, received.key, intent.targets, source)",
             "a put and a get of one key count as in order: a start overtakes a Stop",
         ),
         Mutant(
-            "Command(number, received.channel, intent.targets)",
-            'Command(number, "", intent.targets)',
+            "Command(number, received.channel, intent.targets, source)",
+            'Command(number, "", intent.targets, source)',
             "all keys count as in order: a start overtakes a Stop",
         ),
         Mutant(

@@ -1,13 +1,16 @@
 """What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Self
 
-from gateway.core.events import StoppedOutside
+from gateway.core.events import Announce, Command, Effect, StoppedOutside
 from gateway.core.legs import Rules
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import Op, leg_of
+from schemas.telemetry import Kind
 
+NOBODY = "somebody without a name"
 STOP_SERVOS = {
     "stop-servos at work": StoppedOutside(at_work=True),
     "stop-servos ended": StoppedOutside(at_work=False),
@@ -84,10 +87,12 @@ class LegHistory:
     moved_ns: int | None = None
     bucket_ns: int = 0
     """After the frame; a rate slot is a period."""
+    source: str | None = None
+    """Whose command is in force."""
 
     def clone(self) -> Self:
         """A copy."""
-        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns)
+        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source)
 
     def key(self, now_ns: int, rules: Rules, *, watched: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
@@ -118,6 +123,27 @@ class LegHistory:
             return 0
         quarter_ns = -(-period_ns // 4)
         return self.moved_ns + max(quarter_ns, period_ns - self.bucket_ns)
+
+
+def change_hands(
+    legs: Mapping[int, LegHistory], running: Iterable[int], command: Command, effects: Iterable[Effect]
+) -> None:
+    """An accepted command names running legs that are another source's: they change hands, and each is told once."""
+    named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in command.targets}
+    changed = {number: leg for number, leg in named.items() if leg.source != command.source}
+    told = [effect for effect in effects if isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED]
+    expected = [
+        Announce(
+            Kind.SOURCE_CHANGED,
+            f"leg {number} is commanded by {command.source or NOBODY}, and was by {leg.source or NOBODY}",
+            command.source,
+        )
+        for number, leg in changed.items()
+        if number in running
+    ]
+    demand(told == expected, f"legs that change hands are told: {expected}, not {told}")
+    for leg in changed.values():
+        leg.source = command.source
 
 
 _SERVO_FIELDS: "attrgetter[tuple[Any, ...]]" = attrgetter(*(f.name for f in fields(ServoHistory)))

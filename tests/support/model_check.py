@@ -72,7 +72,7 @@ def _getter(kind: type, *expected: str) -> "attrgetter[tuple[Any, ...]]":
 _servo_fields = _getter(
     Servo, "servo_id", "leg", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
 )
-_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired")
+_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired", "source")
 _slots_fields = _getter(RateSlots, "period_ns", "oldest_ns", "next_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _order_fields = _getter(_PendingCommand, "targets", "coalesced")
@@ -117,7 +117,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
     for number, leg in supervisor.legs.by_number.items():
         first, second, third = (type(servo)(*_servo_fields(servo)) for servo in leg.servos)
         slots = type(leg.slots)(*_slots_fields(leg.slots))
-        by_number[number] = type(leg)(number, (first, second, third), slots, leg.heard_ns, leg.expired)
+        by_number[number] = type(leg)(number, (first, second, third), slots, leg.heard_ns, leg.expired, leg.source)
     _with_legs(legs, by_number)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))

@@ -28,7 +28,7 @@ from gateway.core.legs import Rules
 from gateway.protocol.frames import Op, leg_of, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
-from tests.support.history import LegHistory, ServoHistory, Want, demand
+from tests.support.history import LegHistory, ServoHistory, Want, change_hands, demand
 
 _CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
 """Modes in which every command is rejected, and for what."""
@@ -158,6 +158,8 @@ class Oracle:
                 servo.written_cdeg = None
                 servo.stop(cause, self.instant_ns)
                 servo.owe(self.rules, now_ns)
+        for leg in self.legs.values():
+            leg.source = None if self.bus_ok else leg.source
         for effect in effects:
             if isinstance(effect, Completed | Rejected):
                 demand(isinstance(effect, Rejected) and effect.reason is reason, f"what waited is rejected: {reason}")
@@ -228,6 +230,7 @@ class Oracle:
         ]
         stopped = list(self.legs) if silent and self.rules.whole_robot else silent
         for number in stopped:
+            self.legs[number].source = None
             for servo in self._servos_of(number):
                 servo.written_cdeg = None
                 if servo.want is not None:
@@ -246,6 +249,8 @@ class Oracle:
         self.pending[command.number] = False
         if reason is not None:
             return frozenset()
+        running = [number for number in self.legs if self._watched(number)]
+        change_hands(self.legs, running, command, effects)
         told_to_stop: set[int] = set()
         for effect in effects:
             if isinstance(effect, Transmit):

@@ -274,6 +274,56 @@ async def test_frame_records_say_why_each_frame_was_written() -> None:
     assert [record.monotonic_ns for record in robot.records] == [at_ns for at_ns, _ in robot.controller.transfers]
 
 
+async def test_two_laptops_on_one_leg_are_both_named() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    robot.put(LEG_3, leg("set", 2, 2, 3, source="anna"))
+    assert not robot.events(Kind.SOURCE_CHANGED), "the leg was nobody's before"
+    assert robot.conductor.state().legs[2].source == "anna"
+    robot.put(LEG_3, leg("set", 3, 2, 3), source="0123abc")
+    (event,) = robot.events(Kind.SOURCE_CHANGED)
+    assert (event.source, event.detail) == ("0123abc", "leg 3 is commanded by 0123abc, and was by anna")
+    robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3, "source": "ben"})
+    assert robot.events(Kind.SOURCE_CHANGED)[-1].detail == "leg 3 is commanded by ben, and was by 0123abc"
+    assert [each.source for each in robot.conductor.state().legs] == [None, None, "ben", None, None, None]
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    assert len(robot.events(Kind.SOURCE_CHANGED)) == 2, "a stopped leg is taken from nobody"
+    await asyncio.sleep(1)
+    assert robot.conductor.state().legs[2].source is None, "the watchdog has stopped it"
+
+
+async def test_a_fight_for_a_leg_is_told_ten_times_a_second_and_source() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    for number in range(100):
+        await asyncio.sleep(0.005)
+        robot.put(LEG_3, leg("set", 1, 2, 3, source=("anna", "ben")[number % 2]))
+    events = robot.events(Kind.SOURCE_CHANGED)
+    assert [len([e for e in events if e.source == name]) for name in ("anna", "ben")] == [10, 10]
+    await asyncio.sleep(0.2)
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    await asyncio.sleep(0.5)
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    robot.put(LEG_3, leg("set", 1, 2, 3, source="ben"))
+    assert robot.events(Kind.SOURCE_CHANGED)[-1].left_out == 40
+
+
+@pytest.mark.parametrize(("payload", "source"), [
+    (b'{"source": "anna", "why": ["smoke"]}', "anna"),
+    (b'{"source": 7}', "0123abc"),
+    (b'{"source": "' + b"x" * 65 + b'"}', "0123abc"),
+    (b"\xff", "0123abc"),
+])  # fmt: skip
+async def test_who_requested_an_emergency_stop_is_told(payload: bytes, source: str) -> None:
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(keys.ESTOP, payload, source="0123abc")
+    assert robot.events(Kind.ESTOP_ENGAGED)[0].source == source
+    assert robot.conductor.state().estop_source == source
+
+
 async def test_rejections_are_told_ten_times_a_second_and_source_and_counted_in_full() -> None:
     robot = await started_and_quiet()
     for _ in range(100):

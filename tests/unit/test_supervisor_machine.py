@@ -4,14 +4,18 @@ The oracle judges every step; the controller says which servos are really energi
 deadlines, and any transfer may fail.
 """
 
+from dataclasses import replace
+
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from gateway.core.events import (
+    Announce,
     BusFailed,
     BusOpened,
     Command,
+    Effect,
     EmergencyStop,
     Event,
     Reset,
@@ -28,7 +32,7 @@ from gateway.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.protocol.framing import Framing
 from gateway.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Mode
+from schemas.telemetry import Kind, Mode
 from tests.support.history import demand
 from tests.support.oracle import Oracle
 
@@ -55,6 +59,10 @@ RULES = st.builds(
 )
 
 
+def is_handover(effect: Effect) -> bool:
+    return isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED
+
+
 class SupervisorMachine(RuleBasedStateMachine):
     """One supervisor, its judge and its robot."""
 
@@ -62,6 +70,8 @@ class SupervisorMachine(RuleBasedStateMachine):
     def make(self, rules: Rules, now_ns: int) -> None:
         self.now_ns = now_ns
         self.supervisor = Supervisor(rules)
+        self.nameless = Supervisor(rules)
+        """Takes the same, and hears of no source."""
         self.oracle = Oracle(rules)
         self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
         self.number = 0
@@ -74,6 +84,13 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.now_ns += wait_ns
         mode = self.supervisor.mode
         effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
+        without = replace(event, source=None) if isinstance(event, Command) else event
+        demand(
+            [effect for effect in effects if not is_handover(effect)]
+            == self.nameless.step(without, self.now_ns, self.instant_ns),
+            "who commands changes nothing but what is told of it",
+        )
+        demand(self.supervisor.due_ns == self.nameless.due_ns, "who commands changes no time")
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
         self.oracle.judge(
             event,
@@ -99,7 +116,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
         if Command in TRANSITIONS[self.supervisor.mode]:
             self.number += 1
-            self.step(Command(self.number, channel, targets), wait_ns)
+            self.step(Command(self.number, channel, targets, ("anna", "ben", None)[self.number % 3]), wait_ns)
 
     @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
     def command_servo(self, servo_id: int, op: ServoOp, wait_ns: int) -> None:

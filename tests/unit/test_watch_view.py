@@ -53,6 +53,18 @@ def test_80_by_24_holds_everything_important() -> None:
         assert text in screen(model), screen(model)
 
 
+def test_who_commands_each_leg_and_who_stopped_the_robot_is_shown() -> None:
+    model = Model()
+    heard = state(3723, Mode.ESTOPPED, running=True, age_ms=45)
+    first, *others = heard.legs
+    legs = (first.model_copy(update={"source": "anna's tripod gait"}), *others)
+    model.heard_state(heard.model_copy(update={"legs": legs, "estop_source": "ben\x1b[2J"}), 0, WALL)
+    lines = screen(model).splitlines()
+    assert lines[0].startswith(" ESTOPPED  by ben�[2J ")
+    assert next(line for line in lines if line.startswith("leg ")).endswith("commanded by")
+    assert next(line for line in lines if line.startswith(" 1 ")).endswith("  anna's tripod…")
+
+
 @pytest.mark.parametrize("mode", list(Mode))
 def test_each_mode_has_its_word_and_a_style(mode: Mode) -> None:
     model = Model()

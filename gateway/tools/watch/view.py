@@ -29,6 +29,7 @@ _TROUBLE_ROWS: Final = 4
 _ROOMY_ROWS: Final = 24
 _AGE_COLUMNS: Final = 22
 _LEG_COLUMNS: Final = 4
+_SOURCE_COLUMNS: Final = 14
 _MAX_SOURCES: Final = 4
 _EVENT_COLUMNS: Final = len("12:34:56 command_rejected ")
 
@@ -65,6 +66,8 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
         line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", _ALARM).append(f"  was {mode}")
     else:
         line.append(f" {mode} ", "bold" if state is None else _MODES.get(state.mode, "bold"))
+    if state is not None and state.mode is Mode.ESTOPPED and state.estop_source is not None:
+        line.append(f" by {_clipped(state.estop_source, _SOURCE_COLUMNS)}", "bold")
     if state is not None:
         running = model.running_legs()
         legs = f"{running} leg{'' if running == 1 else 's'} running"
@@ -127,7 +130,7 @@ def _keys() -> Text:
 
 
 def _servo_columns(width: int) -> int:
-    return max(10, (width - _LEG_COLUMNS - _AGE_COLUMNS) // 3)
+    return max(10, (width - _LEG_COLUMNS - _AGE_COLUMNS - _SOURCE_COLUMNS) // 3)
 
 
 def _head(state: GatewayState, width: int) -> Text:
@@ -135,7 +138,8 @@ def _head(state: GatewayState, width: int) -> Text:
     line = Text("leg ", "dim")
     for joint in (1, 2, 3):
         line.append(f"joint {joint}".ljust(column))
-    return line.append(f"last heard / {state.watchdog.timeout_ms:g} ms")
+    line.append(f"last heard / {state.watchdog.timeout_ms:g} ms".ljust(_AGE_COLUMNS))
+    return line.append("commanded by")
 
 
 def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool) -> list[Text]:
@@ -145,11 +149,19 @@ def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool
         line = Text().append(f" {leg.leg}  ", "bold")
         for servo in leg.servos:
             line.append_text(_servo(servo, column))
-        line.append_text(_age(leg, model.command_age_ms(leg, now_ns), state.watchdog.timeout_ms, live))
+        age = _age(leg, model.command_age_ms(leg, now_ns), state.watchdog.timeout_ms, live)
+        line.append_text(age)
+        if leg.source is not None:
+            line.append(" " * (_AGE_COLUMNS - age.cell_len)).append(_clipped(leg.source, _SOURCE_COLUMNS))
         if not live:
             line.stylize("dim")
         lines.append(line)
     return lines
+
+
+def _clipped(source: str, columns: int) -> str:
+    text = visible(source)
+    return text if len(text) <= columns else text[: columns - 1] + "…"
 
 
 def _servo(servo: ServoReport, column: int) -> Text:
