@@ -31,6 +31,16 @@ def pytest_asyncio_loop_factories(
     return {"real": asyncio.new_event_loop}
 
 
+_ORDER = ("attack", "box", "hil", "net", "zenoh", "mutants", "unit", "fuzz")
+"""First what measures time, with both processors for itself; last what waits for the searches."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """pytest's hook: folders in their order, any other before them."""
+    places = {folder: place for place, folder in enumerate(_ORDER)}
+    items.sort(key=lambda item: places.get(item.path.parent.name, -1))
+
+
 @pytest.fixture(scope="session")
 def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
     """The model check's searches by configuration, on all processors; the last have most states, and so begin first."""
@@ -42,8 +52,8 @@ def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
 def _search_ahead(request: pytest.FixtureRequest) -> None:
     """Begin the searches, where they are wanted: two minutes of a processor, which most tests leave idle.
 
-    Not beside tests with hardware, network or systemd, which have folders of their own and run before all others.
+    Not beside tests with hardware, network or systemd, which run before all others.
     """
     wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
-    if wanted and request.path.parent.name in ("unit", "zenoh"):
+    if wanted and request.path.parent.name in _ORDER[_ORDER.index("zenoh") :]:
         request.getfixturevalue("searches")

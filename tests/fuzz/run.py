@@ -18,7 +18,7 @@ _DONE = re.compile(r"^#(?P<inputs>\d+)\s+DONE\s+cov: (?P<edges>\d+) ft: (?P<feat
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a run came to. `finding` is the end of what the fuzzer said where something was found, else empty."""
+    """What a run came to. `finding` is what the fuzzer said where something was found, shortened, else empty."""
 
     target: str
     inputs: int
@@ -83,5 +83,10 @@ def fuzz(target: str, runs: int, folder: Path, *, seed: int = 1, tree: Path | No
         corpus=numbers.get("corpus", 0),
         rss_mb=tuple(note["rss_mb"] for note in noted),
         came_of=noted[-1]["came_of"] if noted else {},
-        finding="" if ran.returncode == 0 and done else ran.stdout[-4000:],
+        finding="" if ran.returncode == 0 and done else _finding(ran.stdout),
     )
+
+
+def _finding(said: str) -> str:
+    """From the exception on, where there is one: an input may be longer than all that is kept."""
+    return said[max(said.find("=== Uncaught Python exception"), 0) :][:2000] + " … " + said[-2000:]

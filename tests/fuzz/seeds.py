@@ -22,10 +22,12 @@ PAYLOADS: tuple[tuple[str, object], ...] = (
     (keys.LEGS_COMMAND, {"legs": {str(leg): LEG for leg in range(1, 7)}} | SENDER),
     (keys.LEGS_COMMAND, {"legs": {"7": LEG}}),
     (keys.RESET, {}),
+    (keys.RESET, {"estop": 3} | SENDER),
     (keys.ESTOP, {"any": ["thing"]}),
 )
 WORDS = (
-    *('"op"', '"start"', '"set"', '"stop"', '"angle_deg"', '"servos"', '"legs"', '"source"', '"sent_ms"', '"1"', '"6"'),
+    *('"op"', '"start"', '"set"', '"stop"', '"angle_deg"', '"servos"', '"legs"', '"1"', '"6"'),
+    *('"source"', '"sent_ms"', '"estop"'),
     *("{", "}", "[", "]", ":", ",", "null", "true", "NaN", "-Infinity", "1e999", "-0.0", "180", "180.01", "1e-400"),
     *('"\\ud800"', '"\\u0000"', "\ufeff", '{"op":"stop"}', '{"op":"set","angle_deg":1}', "0x", "06 02", "0e01"),
 )

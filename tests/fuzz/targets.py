@@ -8,7 +8,7 @@ import io
 import json
 import math
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from gateway.core import intake
 from gateway.protocol import frames
@@ -49,10 +49,19 @@ def check_intake(key: CommandKey, payload: bytes, answer: object) -> str:
     assert isinstance(answer, intake.Intent)
     assert answer.source is None or 1 <= len(answer.source) <= 64
     assert answer.sent_ms is None or 0 <= answer.sent_ms <= MAX_SENT_MS
-    if key.target in (Target.ESTOP, Target.RESET):
+    if key.target is Target.ESTOP:
         assert answer == intake.Intent()
         return "intent"
-    assert_targets_are_what_was_sent(key, json.loads(payload, object_pairs_hook=_with_every_name_once), answer.targets)
+    sent = json.loads(payload or b"{}", object_pairs_hook=_with_every_name_once)
+    assert isinstance(sent, dict)
+    assert (answer.source, answer.estop) == (sent.get("source"), sent.get("estop"))
+    assert (answer.sent_ms is None) == (sent.get("sent_ms") is None)
+    assert answer.sent_ms is None or math.isclose(answer.sent_ms, sent["sent_ms"])
+    if key.target is Target.RESET:
+        assert sent.keys() <= {"estop", "source", "sent_ms"}
+        assert answer.targets == ()
+        return "intent"
+    assert_targets_are_what_was_sent(key, sent, answer.targets)
     for frame in frames_of(answer.targets):
         assert frames.decode(frame.to_bytes()) == frame
     return "intent"
@@ -63,9 +72,8 @@ def _with_every_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return dict(pairs)
 
 
-def assert_targets_are_what_was_sent(key: CommandKey, sent: object, targets: intake.Targets) -> None:
+def assert_targets_are_what_was_sent(key: CommandKey, sent: dict[str, Any], targets: intake.Targets) -> None:
     """Compare with another reading of the same JSON, by the standard library and by hand."""
-    assert isinstance(sent, dict)
     assert sent.keys() <= {"op", "angle_deg", "servos", "legs", "source", "sent_ms"}
     match key.target:
         case Target.SERVO:

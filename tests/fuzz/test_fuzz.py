@@ -8,6 +8,7 @@ import shutil
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,7 +24,7 @@ from tests.fuzz.mutate import mutate_json
 from tests.fuzz.run import MAX_GROWTH_MB, fuzz
 from tests.fuzz.seeds import MAX_LEN, seeds
 from tests.fuzz.targets import TARGETS, check_frame, check_intake
-from tests.support.commands import LEG, SERVO_32, as_json, parsed
+from tests.support.commands import LEG, RESET_KEY, SERVO_32, as_json, parsed
 
 ROOT = Path(__file__).parents[2]
 RUNS = {"intake": 50_000, "decode": 60_000, "simulator": 12_000}
@@ -59,7 +60,7 @@ WANTED = {
 @pytest.mark.usefixtures("_atheris")
 @pytest.mark.parametrize(("target", "module", "right", "wrong"), [
     ("decode", "protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
-    ("intake", "intake.py", "if name in seen:", "if name in ():"),
+    ("intake", "core/intake.py", "if name in seen:", "if name in ():"),
     ("simulator", "spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
 ])  # fmt: skip
 def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str, tmp_path: Path) -> None:
@@ -121,6 +122,19 @@ def test_a_wrong_answer_of_the_intake_is_a_finding(answer: object) -> None:
     assert check_intake(SERVO_32, GOOD, GOOD_ANSWER) == "intent"
     with pytest.raises(AssertionError):
         check_intake(SERVO_32, GOOD, answer)
+
+
+RESET_PAYLOAD = as_json({"estop": 3, "source": "anna", "sent_ms": 5})
+RESET_ANSWER = Intent((), "anna", 5.0, 3)
+
+
+@pytest.mark.parametrize(
+    "change", [{"estop": None}, {"estop": 4}, {"source": None}, {"sent_ms": None}, {"sent_ms": 6.0}], ids=repr
+)
+def test_a_reset_that_is_read_in_another_way_is_a_finding(change: dict[str, Any]) -> None:
+    assert check_intake(RESET_KEY, RESET_PAYLOAD, RESET_ANSWER) == "intent"
+    with pytest.raises(AssertionError):
+        check_intake(RESET_KEY, RESET_PAYLOAD, RESET_ANSWER._replace(**change))
 
 
 class _Wrong:
