@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -180,6 +180,15 @@ class LaptopHost(AbstractContextManager["LaptopHost"]):
         answer: dict[str, Any] = json.loads(self.child.ask(line, ANSWER_S))
         assert "error" not in answer, f"{line}: {answer['error']}"
         return answer
+
+    def wait_for_answer(self) -> None:
+        """Wait until the gateway answers again; what was asked of a session that ended meanwhile is lost."""
+        for _ in range(3):
+            with suppress(AssertionError):
+                self.ask("in-reach")
+                self.ask("state")
+                return
+        raise AssertionError(f"{self.source} hears nothing of the gateway")
 
     def start(self, *legs: int) -> None:
         """Energise these legs."""

@@ -2,10 +2,11 @@
 
 import json
 import os
+import secrets
 import socket
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,11 +20,15 @@ COMMAND = (sys.executable, "-m", "gateway")
 
 
 def free_port() -> int:
-    """A TCP port of this machine's loopback that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+    """A TCP port of this machine's loopback that nobody listens on now.
+
+    Below those that the kernel gives to connections: one of these could be in use before the gateway listens.
+    """
+    while True:
+        with socket.socket() as probe, suppress(OSError):
+            port = 10_000 + secrets.randbelow(22_000)
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Path:

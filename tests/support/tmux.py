@@ -65,7 +65,7 @@ class Terminal:
     @property
     def words(self) -> str:
         """The screen with each run of blanks and line ends as one blank, so that wrapping does not matter."""
-        return " ".join(self.screen.split())
+        return _words(self.screen)
 
     @property
     def status(self) -> int | None:
@@ -79,12 +79,17 @@ class Terminal:
 
     def wait_until(self, holds: Callable[[str], bool], what: str, timeout_s: float = LATE_S) -> str:
         """Wait until `holds` for the screen's words. Raises TimeoutError that shows the screen."""
+        screen = self.wait_for_screen(lambda screen: holds(_words(screen)), what, timeout_s)
+        return _words(screen)
+
+    def wait_for_screen(self, holds: Callable[[str], bool], what: str, timeout_s: float = LATE_S) -> str:
+        """The same for the screen, line by line: all of one picture is looked at, while the next may come."""
         deadline = time.monotonic() + timeout_s
-        while not holds(words := self.words):
+        while not holds(screen := self.screen):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"waited {timeout_s} s for {what}; on the screen:\n{self.screen}")
+                raise TimeoutError(f"waited {timeout_s} s for {what}; on the screen:\n{screen}")
             time.sleep(POLL_S)
-        return words
+        return screen
 
     def wait_for_end(self, timeout_s: float = LATE_S) -> int:
         """Wait until the command ends; its exit status."""
@@ -97,3 +102,7 @@ class Terminal:
         env = {**os.environ, "LC_ALL": "C.UTF-8"}
         env.pop("TMUX", None)
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LATE_S, env=env).stdout
+
+
+def _words(screen: str) -> str:
+    return " ".join(screen.split())

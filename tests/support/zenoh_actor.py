@@ -129,8 +129,16 @@ class Actor:
             reply.ok.payload.to_string() for reply in self._session.get(key, payload=payload, timeout=5) if reply.ok
         ]
 
-    def get_alive(self, key: str) -> list[str]:
-        return [str(reply.ok.key_expr) for reply in self._session.liveliness().get(key, timeout=5) if reply.ok]
+    def get_alive(self, key: str, count: int = 0, seconds: float = 5) -> list[str]:
+        """The tokens, once there are `count`: on a busy machine Zenoh now and then answers too early that none is."""
+        found: list[str] = []
+
+        def enough() -> bool:
+            found[:] = [str(reply.ok.key_expr) for reply in self._session.liveliness().get(key, timeout=5) if reply.ok]
+            return len(found) >= count
+
+        _wait(enough, seconds)
+        return found
 
     def taken(self, count: int = 0, seconds: float = 5) -> list[list[Any]]:
         """What arrived at all subscriptions since last asked, once there are `count`: [verb, key, size of payload]."""

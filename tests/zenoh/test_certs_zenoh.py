@@ -4,7 +4,6 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 """
 
 import datetime as dt
-import socket
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from gateway.certs import authority
 from gateway.certs.reading import read_certificate, read_key
 from gateway.limits import SIZE_LIMIT
 from schemas.command import MAX_PAYLOAD_BYTES
+from tests.support.gateway_process import free_port
 from tests.support.zenoh_actor import RefusedError, Remote
 
 # Good for the gateway's certificate; "localhost" is not among them: the wrong name for a machine that answers to it.
@@ -85,13 +85,6 @@ def quiet(robot: SecuredRobot) -> None:
     robot.gateway.asked()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def put_and_settle(laptop: Remote, keys: list[str]) -> None:
     """Puts on each key; when the state has answered, all of them have passed the gateway's filter or fallen to it."""
     for key in keys:
@@ -146,8 +139,8 @@ def test_an_operator_cannot_pose_as_the_robot(robot: SecuredRobot, alice: Remote
         robot.gateway.put("hexapod/state", "12345")
         # The true ones, and nothing of bob's before them.
         assert sorted(carol.taken(2)) == [["put", "hexapod/alive", 0], ["put", "hexapod/state", 5]]
-        assert carol.get_alive("hexapod/alive") == ["hexapod/alive"]
-        assert robot.gateway.get_alive("**/hexapod/alive") == ["hexapod/alive"]
+        assert carol.get_alive("hexapod/alive", 1) == ["hexapod/alive"]
+        assert robot.gateway.get_alive("**/hexapod/alive", 1) == ["hexapod/alive"]
 
 
 def test_an_operators_reach_ends_at_the_commands(robot: SecuredRobot, alice: Remote) -> None:
@@ -176,7 +169,7 @@ def test_an_observer_watches(robot: SecuredRobot) -> None:
             robot.gateway.put(key, "{}")
         assert sorted(keys(watcher.taken(4))) == sorted([*TELEMETRY, "hexapod/alive"])
         assert watcher.get("hexapod/state", "?") == ["answer to ?"]
-        assert watcher.get_alive("hexapod/alive") == ["hexapod/alive"]
+        assert watcher.get_alive("hexapod/alive", 1) == ["hexapod/alive"]
 
 
 def test_watching_shows_telemetry_only_and_takes_no_wildcard(robot: SecuredRobot, alice: Remote) -> None:
@@ -244,7 +237,7 @@ def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role
             laptop.put("hexapod/leg/1/cmd", "{}")
             laptop.delete("hexapod/leg/2/cmd")
             answers = [laptop.get(key) for key in ("hexapod/estop/cmd", "hexapod/state")]
-            answers.append(laptop.get_alive("hexapod/alive"))
+            answers.append(laptop.get_alive("hexapod/alive", int(common_name == "operator")))
         assert robot.gateway.wait_gone(zid)  # all it sent has been read by then
         outcome.append((answers, keys(robot.gateway.taken())))
     assert outcome[0] == ([[], [], []], [])
@@ -362,7 +355,7 @@ def test_a_namespace_before_the_keys_changes_nothing(tmp_path: Path) -> None:
         subscribe_and_settle(carol, ["hexapod/state"])
         robot.gateway.put("hexapod/state", "{}")
         assert keys(carol.taken(1)) == ["hexapod/state"]
-        assert carol.get_alive("hexapod/alive") == ["hexapod/alive"]
+        assert carol.get_alive("hexapod/alive", 1) == ["hexapod/alive"]
         put_and_settle(carol, COMMANDS)
         put_and_settle(alice, COMMANDS)
         assert carol.get("hexapod/estop/cmd") == []

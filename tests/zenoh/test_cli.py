@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -55,16 +56,21 @@ def test_send_writes_the_frame_and_says_so(
     assert ("The watchdog stops it 250 ms after a command; --hold S repeats it" in end.stderr) is hint
 
 
-def test_hold_keeps_a_leg_running_past_the_watchdog(gateway: Gateway) -> None:
-    with gateway.client() as client:
+def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
+    # On a busy machine a command may come late, but hardly by a second.
+    settings: dict[str, dict[str, Any]] = {
+        "watchdog": {"timeout_ms": 1000, "repeats": 0},
+        "telemetry": {"frames": True},
+    }
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
         heard = frames(client)
-        end = gateway.run("send", "leg", "3", "start", "90", "45", "120", "--hold", "0.8")
+        end = gateway.run("send", "leg", "3", "start", "90", "45", "120", "--hold", "1.5")
         assert end.returncode == 0
-        assert "Held for 0.8 s" in end.stderr
+        assert "Held for 1.5 s" in end.stderr
         stop = heard.wait(lambda record: record.cause == "watchdog")
         commands = [record for record in heard.all if record.cause == "command"]
-        assert len(commands) >= 5
-        assert stop.monotonic_ns - commands[0].monotonic_ns > 800_000_000
+        assert len(commands) > 3, "more often than it must"
+        assert stop.monotonic_ns - commands[0].monotonic_ns > 1_500_000_000
 
 
 def test_a_rejection_is_printed_with_its_reason_and_exit_code_1(gateway: Gateway) -> None:

@@ -97,12 +97,13 @@ def test_the_watchdog_is_seen_to_count_and_to_expire(tmp_path: Path) -> None:
 
 
 def test_a_small_terminal_keeps_the_legs_and_the_stop_key(terminal: Terminal) -> None:
+    def is_small(screen: str) -> bool:
+        lines = screen.splitlines()
+        keys = lines[-1].startswith(" SPACE or e: EMERGENCY STOP")
+        return len(lines) == 12 and keys and " 6  ○" in screen and "rejected nobody" not in screen
+
     terminal.resize(60, 12)
-    terminal.wait_until(lambda words: "rejected nobody" not in words, "the smaller picture")
-    lines = terminal.screen.splitlines()
-    assert len(lines) == 12
-    assert lines[-1].startswith(" SPACE or e: EMERGENCY STOP")
-    assert " 6  ○" in terminal.screen
+    terminal.wait_for_screen(is_small, "the smaller picture")
     terminal.press("Space")
     terminal.wait("ESTOPPED")
 
