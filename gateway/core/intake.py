@@ -1,4 +1,4 @@
-"""From what Zenoh delivered to what somebody wants, or why not. Nothing else here knows the commands' JSON."""
+"""Reads a command's bytes: an Intent, or a Rejection with its reason. Only this module knows the commands' JSON."""
 
 import json
 import math
@@ -27,7 +27,7 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Reason
 
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
-"""JSON, and what Zenoh says when the publisher said nothing."""
+"""JSON, and what Zenoh reports when the publisher gave no encoding."""
 
 Targets = tuple[tuple[int, ServoOp], ...]
 _OPS: Final = {"start": Op.START, "set": Op.SET}
@@ -35,7 +35,7 @@ _SERVO_OPS: Final = ("start", "set", "stop")
 
 
 class Intent(NamedTuple):
-    """What a good command asks for: an operation for each servo that it names (none for a reset)."""
+    """What a valid command asks for: an operation for each servo that it names (none for a reset)."""
 
     targets: Targets = ()
     source: str | None = None
@@ -58,9 +58,9 @@ class Rejection:
 
 
 def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
-    """Read the payload that came on `key`. Any bytes will do: what is wrong is returned, never raised."""
+    """Read the payload that came on `key`. Never raises: a payload that is wrong returns a Rejection."""
     if key.target is Target.ESTOP:
-        return Intent()  # whatever it is, somebody wants the robot to stop
+        return Intent()  # any payload engages it (docs/interface.md, Behaviour 5)
     if len(payload) > MAX_PAYLOAD_BYTES:
         return too_large(len(payload))
     if encoding not in ENCODINGS:
@@ -74,7 +74,7 @@ def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection
         intent = _READERS[key.target](key.number, payload)
     except ValidationError as error:
         return _explain(error)
-    # Each field takes a colon: where there are no more colons, no name is given twice. Spares most a second look.
+    # Each field takes a colon. A payload with no more colons than fields repeats no name and needs no second reading.
     twice = _name_given_twice(payload) if colons > _fields(key.target, intent) else None
     if twice is not None:
         return Rejection(Reason.INVALID, f"{_name(twice)} is given twice in one object; which one counts is not clear")
@@ -99,12 +99,12 @@ def stop_all_of(key: CommandKey) -> Intent | Rejection:
         case Target.LEGS:
             return Intent(tuple((servo_id, STOP) for servo_id in SERVO_IDS))
         case _:
-            # Leaving the emergency stop is a deliberate act; deleting a key (perhaps by a wildcard) is not.
+            # Leaving the emergency stop must be deliberate; a delete, perhaps by a wildcard, may not be.
             return Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
 
 
 def too_large(size: int) -> Rejection:
-    """The answer to a payload that is not even looked at."""
+    """The rejection of a payload that is not read."""
     return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {MAX_PAYLOAD_BYTES} are read")
 
 
@@ -151,8 +151,8 @@ _MAX_COLONS: Final = 3 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
 """A LegsCommand with all its fields (legs, source, sent_ms; for a leg its number, servos and three times op and
 angle_deg), and a source that is nothing but colons.
 
-What has more is rejected without a look at each field: pydantic notes every single one that is wrong, and a payload
-made of nothing else would hold the loop for 1.4 ms.
+A payload with more is rejected before pydantic reads it: pydantic lists every wrong field, and a payload full of them
+would block the loop for 1.4 ms.
 """
 
 
@@ -173,13 +173,13 @@ def _fields(target: Target, intent: Intent) -> int:
 
 
 class _GivenTwiceError(Exception):
-    """Ends the reading of a payload, with the name that one of its objects has twice."""
+    """Carries the name that one of a payload's objects has twice."""
 
 
 def _name_given_twice(payload: bytes) -> str | None:
-    """The first name that an object of this (valid) payload has twice; pydantic keeps the last and says nothing.
+    """The first name that an object of this (valid) payload has twice, or None.
 
-    Two answers to one question are a mistake of the sender's, and a robot is no place to guess which one was meant.
+    pydantic silently keeps the last value; which one the sender meant must not be guessed.
     """
     if payload:
         try:
@@ -200,7 +200,7 @@ def _reject_doubles(pairs: list[tuple[str, object]]) -> None:
 # ---- rejections in words
 
 _MAX_ECHO: Final = 40
-"""Characters of the sender's own value, or name, that an answer repeats."""
+"""Characters of the sender's own value, or name, that a rejection repeats."""
 _MAX_ECHO_BITS: Final = 128
 _PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
@@ -219,7 +219,7 @@ def _malformed(why: str) -> Rejection:
 
 
 def _sentence(fault: dict[str, Any]) -> str:
-    """One sentence that names the field and what it must be. Bounded: of what the sender wrote, it repeats little."""
+    """One sentence of bounded length that names the field and what it must be."""
     loc = fault["loc"]
     where = _path(loc)
     field = loc[-1] if loc else None
@@ -284,12 +284,12 @@ def _join(path: str, name: str) -> str:
 
 
 def _name(name: str) -> str:
-    """A name as it is where that is short and plain, else quoted."""
+    """A short, plain name as it is; any other quoted."""
     return name if _PLAIN_NAME.fullmatch(name) else _echo(name)
 
 
 def _echo(value: object) -> str:
-    """The value as JSON in ASCII, on one line, and no more of it than helps."""
+    """The value as JSON in ASCII, on one line, cut to `_MAX_ECHO` characters."""
     if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
         # Thousands of digits take long to write out.
         return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"

@@ -1,6 +1,6 @@
-"""How long something took: percentiles of the last times, a histogram of all, and the worst. Plain numbers.
+"""How long something took: percentiles of the last times, a histogram of all, and the worst.
 
-Here and not with the other metrics, since `stop-servos` needs it too, and must not wait for what only reports need.
+Apart from the other metrics: `stop-servos` uses it too, and must load fast.
 """
 
 from bisect import bisect_left
@@ -12,7 +12,7 @@ from typing import Final
 KEPT: Final = 1000
 """Latencies kept for the percentiles: the last thousand."""
 BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000)
-"""Upper ends of the histogram's buckets: from one transfer (45 µs) to a robot that has noticed."""
+"""Upper ends of the histogram's buckets: from one transfer (45 µs) to a delay that is seen at the robot."""
 
 
 def percentile(ordered: Sequence[float], share: float) -> float:
@@ -30,7 +30,7 @@ class Latency:
     max_us: float | None = None
 
     def record(self, latency_ns: int) -> None:
-        """Take one latency."""
+        """Record one latency."""
         latency_us = latency_ns / 1000
         self.recent_us.append(latency_us)
         self.buckets[bisect_left(BOUNDS_US, latency_us)] += 1

@@ -1,4 +1,4 @@
-"""How many rejections are told: ten a second and source, and how many were left out."""
+"""Limits how many rejections are published as events: ten a second and source; counts those left out."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from typing import Final
 
 TOLD_PER_S: Final = 10
 SOURCES: Final = 64
-"""Sources armed at a time; whoever invents more names shares one allowance with all others that do."""
+"""Sources counted separately at a time; all further ones share one allowance."""
 WINDOW_NS: Final = 1_000_000_000
 
 
@@ -17,13 +17,13 @@ class _Source:
 
 
 class RejectionLimit:
-    """Says which rejections are told: at most ten in any second. Time is an argument, memory is bounded."""
+    """Decides which rejections are published: at most ten of a source in any second. Memory is bounded."""
 
     def __init__(self) -> None:
         self._sources: dict[str | None, _Source] = {}
 
     def admit(self, source: str | None, now_ns: int) -> int | None:
-        """How many of this source were left out before this one, which is told; None: leave it out as well."""
+        """How many of this source were left out before this one, which is published; None: leave this one out, too."""
         if source not in self._sources and len(self._sources) >= SOURCES:
             self._forget(now_ns)
             if len(self._sources) >= SOURCES:

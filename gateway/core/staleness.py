@@ -1,32 +1,33 @@
 """Which commands were delayed on their way (`limits.max_age_ms`), without synchronised clocks. Pure.
 
-A command may carry `sent_ms`, its publisher's own monotonic clock. That clock's zero is unknown, so (arrival - sent_ms)
-is the time on the way plus an unknown constant. The smallest such difference that a clock has shown is taken as the
-way without delay, its *baseline*; what a command's own difference has more than that is its delay.
+A command may carry `sent_ms`, the time by its publisher's own monotonic clock. That clock's zero is unknown, so a
+command's *difference*, arrival - sent_ms, is its transit time plus an unknown constant. A clock's *baseline* is the
+smallest difference that it has shown, which stands for transit without delay. A command's delay is its difference less
+the baseline.
 
-- After a stall, the queued commands come in a burst, each with its own delay on top: rejected until the first fresh
-  one. The baseline is not forgotten in a silence, however long, for after it comes the burst.
-- A clock that drifts moves the baseline: it rises by 200 ppm, twice what a bad crystal does, and falls at once, but not
-  by more than `FALL` of what is allowed.
-- A source is a name, and behind one name there may be several clocks: programs on two machines, a restart, or somebody
-  who only uses the name. So each clock is kept apart and judges its own commands. A command cannot come from a clock
-  that has not come so far (its difference is too small); and since commands arrive in the order in which they were
-  sent, it is not taken for one of a clock that has already sent a newer one, if any other clock may have sent it.
-  What fits none is the first command of a new clock, and as fresh as a first command is.
-- Two clocks that are close together may both have sent a command. Then the one heard last is believed, or the one that
-  has been heard for longest, whichever finds it fresher. A clock that was heard just once, forged or first heard with
-  a delay, thus keeps nothing of another's from being taken, and lets nothing old in.
-- Between clocks that are less than `HORIZON_MS` apart, a command that is older than the newest one may as well be an
-  old one of the same clock (two programs on one machine, of which one lost its link). It counts as that.
-- A clock may also fall behind without jumping back (the laptop slept; a restart), or the way may have become longer for
-  good. Then commands keep coming with a steady delay, which a queue being emptied never shows: after five seconds of
-  that, the steady delay is a baseline.
-- When the gateway itself was stopped (a debugger, a frozen virtual machine), what waited in its rings and sockets looks
-  as if it had just come. For `max_age_ms` after that, only commands that a clock known from before finds fresh are
-  taken. The loop says whenever it turns, and so its pauses are known.
+- Burst after a stall: the queued commands arrive together, each with its own delay, and are rejected until the first
+  fresh one. A burst follows a silence, so no silence makes the gateway forget the baseline.
+- Drift: the baseline rises by 200 ppm, twice the error of a bad crystal. It falls at once, but by no more than `FALL`
+  of `max_age_ms`.
+- Several clocks behind one source: a source is only a name, shared by programs on two machines, by a program before
+  and after its restart, or by somebody who borrows the name. So each clock is kept apart and judges only its own
+  commands. A command whose difference is below a clock's baseline was not sent by that clock. Commands of one clock
+  arrive in order, so a command older than a clock's newest belongs to another clock if one fits. A command that fits
+  no clock is the first of a new clock, and fresh.
+- Two clocks close together may both fit a command. Then two of them are asked: the one heard last and the one heard for
+  longest. The command is fresh if either finds it fresh. A clock heard only once, forged or delayed at first, thus
+  neither keeps out another's commands nor lets old ones in.
+- An out-of-order command that is within `HORIZON_MS` of a clock may be an old one of that clock (two programs on one
+  machine, one of which lost its link). It is judged as that.
+- Steady delay: a clock may fall behind (the laptop slept, or restarted), or transit may become slower for good. Then
+  all commands have the same delay, which a queue that empties never shows. After five seconds that delay becomes the
+  baseline.
+- Pauses of the gateway itself (a debugger, a frozen virtual machine): what waited in its rings and sockets looks as if
+  it had just arrived. For `max_age_ms` after such a pause, only commands that a clock known from before finds fresh are
+  accepted. The loop calls `turned` in each of its turns, which shows its pauses.
 
-How much is remembered is bounded. A source is forgotten only after a minute of silence, in which any burst of it has
-come or is lost; a newcomer that finds no place is rejected, or its own burst could not be told from fresh commands.
+Memory is bounded. A source is forgotten only after a minute of silence, when any burst of it has arrived or is lost.
+A new source that finds no place is rejected, since its burst could not be told from fresh commands.
 """
 
 from collections import OrderedDict
@@ -38,27 +39,27 @@ CLOCKS: Final = 8
 """Sources, and clocks of each: half a megabyte at most."""
 FORGET_MS: Final = 60_000.0
 HORIZON_MS: Final = 20_000.0
-"""Zenoh gives up a link without a sign of life after 10 s, and drops what waits for it; a router adds as much."""
+"""Zenoh closes a silent link after 10 s and drops what waits for it; a router on the way adds another 10 s."""
 DRIFT: Final = 200e-6
 FALL: Final = 0.25
-"""Of `max_age_ms`: how far below the baseline that it began with a clock's own commands may be."""
+"""Of `max_age_ms`: how far below a clock's first baseline its own commands may be."""
 STEADY_MS: Final = 5000.0
 GAP_MS: Final = 1000.0
-"""A pause in the arrivals longer than this ends a steady stretch: what comes after it may be another burst."""
+"""A longer pause in the arrivals ends a stretch of steady delay: what follows may be another burst."""
 LEAST_PAUSE_MS: Final = 250.0
-"""The loop turns every 100 ms even if nobody commands (`service.BEAT_S`), and on a busy machine somewhat later."""
+"""A shorter pause is no stop of the gateway: an idle loop turns every 100 ms, on a busy machine somewhat later."""
 
 
 @dataclass(slots=True)
 class _Stretch:
-    """Late commands in a row: when they began to come, when the last one came, and their differences' range."""
+    """Late commands in a row: when the first and the last arrived, and the range of their differences."""
 
     begun_ms: float
     last_ms: float
     smallest_ms: float
     largest_ms: float
     overtaken: bool = False
-    """Whether one of them was sent before a newer one that had already come: then there may be two clocks."""
+    """Whether one of them arrived after a newer one: then there may be two clocks."""
 
 
 @dataclass(slots=True)
@@ -77,12 +78,12 @@ class _Clock:
 
     @property
     def proven_ms(self) -> float:
-        """For how long it has sent fresh commands; more than enough is not more."""
+        """For how long it has sent fresh commands, at most `STEADY_MS`."""
         return min(self.fresh_ms - self.since_ms, STEADY_MS)
 
 
 class Staleness:
-    """Judges how old commands are; None of its times is a wall clock's."""
+    """Judges how old commands are, by monotonic times only."""
 
     def __init__(self, max_age_ms: float) -> None:
         self._max_age_ms = max_age_ms
@@ -93,14 +94,14 @@ class Staleness:
         self._paused_ms = 0.0
 
     def turned(self, now_ns: int) -> None:
-        """The loop turns. Called at each of its turns, whether or not there is a command."""
+        """To be called in each turn of the loop, with or without a command: a long gap between calls is a pause."""
         now_ms = now_ns / 1e6
         if self._turned_ms is not None and now_ms - self._turned_ms > self._pause_ms:
             self._woke_ms, self._paused_ms = now_ms, now_ms - self._turned_ms
         self._turned_ms = now_ms
 
     def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
-        """Take one command; why it is, or may be, older than allowed. None: it is not, as far as anybody can know.
+        """Judge one command: a sentence why it is, or may be, older than allowed, or None if it is accepted.
 
         `instant_ns` is when it was collected, together with others in no known order.
         """
@@ -139,7 +140,7 @@ class Staleness:
         return self._after_a_pause(clock.since_ms, now_ms)
 
     def _after_a_pause(self, known_since_ms: float, now_ms: float) -> str | None:
-        """Why a command whose clock is known since then is not taken, so soon after a pause of the gateway's own."""
+        """Why a command is rejected soon after a pause of the gateway, unless its clock is known from before."""
         if self._woke_ms is None or known_since_ms < self._woke_ms or now_ms - self._woke_ms > self._max_age_ms:
             return None
         return (
@@ -148,7 +149,7 @@ class Staleness:
         )
 
     def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
-        """The clocks that are known of a source, as of this instant; None where there is no place for a newcomer."""
+        """The known clocks of a source, as of this instant; None if a new source finds no place."""
         source = self._sources.get(name)
         if source is None:
             if len(self._sources) >= SOURCES:
@@ -182,7 +183,7 @@ class Staleness:
         return clock
 
     def _steady(self, clocks: list[_Clock], clock: _Clock, sent_ms: float, now_ms: float) -> _Clock:
-        """The delay is steady: that of another clock, or of this one from now on."""
+        """The delay is steady: it is another clock's, or this clock's new baseline."""
         stretch, clock.stretch = clock.stretch, None
         if stretch is not None and stretch.overtaken:
             return self._new_clock(clocks, sent_ms, now_ms)

@@ -1,4 +1,4 @@
-"""How the service logs: for people on a terminal, as JSON lines for the journal; and never in the way of a Stop."""
+"""How the service logs: readable on a terminal, JSON lines for the journal; and no Stop waits for it."""
 
 import atexit
 import faulthandler
@@ -17,15 +17,15 @@ from gateway.host.outlet import Outlet, Stream
 from gateway.settings import LogSettings
 
 FLUSH_S: Final = 0.3
-"""What the end waits for lines that are still to be written: of the contract's second, what its Stops leave."""
+"""How long the end waits for unwritten lines: what the Stops leave of its second (docs/interface.md, Behaviour 7)."""
 
 _outlets: list[Outlet] = []
 
 
 def set_up(settings: LogSettings) -> None:
-    """Send everything that is logged through `logging` to stderr, rendered as the settings say.
+    """Render what `logging` gets as the settings say, and write it to stderr.
 
-    From now on only threads of their own write to stdout and stderr, whoever has something to say there.
+    From now on two threads of this module write to stdout and stderr; nobody else waits for these.
     """
     out, err = Outlet(1), Outlet(2, _formatter(settings, os.isatty(2)).format)
     _outlets[:] = [out, err]
@@ -37,7 +37,7 @@ def set_up(settings: LogSettings) -> None:
 
 
 def close(timeout_s: float = FLUSH_S) -> None:
-    """Write what waits; after so long the process goes without it."""
+    """Write the lines that wait, for at most this long."""
     end = time.monotonic() + timeout_s
     for outlet in reversed(_outlets):
         outlet.close(max(0.0, end - time.monotonic()))
@@ -45,29 +45,29 @@ def close(timeout_s: float = FLUSH_S) -> None:
 
 
 def dropped() -> int:
-    """How many lines were not written, for nobody read them."""
+    """How many lines were not written, because nobody read what came before them."""
     return sum(outlet.dropped for outlet in _outlets)
 
 
 def keep_stacks() -> None:
-    """Under systemd: what a crash or a hang ends leaves the stacks of its threads in the service's own folder.
+    """Under systemd: after a crash or a hang, the stacks of all threads are in a file in the service's folder.
 
-    Not on stderr: the handler writes from within the signal, and with a stuck stderr the process would not die of it,
-    and nobody stop the servos. The folder is in memory, so nothing there waits; the unit shows them afterwards.
+    Not on stderr: the handler writes from within the signal. With a stuck stderr the process would not die, and
+    `stop-servos` would not run. The folder is in memory, so writing never blocks. The unit logs the file afterwards.
     """
     folder = os.environ.get("RUNTIME_DIRECTORY")
     if folder:
         try:
             faulthandler.enable((Path(folder) / "stacks").open("w"))
         except OSError as error:
-            logging.getLogger(__name__).warning("a hang would leave no stacks: %s", error)
+            logging.getLogger(__name__).warning("the stacks of a hang cannot be kept: %s", error)
 
 
 class _Handler(logging.Handler):
     """Puts records into the outlet's queue.
 
-    `logging.handlers.QueueHandler` would render an exception here, which reads files, and take a lock that a thread
-    may hold while it waits for a processor.
+    `logging.handlers.QueueHandler` would render exceptions here, which reads files. It would also take a lock, which
+    another thread may hold while it waits for a processor.
     """
 
     def __init__(self, outlet: Outlet) -> None:
@@ -75,7 +75,7 @@ class _Handler(logging.Handler):
         self._outlet = outlet
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Take the arguments as they are now: later they may have changed."""
+        """Format the message now: its arguments may change later."""
         try:
             record.msg, record.args = record.getMessage(), None
         except Exception:
@@ -118,12 +118,12 @@ def _formatter(settings: LogSettings, terminal: bool) -> logging.Formatter:
 
 
 _TRACEBACKS: Final = structlog.processors.ExceptionRenderer(
-    structlog.tracebacks.ExceptionDictTransformer(show_locals=False)  # they would hold passwords, and are long
+    structlog.tracebacks.ExceptionDictTransformer(show_locals=False)  # locals may hold passwords, and are long
 )
 
 
 def _one_line(event: object, **options: Any) -> str:
-    """Readable JSON; what ends a line for some reader, or steers a terminal, stays an escape (JSON allows it raw)."""
+    """JSON in which unprintable characters are escaped: some end a line for some readers, or control a terminal."""
     text = json.dumps(event, ensure_ascii=False, **options)
     return text if text.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
 
@@ -131,7 +131,7 @@ def _one_line(event: object, **options: Any) -> str:
 def _without_control_characters(
     _logger: structlog.typing.WrappedLogger, _name: str, event: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
-    """What others wrote must neither steer the terminal nor look like lines of ours; JSON escapes by itself."""
+    """A sender's text must neither control the terminal nor look like lines of the log. (JSON escapes by itself.)"""
     return {key: _visible(value) if isinstance(value, str) else value for key, value in event.items()}
 
 
@@ -142,7 +142,7 @@ def _visible(text: str) -> str:
 def _with_time(
     _logger: structlog.typing.WrappedLogger, _name: str, event: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
-    """When it was said, which may be long before it can be written."""
+    """The time of the log call, which may be long before the line is written."""
     said = datetime.fromtimestamp(event["_record"].created, UTC)
     return {**event, "timestamp": said.isoformat().replace("+00:00", "Z")}
 

@@ -1,7 +1,7 @@
-"""Writes to a descriptor without ever holding up whoever has something to say.
+"""Writes to stdout or stderr from a thread of its own, so that nobody else waits.
 
-Whatever reads stdout or stderr may stop reading: a pipe that is full, a terminal that is held, a stuck journal. Who
-writes there then waits, and on the loop every Stop would wait with it. So only a thread of its own writes.
+Whatever reads stdout or stderr may stop reading: a full pipe, a paused terminal, a stuck journal. Then the writer
+blocks, and on the loop every Stop would wait with it.
 """
 
 import io
@@ -16,20 +16,20 @@ from typing import Final
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
 KEPT: Final = 1000
-"""Lines that wait at most, some 1 MB. What comes then is dropped until half of them are written."""
+"""Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""
 
 
 class Outlet:
     """One descriptor, its queue and its thread.
 
-    `put` never waits. (`SimpleQueue` has no lock that a thread could hold while it waits for a processor; as many
-    lines more than `KEPT` may wait as threads put one in the same moment.)
+    `put` never waits: `SimpleQueue` has no lock that a thread could hold while it waits for a processor. When several
+    threads put lines at the same moment, a few more than `KEPT` may wait.
     """
 
     def __init__(self, descriptor: int, render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage):
         self.descriptor = descriptor
         self.dropped = 0
-        """Lines that were not written: nobody read what came before them, or the descriptor rejected them."""
+        """Lines that were not written: nobody read what came before them, or writing failed."""
         self._render = render
         self._waiting: SimpleQueue[logging.LogRecord | str | None] = SimpleQueue()
         self._full = False
@@ -37,7 +37,7 @@ class Outlet:
         self._thread.start()
 
     def put(self, item: logging.LogRecord | str) -> None:
-        """Have this written: a record as one line, a text as it is."""
+        """Queue this to be written: a record as one line, a text as it is."""
         waiting = self._waiting.qsize()
         if waiting >= KEPT or (self._full and waiting > KEPT // 2):
             self._full = True
@@ -47,14 +47,14 @@ class Outlet:
         self._waiting.put(item)
 
     def close(self, timeout_s: float) -> None:
-        """Write what waits, if that takes no longer than this."""
+        """Write the lines that wait, for at most this long."""
         self._waiting.put(None)
         self._thread.join(timeout_s)
 
     # ---- on the thread
 
     def _run(self) -> None:
-        # While it renders it holds the interpreter's lock, and must then not be put aside: see realtime.
+        # Rendering holds the interpreter's lock, so this thread must not be preempted meanwhile: see realtime.py.
         prefer_thread(PAGE_PRIORITY)
         told = 0
         while (item := self._waiting.get()) is not None:
@@ -68,13 +68,13 @@ class Outlet:
         try:
             text = item if isinstance(item, str) else f"{self._render(item)}\n"
             self._write_bytes(text.encode(errors="backslashreplace"))
-        except Exception:  # a full disk, a reader that went, a line that cannot be rendered: the next may do
+        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: go on with the next
             self.dropped += 1
             return False
         return True
 
     def _write_bytes(self, data: bytes) -> None:
-        # Past Python's own buffers: their lock, held by a thread that waits here, would abort the interpreter's end.
+        # Not through Python's buffers: if a blocked thread held their lock, the interpreter would abort at its end.
         while data:
             try:
                 data = data[os.write(self.descriptor, data) :]
@@ -92,7 +92,7 @@ class _Line(threading.local):
 
 
 class Stream(io.TextIOBase):
-    """In place of `sys.stdout` or `sys.stderr`: for a result, a library's words, the traceback of a thread."""
+    """Replaces `sys.stdout` or `sys.stderr`, for results, what libraries print, and tracebacks of threads."""
 
     def __init__(self, outlet: Outlet) -> None:
         self._outlet = outlet
@@ -106,7 +106,7 @@ class Stream(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Pass on what is no whole line yet. Waits for nothing."""
+        """Queue the unfinished line. Never waits."""
         rest, self._unfinished.text = self._unfinished.text, ""
         if rest:
             self._outlet.put(rest)

@@ -1,15 +1,15 @@
-"""What the service tells its manager (systemd's sd_notify protocol); silent where nobody asked."""
+"""Tells systemd that the service is ready, alive or stopping (sd_notify); does nothing without systemd."""
 
 import os
 import socket
 from collections.abc import Mapping
 
 PINGS_PER_TIMEOUT = 4
-"""One late or lost ping must not kill a service that works."""
+"""More than one, so that a late or lost ping does not kill a service that works."""
 
 
 class SystemdNotifier:
-    """The service manager's notification socket, as `NOTIFY_SOCKET` and `WATCHDOG_USEC` name it."""
+    """systemd's notification socket, from `NOTIFY_SOCKET`, and its watchdog's period, from `WATCHDOG_USEC`."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         path = environment.get("NOTIFY_SOCKET", "")
@@ -17,12 +17,12 @@ class SystemdNotifier:
         self._socket: socket.socket | None = None
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-            self._socket.setblocking(False)  # a manager that does not read must not hold the loop
+            self._socket.setblocking(False)  # if systemd does not read, the loop must not wait
         self._ping_period_s = _ping_period_s(environment) if path else None
 
     @property
     def ping_period_s(self) -> float | None:
-        """How often the manager wants to hear `alive`, with room to spare; None: it does not watch."""
+        """How often to call `alive`, a quarter of systemd's watchdog period; None: there is no such watchdog."""
         return self._ping_period_s
 
     def ready(self, status: str) -> None:
@@ -30,7 +30,7 @@ class SystemdNotifier:
         self._tell(f"READY=1\nSTATUS={status}")
 
     def alive(self) -> None:
-        """The loop turns. Not heard for WATCHDOG_USEC, the manager kills the service and has the servos stopped."""
+        """The loop turns. Without this for WATCHDOG_USEC, systemd kills the service and runs `stop-servos`."""
         self._tell("WATCHDOG=1")
 
     def stopping(self) -> None:
@@ -38,7 +38,7 @@ class SystemdNotifier:
         self._tell("STOPPING=1")
 
     def close(self) -> None:
-        """Nothing more is told."""
+        """Close the socket; nothing more is sent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -49,7 +49,7 @@ class SystemdNotifier:
         try:
             self._socket.sendto(text.encode(), self._address)
         except OSError:
-            # Nothing to be done about it here: a manager that hears nothing acts by itself.
+            # systemd acts by itself when it hears nothing.
             return
 
 

@@ -9,7 +9,7 @@ A servo id is leg (1 to 6) times ten plus joint (1 to 3, from the body outward).
 of a degree, together 0.00° to 180.00°. On a Stop both have no meaning: read as anything, written as 0 0.
 
 The controller checks none of this and corrupts its own memory on a bad id, so a value that is not a legal frame cannot
-be built here. Bytes are counted from 1 in every message, as the specification counts them.
+be built here. Every message counts bytes from 1, as docs/protocol.md does.
 """
 
 import enum
@@ -82,7 +82,7 @@ class OneServo:
 
     @property
     def is_stop(self) -> bool:
-        """Whether all that the frame does is to de-energise."""
+        """Whether the frame only de-energises."""
         return self.command.op is Op.STOP
 
     def to_bytes(self) -> bytes:
@@ -120,7 +120,7 @@ class OneLeg:
 
     @property
     def is_stop(self) -> bool:
-        """Whether all that the frame does is to de-energise."""
+        """Whether the frame only de-energises."""
         first, second, third = self.commands
         return first.op is second.op is third.op is Op.STOP
 

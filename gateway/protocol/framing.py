@@ -1,4 +1,4 @@
-"""How a frame is cut into SPI transfers: as the document says, or as the published controller firmware wants it."""
+"""How a frame becomes SPI transfers: one as in the protocol's document, two for the published controller firmware."""
 
 import enum
 from typing import Final
@@ -8,7 +8,7 @@ PREAMBLE_ZEROS: Final = 16  # the longest body (14) and some zero lengths, which
 
 
 class Framing(enum.StrEnum):
-    """PLAIN: a frame is one transfer. LENGTH_PREFIXED: its length goes ahead, in a transfer of its own."""
+    """PLAIN: a frame is one transfer. LENGTH_PREFIXED: its length is sent first, in a transfer of its own."""
 
     PLAIN = "plain"
     LENGTH_PREFIXED = "length-prefixed"
@@ -23,8 +23,8 @@ class Framing(enum.StrEnum):
     def preamble(self) -> tuple[bytes, ...]:
         """The transfers that synchronise a controller which still awaits an announced body; none for PLAIN.
 
-        They fill that body (its type is then 0, which is ignored), and a length of 0 is ignored too. Each zero has a
-        transfer of its own: in one transfer they come faster than the firmware handles lengths of 0, which jams a
-        healthy controller for up to a second. In half of a body they would stand for angles of 0°.
+        The zeros complete that body, whose type of 0 the controller ignores, as it ignores lengths of 0. Each zero is a
+        transfer of its own: in one transfer they arrive faster than the firmware handles lengths of 0, which jams a
+        healthy controller for up to a second. Zeros that complete half a body would be ids and angles of 0.
         """
         return (ZERO,) * PREAMBLE_ZEROS if self is Framing.LENGTH_PREFIXED else ()

@@ -1,4 +1,4 @@
-"""The device contract: what the service needs from an SPI device, whichever one stands behind it."""
+"""What the service needs from an SPI device, real or simulated."""
 
 from contextlib import AbstractContextManager
 from typing import Protocol
@@ -11,7 +11,7 @@ class SpiDevice(Protocol):
         """Write `data` in one transaction. Raises `SpiError` when the device reports a fault."""
 
     def lock(self) -> AbstractContextManager[None]:
-        """The time of one frame, in which no other program's transfers come between this one's."""
+        """The bus lock, held for one frame: no other program's transfers come between those of the frame."""
 
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""

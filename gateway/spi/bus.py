@@ -1,15 +1,16 @@
 """The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters.
 
-In LENGTH_PREFIXED framing a controller can be out of sync: a pause of a second between an announcement and its body, or
-one lost byte, and it takes bodies for lengths and hears nothing, for as long as traffic goes on. Nothing comes back on
-the wire that could say so. So it is resynchronised, by the preamble's zeros (`Framing.preamble`):
+In LENGTH_PREFIXED framing a frame is two transfers: its length (the announcement), then the frame (the body). A
+controller gets out of sync by one lost byte, or by a pause of a second between announcement and body. It then takes
+bodies for lengths and hears nothing while traffic goes on, and the wire gives no sign of it. So the bus resynchronises
+it with the preamble's zeros (`Framing.preamble`):
 
-* after opening, and after a failed transfer: nobody knows what the controller saw;
-* before each repeated run of Stops, so that what put it out of sync before cannot keep it from these;
-* where an announcement is too old for its body: then both are written anew, behind the zeros;
-* once in `resync_ns` of a stream that goes on. An idle second does the same by itself.
+* after opening, and after a failed transfer, when nobody knows what the controller received;
+* before each repeated run of Stops, so that a controller which missed the first run hears the repetition;
+* when an announcement is too old for its body; then the zeros and both transfers are written;
+* once in `resync_ns` of a stream without a pause. An idle second resynchronises the controller by itself.
 
-A Stop that leaves for the first time waits for none of that, unless a transfer has just failed.
+A first Stop waits for none of that, unless a transfer has just failed.
 """
 
 import time
@@ -26,22 +27,22 @@ from gateway.spi import SpiDevice
 from gateway.spi.guard import GuardedDevice
 
 STALE_ANNOUNCEMENT_NS: Final = 500_000_000
-"""Half of the 1000 ms after which the controller gives the body up: the other half is for what cannot be seen from
-here, between the last look at the clock and the first bit on the wire."""
+"""Half of the 1000 ms after which the controller gives the body up. The other half allows for delays between the last
+look at the clock and the first bit on the wire."""
 LOST_BODY_NS: Final = 900_000_000
-"""A body whose transfer ended this long after its announcement may have begun too late."""
+"""If a body's transfer ended later than this after its announcement, it may have begun too late."""
 TRIES: Final = 3
-"""How often a frame is written whose announcement grew stale, and a preamble again ahead of a Stop, where its zeros
-fail. A machine that stalls so often cannot run a robot."""
+"""Attempts to write a frame whose announcement grew stale, and repetitions of a preamble before a Stop whose zeros
+failed. A machine that stalls more often cannot run a robot."""
 IDLE_NS: Final = 1_100_000_000
-"""After so long without a transfer, the controller (1000 ms, on a clock of its own) awaits an announcement again."""
+"""After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
-"""A zero's transfer (50 µs), and by how much a timer is late."""
+"""A zero's transfer (50 µs) and a timer's lateness."""
 EARLY_SHARE: Final = 8
-"""The zeros of a stream are wanted an eighth of `resync_ns` early, to find a pause in it."""
+"""In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
 
 _AT_ONCE: Final = nullcontext()
-"""In place of a turn, where a frame is one transfer, which nothing comes into."""
+"""Instead of the bus lock, when a frame is one transfer, which nothing can interrupt."""
 
 
 class Bus:
@@ -58,9 +59,10 @@ class Bus:
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`resync_ns` 0: a stream that goes on is not resynchronised.
+        """`resync_ns` 0: a stream without a pause is not resynchronised.
 
-        `shared_device`: another program writes, and it does not know of our frames, so the pause is made on both sides.
+        `shared_device`: another program writes, too. Each does not know when the other's frames end, so the pause is
+        made before and after each frame.
         """
         self._open_device = open_device
         self._framing = framing
@@ -78,7 +80,7 @@ class Bus:
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since anything else was written
         self.resync_due = False
-        """Whether a stream has gone on for so long that the next pause in it is to be filled with `write_zero`."""
+        """Whether the stream has lasted so long that its next pause is to be filled with `write_zero`."""
         self.frames = 0
         self.errors = 0
         self.transfer_latency = Latency()
@@ -97,7 +99,7 @@ class Bus:
             raise
 
     def write(self, frame: Frame, *, first_repeat: bool = False) -> None:
-        """Write one frame; of a repeated run of Stops, `first_repeat` is the one that the preamble goes before.
+        """Write one frame. `first_repeat`: it is the first of a repeated run of Stops, so the preamble precedes it.
 
         Raises SpiError; the device stays open, for the next frame may be a Stop.
         """
@@ -122,9 +124,9 @@ class Bus:
         return PREAMBLE_ZEROS * (self._frame_gap_ns + ZERO_NS)
 
     def write_zero(self) -> bool:
-        """Write one zero of a preamble; whether more are to follow. Raises SpiError.
+        """Write one zero of a preamble; returns whether more are to follow. Raises SpiError.
 
-        To be called in a pause of the stream, zero by zero: a Stop need not wait for more than one.
+        To be called in a pause of the stream, zero by zero, so that a Stop waits for one zero at most.
         """
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
             try:
@@ -137,7 +139,7 @@ class Bus:
 
     @property
     def just_resynchronised(self) -> bool:
-        """Whether a whole preamble was the last that was written."""
+        """Whether nothing was written since the last whole preamble."""
         return self._zeros >= PREAMBLE_ZEROS
 
     def close(self) -> None:
@@ -167,7 +169,7 @@ class Bus:
         zeros_fault: SpiError | None = None
         if self._wants_preamble(frame, first_repeat=first_repeat):
             if frame.is_stop:
-                # Whatever comes of the zeros, the Stop is tried: a synchronised controller hears it.
+                # Even if the zeros fail, the Stop is tried: a synchronised controller hears it.
                 zeros_fault = self._fault_of_zeros()
             else:
                 self._resynchronise()
@@ -187,16 +189,16 @@ class Bus:
         if now_ns - self._ended_ns >= IDLE_NS:
             self._synchronised_ns = now_ns
         overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
-        # A preamble that has been begun is ended first: begun anew after each frame, it would never come to its end.
+        # A preamble that was begun is finished first; begun again after each frame, it would never end.
         return (overdue or 0 < self._zeros < PREAMBLE_ZEROS) and not frame.is_stop
 
     def _announce_and_write(self, frame: Frame) -> None:
-        """A frame behind its announcement; both again, where the machine stalled between them."""
+        """Write the announcement, then the frame; both again if the machine stalled between them."""
         announcement, body = self._framing.transfers(frame.to_bytes())
         for attempt in range(1, TRIES + 1):
             self._synchronised = False  # until the whole frame is written
             announced_ns = self._transfer(announcement)
-            # Looked at after the pause, which is where a machine that stalls most likely does.
+            # The clock is read after the pause, which is where a machine most likely stalls.
             if self._wait_for_gap() - announced_ns <= STALE_ANNOUNCEMENT_NS or attempt == TRIES:
                 self._transfer(body)
                 if self._ended_ns - announced_ns < LOST_BODY_NS:
@@ -206,7 +208,7 @@ class Bus:
         raise SpiError(f"a frame's two transfers were too far apart, {TRIES} times; this machine stalls")
 
     def _fault_of_zeros(self) -> SpiError | None:
-        """Write the preamble, begun anew where a zero fails; the first fault, also if it came to its end after it."""
+        """Write the preamble, again from the start when a zero fails; returns the first fault, if any."""
         fault: SpiError | None = None
         for _ in range(TRIES + 1):
             try:
@@ -230,7 +232,7 @@ class Bus:
             self._synchronised, self._synchronised_ns, self.resync_due = True, self._ended_ns, False
 
     def _wait_for_gap(self) -> int:
-        """The time, once the pause after the last transfer is over."""
+        """Wait until the pause after the last transfer is over; returns the time then."""
         now_ns = self._clock()
         if now_ns < self._free_ns:
             self._pause((self._free_ns - now_ns) / 1e9)
@@ -238,7 +240,7 @@ class Bus:
         return now_ns
 
     def _transfer(self, data: bytes) -> int:
-        """When it began."""
+        """Write one transfer; returns when it began."""
         if self._device is None:
             raise SpiError("the SPI device is closed")
         self._zeros = 0

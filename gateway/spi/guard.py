@@ -1,7 +1,7 @@
-"""The guard at the device's edge: nothing but legal frames, their announcements and the preamble reach SPI.
+"""Checks each transfer: only legal frames, their announcements and the preamble reach SPI.
 
-The encoder cannot build anything else, so whatever is rejected here is a bug of the gateway's own. The controller would
-pay for it with its memory (it checks neither ids nor lengths), which is why the check is made once more, on the bytes.
+The encoder cannot build anything else, so a rejection here is a bug of the gateway. The controller checks neither ids
+nor lengths and would corrupt its memory, which is why the bytes are checked a second time.
 """
 
 from contextlib import AbstractContextManager
@@ -22,38 +22,39 @@ _MOVES: Final = frozenset((int(Op.START), int(Op.SET)))
 
 
 class IllegalTransferError(RuntimeError):
-    """The gateway tried to write what is no legal transfer: a bug in it, never a fault of the caller or the wire."""
+    """The gateway tried to write an illegal transfer: a bug in it, never a fault of the caller or the wire."""
 
 
 class GuardedDevice:
-    """An SPI device that rejects, before the device sees a byte, all that `framing` cannot make of a legal frame.
+    """An SPI device that rejects every transfer which `framing` does not make of a legal frame, before any byte leaves.
 
-    PLAIN: frames. Length-prefixed, where the controller may be in one of three states, so far as was written:
+    PLAIN: legal are frames. Length-prefixed: what is legal depends on what the controller awaits, by what was written:
 
-    * It awaits a length: an announcement, or a zero, which is a length that it ignores. Any number of zeros: a frame
-      that cannot wait may come into a preamble, which fills nothing here.
-    * It awaits a body: a frame of just the length announced, or a zero, which begins to fill the body's place.
-    * It awaits the rest of a body that zeros fill: zeros, until all sixteen of the preamble are written. A frame any
-      sooner would be taken for the rest.
+    * A length: legal are an announcement, or a zero, which the controller ignores. Any number of zeros, since a Stop
+      may interrupt a preamble and the rest of it follows.
+    * A body: legal are a frame of exactly the announced length, or a zero, which begins to replace the body.
+    * The rest of a body that zeros replace: legal are zeros only, until all sixteen of the preamble are written. The
+      controller would take a frame for the rest of the body.
 
-    After a failed transfer nobody knows what it saw: it is taken to await a length, so that a Stop can still be tried.
+    After a failed transfer nobody knows what the controller received. The guard then assumes that it awaits a length,
+    so that a Stop can still be tried.
     """
 
     def __init__(self, device: SpiDevice, framing: Framing) -> None:
         self._device = device
         self._announces = framing is Framing.LENGTH_PREFIXED
         self._announced_len: int | None = None
-        self._filled = 0  # zeros in the place of the announced body
+        self._filled = 0  # zeros written instead of the announced body
 
     def transfer(self, data: bytes) -> None:
-        """Pass a legal transfer on. Raises IllegalTransferError (and stays as it was), or the device's SpiError."""
+        """Pass a legal transfer on. Raises IllegalTransferError, with nothing changed, or the device's SpiError."""
         announced_len, filled = self._checked(data)
         self._announced_len, self._filled = None, 0
         self._device.transfer(data)
         self._announced_len, self._filled = announced_len, filled
 
     def lock(self) -> AbstractContextManager[None]:
-        """The device's turn."""
+        """The device's bus lock."""
         return self._device.lock()
 
     def stop_servos_at_work(self) -> bool:
@@ -65,13 +66,13 @@ class GuardedDevice:
         self._device.close()
 
     def _checked(self, data: bytes) -> tuple[int | None, int]:
-        """The body that is awaited after this transfer, and how many zeros fill its place."""
+        """The body's length that the controller awaits after this transfer, and how many zeros replace that body."""
         announced_len = self._announced_len
         if self._announces and data == _ZERO:
             filled = 0 if announced_len is None else self._filled + 1
             return (announced_len, filled) if 0 < filled < _ZEROS_FOR_A_BODY else (None, 0)
         if self._filled:
-            raise IllegalTransferError(f"[{data.hex(' ')}] comes into the zeros that fill a body's place")
+            raise IllegalTransferError(f"[{data.hex(' ')}] interrupts the zeros that replace a body")
         if self._announces and announced_len is None:
             if data not in _ANNOUNCEMENTS:
                 raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
@@ -90,7 +91,7 @@ class GuardedDevice:
 
 
 def _is_frame(data: bytes) -> bool:
-    """Whether these are a legal frame's bytes as written here; `decode` takes four times as long, to say why not."""
+    """Whether these are a legal frame's bytes. Four times faster than `decode`, which says why not."""
     if data[:2] == b"\x0e\x01" and len(data) == 14:
         ids = (data[2], data[6], data[10])
         known = ids in _IDS_OF_LEGS

@@ -13,10 +13,10 @@ from gateway.spi.outside import Listener
 
 PATIENCE_S: Final = 0.25
 PATIENCE_SHARED_S: Final = 1.0
-"""How long a turn is waited for, once: by the gateway, and by one beside it. A frame with its pauses takes 4 ms, on a
-busy machine some tens; who holds its turn for longer hangs, and Stops do not wait for that."""
+"""How long the gateway, and `stop-servos` on a shared device, wait for the bus lock, once. A frame with its pauses
+takes 4 ms, on a busy machine some tens. A program that holds it for longer hangs, and Stops do not wait for that."""
 LOCK_PAUSE_S: Final = 0.000_2
-_QUEUE, _TURN = 0, 1  # bytes of the device on which the locks lie; it has no bytes of its own to be locked
+_QUEUE, _BUS = 0, 1  # offsets at which the locks lie; the device itself has no bytes
 
 
 class KernelDevice:
@@ -26,7 +26,7 @@ class KernelDevice:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
 
         `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.
-        `spare`: descriptors that are kept for this device while it is closed.
+        `spare`: file descriptors that are kept for this device while it is closed.
         """
         try:
             import spidev  # noqa: PLC0415  (a laptop has no spidev, and needs none)
@@ -40,8 +40,8 @@ class KernelDevice:
         self._spare = spare
         self._spi = spidev.SpiDev()
         self._listener: Listener | None = None
-        # Whatever it raises is a fault of the device: spidev has raised SystemError and TypeError where a kernel did
-        # what it had not expected, and the gateway must go on to its Stops.
+        # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
+        # behaved unexpectedly, and the gateway must go on to its Stops.
         try:
             self._open(path)
             if exclusive:
@@ -56,7 +56,7 @@ class KernelDevice:
             raise SpiError(_why_not_opened(path, error)) from error
 
     def _open(self, path: str) -> None:
-        """With descriptors that are given up just before, since visitors may hold all others."""
+        """Open it. Clients may hold all other descriptors, so spare ones are closed just before."""
         while True:
             more = self._spare is not None and self._spare.give_up()
             try:
@@ -78,24 +78,24 @@ class KernelDevice:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other programs that use turns from writing between the transfers of one frame.
+        """The bus lock: no other gateway or `stop-servos` writes between the transfers of one frame.
 
-        A Stop from `stop-servos` between an announcement and its body would be lost, and all that follows misread. The
-        locks are record locks, independent of the one that `exclusive` takes, and end with the process that holds them.
+        A Stop from `stop-servos` between an announcement and its body would be lost, and everything after it misread.
+        The locks are record locks, independent of the one that `exclusive` takes, and end with their process.
         """
-        # Whoever is next holds the queue while it waits, so one that writes without a pause cannot take every turn.
+        # The next in line locks the queue while it waits, so a program that writes without a pause cannot keep the bus.
         queued = self._lock(_QUEUE)
-        held = self._lock(_TURN)
+        held = self._lock(_BUS)
         if queued:
             self._unlock(_QUEUE)
         try:
             yield
         finally:
             if held:
-                self._unlock(_TURN)
+                self._unlock(_BUS)
 
     def _lock(self, place: int) -> bool:
-        """Wait for a lock, but not for long: false, and a frame is written without it."""
+        """Wait for a lock, but not for long. False: not locked in time, and the frame is written all the same."""
         give_up_s = time.monotonic() + self._patience_s
         while True:
             try:
@@ -105,7 +105,7 @@ class KernelDevice:
                     self._patience_s = 0.0
                     return False
                 time.sleep(LOCK_PAUSE_S)
-            except OSError:  # nothing to lock: the device goes, and the transfer will say so
+            except OSError:  # the device is going away, and the transfer will report it
                 return False
             else:
                 self._patience_s = self._most_patience_s
@@ -116,13 +116,13 @@ class KernelDevice:
             fcntl.lockf(self._spi.fileno(), fcntl.LOCK_UN, 1, place)
 
     def stop_servos_at_work(self) -> bool:
-        """Whether `stop-servos` stops the servos through the same device now, as its gateway sees it."""
+        """Whether `stop-servos` stops the servos through the same device now; False if not opened as `exclusive`."""
         return self._listener is not None and self._listener.look()
 
     def close(self) -> None:
         """Release the device."""
         self._listener = None
-        with suppress(Exception):  # nothing is left to be done about it
+        with suppress(Exception):
             self._spi.close()
         if self._spare is not None:
             self._spare.fill()

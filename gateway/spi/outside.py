@@ -1,9 +1,9 @@
-"""How a running gateway learns of `stop-servos` on its device: record locks on two bytes, as for the bus (`kernel`).
+"""How a running gateway learns of `stop-servos` on its device: by record locks on two bytes of it.
 
-`stop-servos` holds one byte from its first Stops on, and stays until no gateway waits to see it. A gateway holds the
-other from the moment it has the device, and lets go of it as long as it sees the first one held. So `stop-servos` has
-been seen when it leaves, and without a gateway it does not wait. Locks need no rights but those on the device, and end
-with their process.
+`stop-servos` locks the byte AT_WORK from its first Stops on. A gateway locks the byte UNSEEN as soon as it has the
+device, and unlocks it while it sees AT_WORK locked. `stop-servos` ends when UNSEEN is unlocked: either a gateway has
+seen it, or none runs. Locks need no rights but those on the device, and end with their process. (The bus lock is the
+same kind of lock on two other bytes, see kernel.py.)
 """
 
 import fcntl
@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Final
 
 PATIENCE_S: Final = 0.5
-"""How long `stop-servos` stays at most; a gateway looks ten times a second, and one that hangs is not waited for."""
+"""How long `stop-servos` waits to be seen. A gateway looks ten times a second; one that hangs is not waited for."""
 _LOOK_PAUSE_S: Final = 0.002
 _AT_WORK, _UNSEEN = 2, 3  # bytes of the device; 0 and 1 are the bus lock's
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
@@ -29,7 +29,7 @@ class Listener:
 
     def look(self) -> bool:
         """Whether `stop-servos` is at work; takes some microseconds. Never raises."""
-        # In this order: who finds nobody waiting after its last Stop was seen at work by the look before.
+        # UNSEEN before AT_WORK: when `stop-servos` finds UNSEEN free after its last Stop, a look has seen it at work.
         self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
         at_work = _held(self._fd, _AT_WORK)
         if at_work:
@@ -38,7 +38,7 @@ class Listener:
 
 
 class Notice:
-    """The side of `stop-servos`. It has a descriptor of its own, since the device is opened anew for each round."""
+    """The side of `stop-servos`, with a descriptor of its own, since each round opens the device again."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -47,7 +47,7 @@ class Notice:
         """Whether a gateway was there to see it."""
 
     def give(self) -> None:
-        """Be seen at work from now on, as soon as there is a device. Never raises: the Stops are what matters."""
+        """Lock AT_WORK, if there is a device. Never raises: the Stops matter more."""
         if self._fd is None:
             with suppress(OSError):
                 self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
@@ -55,14 +55,14 @@ class Notice:
                 self.gateway_runs = _held(self._fd, _UNSEEN)
 
     def end(self) -> bool:
-        """Stay until a running gateway has seen it, and go; false: it has not, in time. Call it after all Stops."""
+        """Wait until a gateway has seen it, then unlock AT_WORK. False: not seen in time. Call it after all Stops."""
         if self._fd is None:
             return True
         give_up_s = time.monotonic() + PATIENCE_S
         seen = self._wait_for(self._fd, give_up_s, unseen=False)
         _lock(self._fd, fcntl.F_UNLCK, _AT_WORK)
         if self.gateway_runs and seen:
-            self._wait_for(self._fd, give_up_s, unseen=True)  # it has seen the end, too, and takes starts again
+            self._wait_for(self._fd, give_up_s, unseen=True)  # the gateway has seen the end and takes starts again
         os.close(self._fd)
         self._fd = None
         return seen
@@ -77,9 +77,9 @@ class Notice:
 
 
 def _lock(fd: int, kind: int, place: int) -> bool:
-    """Take or leave a lock without waiting; false where that cannot be.
+    """Lock or unlock a byte without waiting; returns whether it worked.
 
-    Locks of the open file and not of the process: those end whenever the process closes the device anywhere.
+    The lock belongs to the open file: a lock of the process would end when the process closes the device anywhere.
     """
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
@@ -92,6 +92,6 @@ def _held(fd: int, place: int) -> bool:
     """Whether another program holds a lock there."""
     try:
         answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
-    except OSError:  # nothing to lock: the device goes
+    except OSError:  # the device is going away
         return False
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

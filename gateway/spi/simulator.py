@@ -1,16 +1,15 @@
 """A simulated controller: it reads raw bytes as the published STM32F446 firmware does, and moves 18 simulated servos.
 
-What it takes from that firmware (PROTOCOL.md, "What the published firmware adds"):
+What it takes from that firmware (docs/protocol.md):
 
-* `length-prefixed` is the firmware as it is: one byte is a length, then that many bytes are awaited, and only then
-  looked at. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
-* Chip select plays no part: bytes are one stream, so a lost byte misaligns all that follows, until a pause.
+* `length-prefixed` is the firmware as it is: one byte is a length, then it awaits that many bytes, and only then reads
+  them. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
+* Chip select means nothing: bytes are one stream, so a lost byte misaligns everything after it, until a pause.
 * A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
-* A receive that takes 1000 ms is given up. The firmware counts them as ticks of a millisecond (HAL_GetTick): from the
-  tick in which the length came to the thousandth after it, so 999 to 1000 ms, depending on how far that tick had gone.
-  `tick_phase_ns` says how far one had gone at time 0 of the clock. The published firmware then still looks at what has
-  come of it, with zeros for the rest, so half of a ONE SERVO Start does start its servo; the controller that follows
-  the document drops it.
+* A receive that takes 1000 ms is given up. The firmware counts ticks of a millisecond (HAL_GetTick), from the tick in
+  which the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` says how much of a tick was over
+  at time 0 of the clock. The published firmware then still executes what has arrived, with zeros for the rest, so half
+  of a ONE SERVO Start starts its servo. The controller that follows the document drops it.
 * A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
 """
 
@@ -48,7 +47,7 @@ class ServoState:
 
 
 class SimulatedController:
-    """An SpiDevice with a controller and its servos behind it, and faults to order."""
+    """An SpiDevice with a controller and its servos behind it, and faults that tests can cause."""
 
     def __init__(
         self,
@@ -85,7 +84,7 @@ class SimulatedController:
     # ---- the device
 
     def transfer(self, data: bytes) -> None:
-        """Take the bytes of one transfer. Raises SpiError only where a fault was ordered."""
+        """Take the bytes of one transfer. Raises SpiError only for a fault that was caused on purpose."""
         if self._stall_s > 0:
             stall_s, self._stall_s = self._stall_s, 0.0
             self._sleep(stall_s)
@@ -114,7 +113,7 @@ class SimulatedController:
         return False
 
     def close(self) -> None:
-        """Nothing to release: the controller and its servos outlive the connection to them, and may be opened again."""
+        """Releases nothing: the controller and its servos stay as they are, and may be opened again."""
 
     # ---- what a person at the robot sees
 
@@ -133,11 +132,11 @@ class SimulatedController:
 
     @property
     def missing(self) -> int:
-        """Bytes of a body that it still waits for; 0 where it awaits a length."""
+        """Bytes of a body that it still awaits; 0 if it awaits a length."""
         self._expire_receive(self._clock())
         return self._body_len - len(self._body)
 
-    # ---- faults to order
+    # ---- faults, caused on purpose
 
     def fail_next(self, count: int) -> None:
         """Let the next `count` transfers raise SpiError; the controller sees none of their bytes."""
@@ -160,7 +159,7 @@ class SimulatedController:
         self._stall_s = duration_s
 
     def heal(self) -> None:
-        """End all ordered faults."""
+        """End all faults."""
         self._failing_transfers = 0
         self._failing_until_ns = self._silent_until_ns = self._clock()
         self._bytes_to_lose = 0

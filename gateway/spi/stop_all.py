@@ -11,19 +11,19 @@ from gateway.spi.outside import Notice
 from schemas.robot import LEGS
 
 MORE_ROUNDS: Final = 10
-"""How often legs that got no Stop are tried again, past the repeats: a fault of a few hundred milliseconds, such as a
-device that comes back, is outlasted, and the service manager still does not wait long."""
+"""How often legs that got no Stop are tried again after the repeats. This outlasts a fault of a few hundred
+milliseconds, such as a device that comes back, and systemd still does not wait long."""
 MOST_PAUSE_MS: Final = 20.0
-"""Between those."""
+"""Longest pause between these."""
 
 
 def stop_servos(settings: Settings) -> bool | None:
     """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
 
-    Returns whether a gateway on the same device has noticed; None: none was there.
+    Returns whether a gateway on the same device has noticed; None: no gateway runs there.
 
-    Does not ask for the device's lock: it is run when something went wrong, and a Stop more does no harm. Beside a
-    gateway that runs, its frames come between that one's, never into them.
+    It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. The bus lock
+    keeps its transfers out of the gateway's frames.
     """
 
     def open_device() -> KernelDevice:
@@ -40,7 +40,7 @@ def stop_servos(settings: Settings) -> bool | None:
             pause_ms = settings.watchdog.repeat_interval_ms
             time.sleep((pause_ms if repeat <= settings.watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
         stopped, fault_now = stop_once(bus)
-        notice.give()  # after the first Stops, which leave at once, and before the last
+        notice.give()  # after the first Stops, which must not wait for it
         unstopped -= stopped
         fault = fault_now or fault
     bus.close()
@@ -53,9 +53,9 @@ def stop_servos(settings: Settings) -> bool | None:
 def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:
     """One Stop for each leg: the legs whose Stop was written, and what failed last.
 
-    The device is opened for it, unless it is `opened` already, and after each failure: opening writes the preamble,
-    which synchronises a controller that something else put out of sync. Whatever one leg meets, a mistake of our own
-    too, the others are tried: this is the last attempt to stop the robot.
+    Unless it is `opened` already, the device is opened first, and again after each failure: opening writes the
+    preamble, which synchronises the controller. After any exception at one leg, even from a bug of ours, the
+    other legs are still tried: this is the last attempt to stop the robot.
     """
     stopped: set[int] = set()
     fault: Exception | None = None
