@@ -22,6 +22,7 @@ from gateway.edge.doorkeeper import Doorkeeper
 from gateway.edge.inbox import Inbox
 from gateway.edge.outbox import ZenohOutbox
 from gateway.edge.session import open_session, service_config
+from gateway.edge.strangers import Strangers
 from gateway.errors import GatewayError
 from gateway.host import descriptors, logs, realtime
 from gateway.host.descriptors import Spare
@@ -129,7 +130,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         on_ready()
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
-            asyncio.create_task(_beat(notifier, conductor, inbox, end)),
+            asyncio.create_task(_beat(notifier, conductor, inbox, Strangers(session), end)),
         ]
         for task in tasks:
             task.add_done_callback(end.task_done)
@@ -239,7 +240,7 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
             outbox.publish(STATE, conductor.state())
 
 
-async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, end: _End) -> None:
+async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: _End) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell the manager that the loop turns and hears."""
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
@@ -250,6 +251,9 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, e
         await asyncio.sleep(period_s)
         conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))
         conductor.look_outside()
+        stranger = strangers.look()
+        if stranger is not None:
+            conductor.reject_unread(*stranger)
     end.because("a thread that waits for commands has ended")
 
 

@@ -28,7 +28,6 @@ from gateway.core.events import (
 )
 from gateway.core.intake import Intent, Rejection, decode, stop_all_of, too_large
 from gateway.core.message import Outbox, Received, Reply, Verb
-from gateway.core.rejection_limit import RejectionLimit
 from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
@@ -84,7 +83,6 @@ class Conductor:
         self._started_ns = self._instant_ns = clock()
         self._pending: dict[int, _PendingCommand] = {}
         self._numbers = itertools.count(1)
-        self._rejections = RejectionLimit()
         self._sources = Sources()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer: asyncio.TimerHandle | None = None
@@ -330,11 +328,15 @@ class Conductor:
         order = self._pending.pop(number)
         self._reject(order.key, order.source, order.reply, reason, detail)
 
+    def reject_unread(self, key: str, source: str | None, detail: str) -> None:
+        """Tell of a message on a key that nothing reads."""
+        self._reject(key[:MAX_KEY], source, None, Reason.INVALID, detail)
+
     def _reject(self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str) -> None:
         self.metrics.rejected[reason] += 1
         if reply is not None:
             self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
-        left_out = self._rejections.admit(source, self._clock())
+        left_out = self._sources.rejections.admit(source, self._clock())
         if left_out is not None:
             self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out)
 

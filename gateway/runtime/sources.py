@@ -15,6 +15,7 @@ class Sources:
     """Names the source of what is announced, and says how often legs that change hands are told."""
 
     def __init__(self) -> None:
+        self.rejections = RejectionLimit()
         self._handovers = RejectionLimit()
         self._unread: Received | None = None
         self._estop: str | None = None

@@ -1,5 +1,6 @@
 """README is true: its program runs, its commands exist, its keys are the keys."""
 
+import json
 import queue
 import re
 import subprocess
@@ -55,6 +56,13 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
     told.append(f"{unreachable}→ …")
     for message in told:
         assert f"`{message}`" in README
+
+
+def test_the_first_payload_works_on_a_leg_that_nothing_has_started(tmp_path: Path) -> None:
+    (payload,) = re.findall(r"^\| `hexapod/leg/[^`]+` \| in \| `([^`]+)` \|", README, re.MULTILINE)
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        ack = client.ask("hexapod/leg/3/cmd", json.loads(payload))
+    assert ack.accepted, ack
 
 
 def test_the_keys_are_the_keys() -> None:

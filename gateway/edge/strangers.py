@@ -1,0 +1,82 @@
+"""What is put where nobody reads it: beside the gateway's keys, or below a misspelt `hexapod`.
+
+Whoever misspells a key hears nothing, and nothing moves. So a small ring keeps the newest of what comes below
+`hexapod/`, and ten times a second somebody looks into it. A flood costs no Python: what it overwrites is gone.
+"""
+
+import difflib
+import re
+from typing import Any, Final, NamedTuple
+
+import zenoh
+from zenoh.handlers import RingChannel
+
+from schemas.keys import ALIVE, COMMAND_KEYS, PUBLISHED, ROOT, leg_command, servo_command
+
+DEPTH: Final = 32
+"""Messages between two looks. Six legs at 50 Hz are thirty; to look at so many takes some 20 µs."""
+MISSPELT: Final = ("Hexapod/**", "HEXAPOD/**")
+"""Spelt out, and no wildcard in their first part: that would have a router send what is none of ours."""
+OURS: Final = frozenset({*COMMAND_KEYS, *PUBLISHED, ALIVE})
+MAX_COMPARED: Final = 30
+"""Characters that are compared; the gateway's keys have at most 20."""
+
+
+class Stranger(NamedTuple):
+    """A message on a key that nobody reads."""
+
+    key: str
+    source: str | None
+    detail: str
+
+
+class Strangers:
+    """Looks for messages that no part of the gateway reads. Where access control lets none in, there are none."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._subscribers: list[Any] = [
+            session.declare_subscriber(key, RingChannel(depth), allowed_origin=zenoh.Locality.REMOTE)
+            for key, depth in ((f"{ROOT}/**", DEPTH), *((key, 1) for key in MISSPELT))
+        ]
+
+    def look(self) -> Stranger | None:
+        """The newest stranger since the last look. One at a time: ten a second are told at most."""
+        found = None
+        for subscriber in self._subscribers:
+            for _ in range(DEPTH):
+                sample = subscriber.handler.try_recv()
+                if sample is None:
+                    break
+                if is_strange(str(sample.key_expr)):
+                    found = sample
+        if found is None:
+            return None
+        key = str(found.key_expr)
+        source = str(found.source_info.source_id.zid) if found.source_info is not None else None
+        return Stranger(key, source, f"nothing reads this key; the nearest is {nearest(key)}")
+
+
+def is_strange(key: str) -> bool:
+    """Whether nothing reads this key. What ends in /cmd is rejected by the inbox; a wildcard may name keys of ours."""
+    return key not in OURS and "*" not in key and not (key.startswith(f"{ROOT}/") and key.endswith("/cmd"))
+
+
+def nearest(key: str) -> str:
+    """The command key that `key` was most likely meant to be. Takes some 0.1 ms at most: few are compared."""
+    small = key[:MAX_COMPARED].lower()
+    for guess in (small, f"{small}/cmd", f"{small.rpartition('/')[0]}/cmd"):
+        if guess in COMMAND_KEYS:
+            return guess
+    digits = re.findall(r"[1-9]\d?", small)
+    named = [key for key, command in COMMAND_KEYS.items() if str(command.number) in digits] or _UNNUMBERED
+    middle = small.removeprefix(f"{ROOT}/").removesuffix("/cmd")
+    found = difflib.get_close_matches(middle, [_middle(key) for key in (*named, *_WHOLE)], n=1, cutoff=0)
+    return f"{ROOT}/{found[0]}/cmd"
+
+
+def _middle(key: str) -> str:
+    return key.removeprefix(f"{ROOT}/").removesuffix("/cmd")
+
+
+_WHOLE: Final = tuple(key for key, command in COMMAND_KEYS.items() if not command.number)
+_UNNUMBERED: Final = [leg_command(1), servo_command(11)]

@@ -1,0 +1,59 @@
+"""A message on a key that nothing reads gets an event that names the nearest one."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from gateway.edge.strangers import nearest
+from schemas.keys import COMMAND_KEYS
+from schemas.telemetry import Kind, Reason
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events
+
+START = json.dumps({"servos": [{"op": "start", "angle_deg": 90}] * 3})
+
+
+@pytest.mark.parametrize(("key", "meant"), [
+    ("hexapod/leg/3", "hexapod/leg/3/cmd"),
+    ("hexapod/leg/3/set", "hexapod/leg/3/cmd"),
+    ("Hexapod/leg/3/cmd", "hexapod/leg/3/cmd"),
+    ("HEXAPOD/Legs/cmd", "hexapod/legs/cmd"),
+    ("hexapod/estop", "hexapod/estop/cmd"),
+    ("hexapod/servo/32/start", "hexapod/servo/32/cmd"),
+    ("hexapod/leg3/cmd/x", "hexapod/leg/3/cmd"),
+    ("hexapod/" + "s" * 60_000, "hexapod/legs/cmd"),
+])  # fmt: skip
+def test_the_nearest_key(key: str, meant: str) -> None:
+    assert nearest(key) in COMMAND_KEYS
+    assert nearest(key) == meant
+
+
+@pytest.mark.parametrize("key", ["hexapod/leg/3", "hexapod/leg/3/set", "Hexapod/leg/3/cmd"])
+def test_a_put_beside_the_keys_is_told_with_the_key_that_was_meant(tmp_path: Path, key: str) -> None:
+    with Gateway(tmp_path, {"telemetry": {"state_hz": 100, "frames": True}}) as gateway, gateway.client() as client:
+        heard = events(client)
+        client.state()
+        client.session.put(key, START, encoding="application/json")
+        assert heard.wait(lambda event: event.key == key)
+        (event,) = [event for event in heard.all if event.kind is Kind.COMMAND_REJECTED]
+        assert event.reason is Reason.INVALID
+        assert event.detail == "nothing reads this key; the nearest is hexapod/leg/3/cmd"
+        assert client.state().commands.rejected == 1, "the gateway's own reports are no strangers"
+
+
+def test_a_flood_beside_the_keys_is_told_ten_times_a_second_and_a_command_goes_through(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        heard = events(client)
+        client.state()
+        publisher = client.session.declare_publisher(
+            "hexapod/leg/3/set", congestion_control=zenoh.CongestionControl.DROP
+        )
+        begun = time.monotonic()
+        for _ in range(5000):
+            publisher.put(START)
+        assert heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        assert client.state().commands.rejected <= 2 + 10 * (time.monotonic() - begun)
