@@ -246,7 +246,7 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
         notifier.alive()
-        conductor.lock()
+        conductor.turned()
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))

@@ -73,11 +73,6 @@ class Leg:
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
 
     @property
-    def waits(self) -> bool:
-        first, second, third = self.servos
-        return first.waiting is not None or second.waiting is not None or third.waiting is not None
-
-    @property
     def waits_to_start(self) -> bool:
         """Whether its next frame would energise a servo."""
         first, second, third = self.servos
@@ -168,20 +163,27 @@ class Legs:
     def __iter__(self) -> Iterator[Leg]:
         return iter(self.by_number.values())
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether no servo of any leg runs."""
+        return not [servo for servo in self.servos.values() if servo.angle_cdeg is not None]
+
     # ---- time
 
     def due_ns(self) -> int | None:
         """When a deadline, a repeat or a rate slot comes next."""
         due: list[int] = []
         repeats: list[int] = []
-        for leg in self:
+        for leg in self.by_number.values():
             deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
             if deadline_ns is not None:
                 due.append(deadline_ns)
+            waits = False
             for servo in leg.servos:
                 if servo.repeats_left:
                     repeats.append(servo.repeat_ns)
-            if leg.waits:
+                waits = waits or servo.waiting is not None
+            if waits:
                 slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
                 if slot_ns is not None:
                     due.append(slot_ns)

@@ -183,7 +183,7 @@ class Supervisor:
             return Mode.BUS_FAULT if self._opened else Mode.STARTING
         if self._latched_ns is not None:
             return Mode.ESTOPPED
-        return Mode.IDLE if all(leg.at_rest for leg in self.legs) else Mode.ACTIVE
+        return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
     def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
         """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""

@@ -140,7 +140,7 @@ class Conductor:
 
     def tick(self) -> None:
         """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
-        now_ns = self.lock()
+        now_ns = self.turned()
         instant_ns = self._instant_ns = self._instant_ns if self.instant_open() else now_ns
         for received in self.take():
             self._receive(received, instant_ns)
@@ -148,7 +148,7 @@ class Conductor:
         self._do_what_is_due(instant_ns)
         self._arm()
 
-    def lock(self) -> int:
+    def turned(self) -> int:
         """The loop turns; to be called ten times a second at least. What time it is."""
         now_ns = self._clock()
         if self._staleness is not None:

@@ -156,7 +156,7 @@ class Scene:
 
     def _beat(self) -> None:
         """The service's."""
-        self.conductor.lock()
+        self.conductor.turned()
         self.loop.call_later(BEAT_S, self._beat)
 
     def publish(self, key: str, report: BaseModel) -> None:

@@ -87,13 +87,13 @@ LEGS = Subject(
             "the watchdog tells again and again of a leg that does nothing",
         ),
         Mutant(
-            "return first.waiting is not None or second.waiting is not None or third.waiting is not None",
-            "return first.waiting is not None or second.waiting is not None",
+            "waits = waits or servo.waiting is not None",
+            "waits = waits or (servo.waiting is not None and servo is not leg.servos[2])",
             "nobody wakes up for what is pending for joint 3",
         ),
         Mutant(
-            "return first.waiting is not None or second.waiting is not None or third.waiting is not None",
-            "return second.waiting is not None or third.waiting is not None",
+            "waits = waits or servo.waiting is not None",
+            "waits = servo.waiting is not None",
             "nobody wakes up for what is pending for joint 1",
         ),
         Mutant(
@@ -105,6 +105,11 @@ LEGS = Subject(
             "else ServoOp(Op.SET, servo.angle_cdeg)",
             "else ServoOp(Op.START, servo.angle_cdeg)",
             "a servo is started that nobody starts",
+        ),
+        Mutant(
+            "return not [servo for servo in self.servos.values() if servo.angle_cdeg is not None]",
+            "return not [servo for servo in self.servos.values() if servo.angle_cdeg]",
+            "the state says idle while a servo runs at 0 degrees",
         ),
         Mutant("if len(servos) == len(leg.servos):", "if servos:", "a Stop for one servo stops its whole leg"),
         Mutant("if len(servos) == len(leg.servos):", "if False:", "a leg's three Stops take three times as long"),

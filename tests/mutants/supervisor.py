@@ -60,11 +60,7 @@ SUPERVISOR = Subject(
             "        return Mode.IDLE",
             "the emergency stop does not latch",
         ),
-        Mutant(
-            "if all(leg.at_rest for leg in self.legs) else",
-            "if any(leg.at_rest for leg in self.legs) else",
-            "the state says idle while legs run",
-        ),
+        Mutant("if self.legs.at_rest else", "if not self.legs.at_rest else", "the state says idle while legs run"),
         Mutant("now_ns >= self.due_ns\n", "now_ns > self.due_ns\n", "woken when due, nothing happens"),
         Mutant(
             "effects = self._expire(now_ns) if due else []",

@@ -55,7 +55,7 @@ class Robot:
 
     def _beat(self) -> None:
         """The service's."""
-        self.conductor.lock()
+        self.conductor.turned()
         self.loop.call_later(BEAT_S, self._beat)
 
     def sleep_through(self, seconds: float) -> None:
