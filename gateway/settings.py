@@ -1,6 +1,6 @@
-"""The service's settings: frozen, checked, units in their names, and one line per fault that names the place.
+"""The service's settings: frozen, checked, with units in their names; each fault is one line that names the place.
 
-A TOML file gives them, environment variables override it (`HEXAPOD_SPI__DEVICE`), the defaults are the contract's.
+A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVICE`). docs/interface.md lists them.
 """
 
 import json
@@ -43,16 +43,16 @@ class ZenohSettings(Section):
 
 
 class SpiSettings(Section):
-    """The device; 2.5 MHz is what v1.0.0 was measured to keep a clean clock at, 20 MHz the controller's most."""
+    """The device. The clock was measured to be clean at 2.5 MHz; the controller takes at most 20 MHz."""
 
     device: str = "/dev/spidev0.0"
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
-    # The default counts for --sim alone: `load` demands that a real device's is said.
+    # The default is for --sim only: `load` demands the framing of a real device.
     framing: Framing = Framing.PLAIN
-    # The published firmware was seen to need 6, and 20 at twice the estimated cost of its loop. At most a millisecond:
-    # the pause holds the loop, six legs at a time.
+    # The published firmware needed 6 (measured), and 20 if its loop costs twice the estimate. At most a millisecond:
+    # the loop waits for the pause, six times for six legs.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 50.0
-    # At most ten seconds: a controller that is out of sync hears no Set, and no first Stop, until then.
+    # At most ten seconds: until then a controller that is out of sync hears no Set and no first Stop.
     resync_ms: Annotated[float, Finite, Field(ge=0, le=10_000)] = 1000.0
 
     @field_validator("device")
@@ -80,7 +80,7 @@ class ServoLimits(Section):
 
 
 class LimitSettings(Section):
-    """What a publisher can ask of a leg; the controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
+    """What a publisher may ask of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
 
     leg_rate_hz: Annotated[float, Finite, Field(ge=1, le=1000)] = 50.0
     max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 500.0
@@ -108,7 +108,7 @@ class WatchdogSettings(Section):
 
 
 class TelemetrySettings(Section):
-    """What goes out besides acknowledgements."""
+    """What the gateway publishes."""
 
     state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
     frames: bool = False
@@ -148,7 +148,7 @@ Fault = tuple[Place, str]
 
 @dataclass(slots=True)
 class _Environment:
-    """What the environment sets: the values as in a file, the variable that set each, and what is wrong with others."""
+    """What the environment sets: values as in a file, the variable of each, and the faults of all other variables."""
 
     values: dict[str, Any]
     variables: dict[Place, str]
@@ -156,15 +156,15 @@ class _Environment:
 
 
 class FramingNotSetError(ConfigError):
-    """Nobody has said which framing the controller needs, besides whatever else may be wrong."""
+    """spi.framing is not set; its text also names all other faults."""
 
 
 def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     """Settings from `path` (else the default file, if there is one) and the environment.
 
     Raises ConfigError with one line per fault; each names the file's entry or the environment variable. Unless the
-    controller is `simulated`, spi.framing must be among them: two plain frames overrun the published firmware's
-    buffer, and no Stop reaches its servos until somebody resets it.
+    controller is `simulated`, spi.framing must be set: two plain frames overrun the published firmware's buffer, and
+    no Stop reaches its servos until somebody resets it.
     """
     from_file: dict[str, Any] = {}
     lines: list[str] = []
@@ -218,8 +218,8 @@ def _read(path: Path | None) -> dict[str, Any]:
 
 def _faults_of_file(values: dict[str, Any]) -> list[Fault]:
     """A file says what type a value has, so nothing is converted: "50" is no number there."""
-    # As JSON, since TOML has arrays and strings where the settings have tuples and enumerations; and once more as it
-    # is, for JSON in its turn has strings where TOML has dates.
+    # Checked as JSON, because strict Python types reject TOML's arrays and strings for tuples and enumerations. Checked
+    # again as it is, because JSON turns TOML's dates into strings.
     faults = _faults_in(lambda: Settings.model_validate_json(json.dumps(values, default=str), strict=True))
     places = {place for place, _ in faults}
     return faults + [(place, sentence) for place, sentence in _faults(values) if place not in places]
@@ -229,7 +229,7 @@ def _faults_of_file(values: dict[str, Any]) -> list[Fault]:
 
 
 def _environment() -> _Environment:
-    """Variables whose name begins as ours do. One that sets nothing is a fault: it was meant to set something."""
+    """Variables that begin with ENV_PREFIX. One that names no setting is a fault: it was meant to set something."""
     found = _Environment({}, {}, [])
     for variable, text in sorted(os.environ.items()):
         if not variable.upper().startswith(ENV_PREFIX):
@@ -274,7 +274,7 @@ _DEFAULTS: Final = Settings()
 
 
 def _variables_at(place: Place, environment: _Environment) -> list[str]:
-    """The variables that set what stands at `place`, or a part of it, or what it is a part of."""
+    """The variables that set the value at `place`, a part of it, or a table that holds it."""
     return [
         variable
         for set_place, variable in environment.variables.items()
@@ -286,7 +286,7 @@ def _variables_at(place: Place, environment: _Environment) -> list[str]:
 
 
 def _faults(values: dict[str, Any]) -> list[Fault]:
-    """Faults where text is converted: all that the environment has is text."""
+    """Faults, with text converted to other types: the environment has only text."""
     return _faults_in(lambda: Settings.model_validate(values))
 
 
@@ -307,7 +307,7 @@ def _sentence(fault: ErrorDetails) -> str:
 
 
 def _dotted(place: Place) -> str:
-    """`spi.speed_hz`, `zenoh.listen[0]`, and names that are no bare keys in quotes, as TOML has them."""
+    """`spi.speed_hz`, `zenoh.listen[0]`; names that are no bare keys of TOML in quotes."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in place)
     return text.removeprefix(".")
 
@@ -317,7 +317,7 @@ def _name(name: str) -> str:
 
 
 def _echo(value: object) -> str:
-    """The value on one line, and not more of it than helps."""
+    """The value on one line, cut to `_MAX_ECHO` characters."""
     text = json.dumps(value, default=str, ensure_ascii=False)
     text = text if text.isprintable() else json.dumps(value, default=str)
     return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

@@ -1,8 +1,8 @@
-"""The access control of the Zenoh files: one table of what people and a robot may say to each other.
+"""The access control of the Zenoh files: one table of the messages that people and a robot may exchange.
 
-Keys are exact where others may declare: each declaration that is let in is kept and compared with all others, so an
-observer who may declare `hexapod/*` may declare 20 000 keys, and Stops wait meanwhile. Where a message only
-passes, or the gateway itself declares, a wildcard costs nothing, and the contract wants it: a put on
+Where others declare, keys are exact: Zenoh keeps each declaration that it accepts and compares it with all others. An
+observer who may declare `hexapod/*` could declare 20 000 keys, and Stops would wait meanwhile. For messages, and for
+what the gateway itself declares, a wildcard costs nothing, and docs/interface.md promises it: a put on
 `hexapod/leg/*/cmd` means every leg.
 
 Zenoh compares a rule's keys with those on the wire, which begin with the robot's namespace.
@@ -26,8 +26,8 @@ class Traffic(NamedTuple):
     keys: tuple[str, ...]
     operators_only: bool = False
     robots_keys: tuple[str, ...] = ()
-    """At a router's end of the link to the robot, if not the same: of a robot that was taken over, too, a router takes
-    exact declarations only."""
+    """The keys at a router's end of the link to the robot, if they differ: a router takes only exact declarations, even
+    from a robot that was taken over."""
 
 
 TRAFFIC: Final = (

@@ -23,9 +23,9 @@ from gateway.errors import ConfigError
 GATEWAY = "gateway"
 CA = "ca"
 
-# A robot without a network and a battery-backed clock wakes up at the time of its last shutdown, or of its image: a
-# certificate made today would be "not valid yet" to it. Nothing is gained by a late start in a private CA, so all
-# certificates start a year early.
+# A robot without a network and a battery-backed clock starts with the time of its last shutdown, or of its image. A
+# certificate made today would not be valid yet for it. A private CA gains nothing by a late start, so all certificates
+# start a year early.
 BACKDATE = dt.timedelta(days=365)
 
 _ORGANIZATION = "hexapod-gateway"
@@ -50,7 +50,7 @@ class KeyPair:
 
 
 def make_ca(now: dt.datetime) -> KeyPair:
-    """A CA that signs leaves only; its name carries a random part, so that two CAs are never confused."""
+    """A CA that signs leaf certificates only; its name has a random part, so that two CAs are never confused."""
     key = ec.generate_private_key(ec.SECP256R1())
     serial = x509.random_serial_number()
     subject = _name(f"{_ORGANIZATION} CA {serial:040x}"[:28], CA)
@@ -87,7 +87,7 @@ def make_laptop(ca: KeyPair, name: str, role: str, days: int, now: dt.datetime) 
 
 
 def renew(ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime) -> x509.Certificate:
-    """`old` with a new life: same holder, same key, same names, a new serial number and expiry."""
+    """`old` renewed: same holder, same key, same names, a new serial number and expiry."""
     kept = [
         item.value
         for item in old.extensions
@@ -100,7 +100,9 @@ def parse_host(text: str) -> str:
     """`text` as a host name in lower case or a plain IP address; raises ConfigError for anything else."""
     host = text.strip().strip("[]").lower()
     address = _address(host)
-    if address is not None and not address.is_unspecified and "%" not in host:  # a zone is this machine's own matter
+    if (
+        address is not None and not address.is_unspecified and "%" not in host
+    ):  # a zone has a meaning on this machine only
         return str(address)
     labels = host.removesuffix(".").split(".")
     # A last label of digits only is a mistyped address (192.0.2.999), never a host name.

@@ -1,6 +1,6 @@
-"""A folder of certificates, made on one machine: `init` once, `issue` for each laptop, `expiries` to see who has what.
+"""A folder of certificates on one machine: `init` once, `issue` for each laptop, `expiries` lists them.
 
-Everything is made in memory first and then written as one deed (publish.py), so nothing is left half made.
+Everything is made in memory, then written together (publish.py), so nothing is left half made.
 """
 
 import datetime as dt
@@ -24,7 +24,7 @@ from gateway.certs.publish import SECRET, Content, publish, replace
 from gateway.certs.reading import read_certificate, read_key
 from gateway.errors import ConfigError
 
-# Letters, digits, - and _: a file name on every system, and no way out of the folder.
+# Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _RESERVED = ("ca", "gateway", "router")
 _ROBOT = "robot."  # in front of a robot's name in the common name of its certificate
@@ -34,7 +34,7 @@ ROUTER_FILE = "router.json5"
 
 @dataclass(frozen=True)
 class Certificate:
-    """One certificate of a folder, as people ask for it. `role` is ca, gateway, operator or observer.
+    """One certificate of a folder. `role` is ca, gateway, operator or observer.
 
     In a fleet: robot.NAME, operator.NAME or observer.NAME, NAME being the robot's.
     """
@@ -84,7 +84,7 @@ def init(
     ca = authority.make_ca(now)
     gateway = authority.make_gateway(ca, names, days, now)
     files = {
-        directory / "ca.key": Content(ca.key_pem(), SECRET),  # first: the one that decides a race of two inits
+        directory / "ca.key": Content(ca.key_pem(), SECRET),  # first: it decides which of two simultaneous inits fails
         directory / "ca.pem": Content(ca.certificate_pem()),
         directory / "gateway.key": Content(gateway.key_pem(), SECRET),
         directory / "gateway.pem": Content(gateway.certificate_pem()),
@@ -242,7 +242,7 @@ def _load_ca(directory: Path, now: dt.datetime) -> KeyPair:
 
 
 def _port_and_namespace(config: Path) -> tuple[int, str]:
-    """Both as gateway.json5 says, read back from it: whoever changes them there gets laptops that follow."""
+    """Both from gateway.json5, so that a laptop's file follows changes that were made there by hand."""
     try:
         read = zenoh.Config.from_file(str(config))
     except zenoh.ZError as error:
@@ -262,7 +262,7 @@ def _robots(directory: Path) -> list[str]:
 
 
 def _check_free(directory: Path, name: str) -> None:
-    mine = () if name != "router" else (directory / ROUTER_FILE,)  # made anew for each robot that is added
+    mine = () if name != "router" else (directory / ROUTER_FILE,)  # rewritten for each robot that is added
     files = (path for path in _laptop_files(directory, name) if path not in mine)
     taken = next((path for path in files if os.path.lexists(path)), None)
     if taken is not None:

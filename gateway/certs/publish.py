@@ -1,4 +1,4 @@
-"""Writes several files as one deed: all of them appear, whole, or none does; what is already there is never touched."""
+"""Writes several files together: all of them appear, complete, or none. Never changes a file that exists."""
 
 import contextlib
 import os
@@ -15,22 +15,22 @@ PUBLIC = 0o644
 
 @dataclass(frozen=True)
 class Content:
-    """What a file shall hold and who may read it."""
+    """A file's content and mode."""
 
     data: bytes
     mode: int = PUBLIC
 
 
 def publish(files: Mapping[Path, Content]) -> None:
-    """Writes `files` in their order; ConfigError if one exists or cannot be written, and then none is left.
+    """Writes `files` in their order. Raises ConfigError if one exists or cannot be written, and then leaves none.
 
-    Each is first written beside its place under a passing name, then linked into place: a hard link, unlike a rename,
-    fails when the name is taken, so two runs at once cannot overwrite one another's keys.
+    Each file is first written under a temporary name in the same folder, then hard-linked to its own. Unlike a rename,
+    a hard link fails when the name exists, so two runs at once cannot overwrite each other's keys.
     """
     token = secrets.token_hex(4)
     staged = {path: path.with_name(f".{path.name}.{token}") for path in files}
-    undo = contextlib.ExitStack()  # what to take back on failure
-    with undo, contextlib.ExitStack() as passing:  # passing names go first: a directory is removed empty
+    undo = contextlib.ExitStack()  # undoes everything on failure
+    with undo, contextlib.ExitStack() as passing:  # temporary names go first: only an empty directory can be removed
         for path, content in files.items():
             with _explained(path):
                 _make_directory(path.parent, undo)
@@ -47,7 +47,7 @@ def publish(files: Mapping[Path, Content]) -> None:
 
 
 def replace(path: Path, content: Content) -> None:
-    """Puts new content in the place of the file at `path`, in one step. For certificates only: keys stay."""
+    """Replaces the content of the file at `path` in one step: certificates and router.json5, never keys."""
     staged = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     with _explained(path), contextlib.ExitStack() as passing:
         passing.callback(_discard, staged)
@@ -79,7 +79,7 @@ def _make_directory(directory: Path, undo: contextlib.ExitStack) -> None:
 
 
 def _discard(path: Path) -> None:
-    # Taking back must not hide what went wrong before it.
+    # A failure here must not hide the one that led here.
     with contextlib.suppress(OSError):
         path.unlink()
 
@@ -90,7 +90,7 @@ def _remove_if_empty(directory: Path) -> None:
 
 
 def _sync(directory: Path) -> None:
-    """Puts the new names on the disk, not only in memory: robots and laptops lose power."""
+    """Writes the directory to disk at once: robots and laptops lose power."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

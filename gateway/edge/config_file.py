@@ -1,7 +1,7 @@
-"""Reads a Zenoh configuration file; the one place where paths inside it are made absolute.
+"""Reads a Zenoh configuration file and makes the paths in it absolute.
 
-Zenoh itself takes them from the folder the program was started in, which is `/` for a service and anything for a
-laptop. Here they are meant from the file's own folder, so the folder can be unzipped, copied and mounted anywhere.
+Zenoh itself resolves them from the folder in which the program was started: `/` for a service, any folder on a laptop.
+Here they are relative to the file's own folder, so that folder can be unzipped, copied and mounted anywhere.
 """
 
 import datetime as dt
@@ -48,7 +48,7 @@ def load_config(path: Path) -> zenoh.Config:
 
 
 def load_client_config(path: Path) -> zenoh.Config:
-    """What `--zenoh-config` names on a laptop; ConfigError as in `load_config`, and for the gateway's own."""
+    """A laptop's configuration (`--zenoh-config`). Raises as `load_config`, and for the gateway's own file."""
     config = load_config(path)
     if config.get_json(f"{_TLS}/listen_private_key") != "null":
         raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
@@ -74,7 +74,7 @@ def _check(setting: str, file: Path, config: Path) -> None:
         certificates = certs.read_certificates(file)
     except ConfigError as error:
         raise ConfigError(f"{config}: {error}") from error
-    # Of a chain the first is one's own; of several CAs, any may be the one in use.
+    # In a chain the first certificate is the owner's; of several CAs, any may be the one in use.
     ends = [certificate.not_valid_after_utc for certificate in certificates]
     end = max(ends) if setting == _CA else ends[0]
     if end <= dt.datetime.now(dt.UTC):

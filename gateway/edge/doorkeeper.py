@@ -1,8 +1,8 @@
-"""Keeps places free for operators: of the sessions that Zenoh allows, visitors without that role get not all.
+"""Keeps sessions free for operators: clients without that role (visitors) get only a share of those that Zenoh allows.
 
-Zenoh counts sessions, but knows no limit for some of them, and cannot close one from here. So the newest beyond the
-visitors' share lose their connection: their socket is shut down, Zenoh sees its end within a millisecond and forgets
-the session. Who was there before stays. Without client certificates nobody can be told apart, and nothing is done.
+Zenoh limits all sessions together, not those of a role, and its API cannot close one. So the newest visitors beyond
+their share lose their connection: their socket is shut down, and Zenoh drops the session within a millisecond. Older
+sessions stay. Without client certificates nobody can be told apart, and nothing is done.
 """
 
 import ipaddress
@@ -24,20 +24,20 @@ from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 
 VISITORS: Final = MAX_SESSIONS - OPERATORS_PLACES
 SAY_AGAIN_S: Final = 10.0
-"""Visitors come back by themselves, several times a second."""
+"""Shortest time between two warnings: clients that were turned away try again several times a second."""
 
 logger = logging.getLogger(__name__)
 
 
 class Doorkeeper:
-    """Looks whenever a link comes or goes, on a thread of its own."""
+    """Counts the visitors whenever a link opens or closes, on a thread of its own."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._since: dict[str, int] = {}
         self._visits = 0
         self._said_s = float("-inf")
-        # One event is as good as many: what counts is read anew each time.
+        # One event in the ring is enough: each look reads all links.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
         self.thread = threading.Thread(target=self._run, name="doorkeeper", daemon=True)
         self.thread.start()
@@ -63,12 +63,12 @@ class Doorkeeper:
         surplus = sorted(visitors, key=lambda link: self._since[str(link.zid)])[VISITORS:]
         if not surplus:
             return
-        with suppress(OSError):  # not even a descriptor to look
+        with suppress(OSError):  # no descriptor left to look
             shut_down({address for link in surplus if (address := _address(str(link.dst))) is not None})
         if time.monotonic() - self._said_s > SAY_AGAIN_S:
             self._said_s = time.monotonic()
             logger.warning(
-                "%d visitors who are no operators are connected; those beyond %d are turned away, so that an operator "
+                "%d clients that are no operators are connected; those beyond %d are turned away, so that an operator "
                 "finds a place",
                 len(visitors),
                 VISITORS,
@@ -87,8 +87,8 @@ def is_operator(identity: str) -> bool:
 def shut_down(addresses: Collection[Any]) -> None:
     """Shut down this process's connections to these addresses, as Zenoh's own descriptors hold them."""
     for number in map(int, os.listdir("/proc/self/fd")):
-        # It may be closed meanwhile, and the number another's; a duplicate means the same connection until it is closed
-        # here. Without a descriptor left for it, nothing is done, and nobody else comes in either.
+        # Zenoh may close the descriptor meanwhile, and its number be used again; a duplicate keeps the connection.
+        # With no descriptor left for a duplicate, nothing is done; then no new client can connect either.
         with suppress(OSError), _duplicate(number) as connection:
             if _peer(connection) in addresses:
                 connection.shutdown(socket.SHUT_RDWR)

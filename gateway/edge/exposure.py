@@ -1,7 +1,7 @@
-"""Who could reach the gateway: it does not start where a stranger on the network could move the robot.
+"""Rejects configurations with which a stranger on the network could move the robot; the gateway then does not start.
 
 A listen endpoint that is not loopback needs TLS with client certificates, or user and password, or the deliberate
-`zenoh.allow_insecure = true`. What is not understood here counts as exposed.
+`zenoh.allow_insecure = true`. An endpoint that is not understood here counts as exposed.
 """
 
 import ipaddress
@@ -26,7 +26,7 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     """Reject, or with `allow_insecure` warn of, endpoints on which anyone may command. Raises ConfigError."""
     listen = listen_endpoints(config)
     if not listen and not _endpoints(config, "connect"):
-        raise ConfigError("zenoh.listen and zenoh.connect are both empty, so that nobody could reach the gateway")
+        raise ConfigError("zenoh.listen and zenoh.connect are both empty, so nobody could reach the gateway")
     _check_namespace(config)
     open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]
     if open_to_anyone and not allow_insecure:
@@ -39,21 +39,21 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     for endpoint in _endpoints(config, "connect"):
         if not is_local(endpoint) and not _knows_whom_it_dials(endpoint, config):
             logger.warning(
-                "%s is dialled without TLS, or without a look at the name in its certificate: anyone on that way, and "
-                "behind it, can move the robot",
+                "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it, "
+                "and behind it, can move the robot",
                 endpoint,
             )
     if _dials_whom_it_finds(config):
         logger.warning(
-            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials whoever it finds, on whatever "
-            "it listens itself, and they can move the robot"
+            "the Zenoh file turns scouting on, and not only for TLS: the gateway connects to every program that it "
+            "finds on the network, and each of them can move the robot"
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
 
 
 def _check_namespace(config: zenoh.Config) -> None:
-    """Rules without the robot's namespace let nobody in, not even to its emergency stop. Raises ConfigError."""
+    """Access control without the robot's namespace blocks everybody, even the emergency stop. Raises ConfigError."""
     namespace, rules = get(config, "namespace"), get(config, "access_control/rules")
     if not namespace or not rules or get(config, "access_control/enabled") is not True:
         return
@@ -66,7 +66,7 @@ def _check_namespace(config: zenoh.Config) -> None:
 
 
 def listen_endpoints(config: zenoh.Config) -> list[str]:
-    """Where this configuration listens, in the mode that it has."""
+    """The listen endpoints of this configuration, in its mode."""
     return _endpoints(config, "listen")
 
 
@@ -95,7 +95,7 @@ def _host(address: str) -> str:
 
 
 def _ip(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """None for a name: it may mean any address, and tomorrow another one."""
+    """None for a name: its address may change."""
     try:
         ip = ipaddress.ip_address(_host(address))
     except ValueError:
@@ -104,7 +104,7 @@ def _ip(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _may_be_multicast(endpoint: str) -> bool:
-    """A group has no sessions in which Zenoh could ask for a password: it takes what anyone sends there."""
+    """A multicast group has no sessions, so Zenoh asks for no password and takes what anyone sends there."""
     link, _, rest = endpoint.partition("/")
     ip = _ip(rest)
     return link == "udp" and (ip is None or ip.is_multicast)
@@ -142,12 +142,12 @@ def _dials_whom_it_finds(config: zenoh.Config) -> bool:
 
 def _way_on(config: zenoh.Config) -> str:
     if _demands_certificate("tls/", config):
-        return "there are certificates, so write tls/ before the address, and nothing of TLS behind it"
+        return "there are certificates, so write tls/ before the address, and no TLS settings after it"
     return "make certificates with `hexapod-gateway certs init` and set zenoh.config"
 
 
 def _demands_password(config: zenoh.Config) -> bool:
-    # An empty dictionary switches authentication off, so that it must hold at least one user.
+    # Zenoh switches authentication off if the dictionary is empty, so it must hold at least one user.
     file = get(config, "transport/auth/usrpwd/dictionary_file")
     if not isinstance(file, str):
         return False

@@ -1,12 +1,12 @@
 """Reaches a gateway by whichever of its hosts answers first.
 
-Zenoh tries a client's endpoints one after the other. With `connect/timeout_ms` it spends all of that on the first one;
-without, up to `open_timeout` on each that drops packets, or whose name no resolver answers. A Stop must not wait for
-that, so each host has a thread of its own here, and they begin one shortly after the other (RFC 8305, "happy
-eyeballs").
+Zenoh tries a client's endpoints one after the other. With `connect/timeout_ms` it spends that whole time on the first
+one. Without it, it spends up to `open_timeout` on each host that drops packets, or whose name is not resolved. A Stop
+must not wait for that, so each host is tried on a thread of its own, which begins shortly after the one before
+(RFC 8305, "happy eyeballs").
 
-The session that opened first has all the endpoints, its own before the others: when its link breaks, Zenoh tries them
-in turn, and everything that was declared in the session lives on.
+The session that opens first is kept. It has all the endpoints, its own first: when its link breaks, Zenoh tries them in
+turn, and everything that was declared in the session stays declared.
 """
 
 import json
@@ -24,13 +24,13 @@ from gateway.edge.session import CANNOT_CONNECT, why_not_opened
 from gateway.errors import UnreachedError, ZenohError
 
 NEXT_HOST_S: Final = 0.2
-"""When the next host begins, unless the one before has failed by then.
+"""After this time the next host is tried, or as soon as the one before fails.
 
-A LAN answers in some 10 ms, so that as a rule one host is asked alone; and a Stop through the third is still within
-half a second.
+A LAN answers in some 10 ms, so usually only one host is tried; and a Stop through the third still takes less than half
+a second.
 """
 OPEN_TIMEOUT_MS: Final = 1000
-"""What one of several hosts may take, where the Zenoh file leaves it at Zenoh's 10 s: names and handshake included."""
+"""How long one of several hosts may take, name and handshake included, if the Zenoh file keeps Zenoh's 10 s."""
 _OPEN_TIMEOUT: Final = "transport/unicast/open_timeout"
 _ZENOHS_OPEN_TIMEOUT_MS: Final = 10_000
 _PAUSE_S: Final = 0.1
@@ -41,7 +41,7 @@ class Hosts:
     """The endpoints of a client's configuration."""
 
     def __init__(self, config: zenoh.Config, timeout_s: float) -> None:
-        """Take over `config`. `timeout_s` is what the caller waits for a session at most."""
+        """Keeps `config` and changes it. `timeout_s`: how long the caller waits for a session at most."""
         found: Any = get(config, "connect/endpoints")
         if isinstance(found, dict):  # one list for each of Zenoh's modes
             found = found.get("client")
@@ -70,7 +70,7 @@ class Hosts:
         return session
 
     def config_for(self, first: int) -> zenoh.Config:
-        """The configuration of a session that begins with that endpoint."""
+        """The configuration of a session that tries endpoint number `first` first."""
         if first == 0:
             return self.config
         config = zenoh.Config.from_json5(str(self.config))
@@ -79,9 +79,9 @@ class Hosts:
 
 
 class Search:
-    """Tries all the hosts, again and again, until one has answered, nobody waits any longer, or the time is over.
+    """Tries all hosts repeatedly until one has answered, `close` is called, or the time is over.
 
-    Calls `found` on a thread of its own: with the session, or with None when there is nothing left to try.
+    Calls `found` on a thread of its own: with the session, or with None when no host is left to try.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Search:
         next_host_s: float = NEXT_HOST_S,
     ) -> None:
         self.error = CANNOT_CONNECT
-        """Why it could not be opened; what no second attempt would change goes before."""
+        """Why no session could be opened; a permanent error takes precedence."""
         self._hosts = hosts
         self._end_s = end_s
         self._found = found
@@ -111,7 +111,7 @@ class Search:
             session, self._session = self._session, None
             self._end()
         if session is not None:
-            # A gateway that is frozen holds this for seconds.
+            # With a frozen gateway this takes seconds.
             _Thread(target=_close, args=(session,), name="close").start()
 
     def _end(self) -> None:
@@ -155,14 +155,14 @@ class Search:
 
 
 class _Thread(threading.Thread):
-    """No daemon: Python aborts when one of those comes back from Zenoh while the interpreter ends.
+    """Not a daemon: Python aborts if a daemon returns from Zenoh while the interpreter ends.
 
-    So a program's end waits for it: while it tries a host, up to `open_timeout` for each of them.
+    So a program's end waits for a host that is being tried, for up to `open_timeout`.
     """
 
 
 def under_way() -> bool:
-    """Whether some host is still being tried, though nobody waits for it any longer."""
+    """Whether a host is still being tried, although nobody waits for it any longer."""
     return any(isinstance(thread, _Thread) for thread in threading.enumerate())
 
 

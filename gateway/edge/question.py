@@ -1,7 +1,7 @@
-"""One question to the gateway: asked, asked again, asked by another way, until an answer comes that can be its own.
+"""One Zenoh query to the gateway, repeated and sent by other sessions until an answer comes that can be its own.
 
 Without access control anybody may answer on the gateway's keys: a recorder that answers everything with `{}`, or a
-program that wants to be believed. What cannot be an answer is passed over, and all who answer are noted.
+program that pretends to be the gateway. What cannot be an answer is ignored, and everybody who answers is noted.
 """
 
 import time
@@ -21,14 +21,14 @@ JSON: Final = "application/json"
 AGAIN_S: Final = 0.05
 """A client that lost the gateway tries to reach it again after 0.1 s (`gateway.edge.session`)."""
 ATTEMPT_S: Final = 1.0
-"""After so long without an answer a Stop is asked for once more: a link that is dead without a word answers nobody.
+"""After so long without an answer a Stop is requested again: the link may be dead without a sign.
 
 The answer to an earlier attempt counts as well: on a slow bus six Stops take longer than this.
 """
 OTHER_WAY_S: Final = 0.2
 """After so long without an answer a Stop is sent by another session as well.
 
-An answer takes milliseconds; that a link is dead takes Zenoh its lease to notice, and then it tries the hosts in turn.
+An answer takes milliseconds. Zenoh notices a dead link only after its lease, and then tries the hosts in turn.
 """
 
 
@@ -36,18 +36,18 @@ An answer takes milliseconds; that a link is dead takes Zenoh its lease to notic
 class _Query(Generic[A]):
     session: zenoh.Session
     answer: A | None = None
-    """One that came from elsewhere than the program that the session is linked with."""
+    """An answer that did not come from the program at the other end of the session's link."""
 
 
 class Question(Generic[A]):
-    """Ask it once."""
+    """One question; `ask` may be called once."""
 
     def __init__(
         self, key: str, payload: str | None, read: Callable[[bytes], A], priority: zenoh.Priority | None = None
     ) -> None:
-        """`read` makes an answer of bytes, or raises ValidationError."""
+        """`read` turns bytes into an answer, or raises ValidationError."""
         self.answerers: set[str] = set()
-        """Zenoh ids of the programs that have answered, with whatever."""
+        """Zenoh ids of all programs that have replied, valid or not."""
         self._key = key
         self._payload = payload
         self._read = read
@@ -58,7 +58,7 @@ class Question(Generic[A]):
         self._under_way = 0
 
     def ask(self, session: zenoh.Session, end_s: float, *, again: bool, other_ways: Hosts | None) -> A | None:
-        """The answer, or None: the time is over, or nobody is left to answer (and it may not be asked `again`)."""
+        """The answer. None: the time is over, or everybody has declined and `again` is false."""
         self._send(session, end_s)
         ask_again_s = time.monotonic() + ATTEMPT_S if again else end_s
         other_way_s = time.monotonic() + OTHER_WAY_S if other_ways else end_s
@@ -79,7 +79,7 @@ class Question(Generic[A]):
                     self._send(heard, end_s)
                 elif heard is not None and (answer := self._take(*heard)) is not None:
                     return answer
-                if not self._under_way:  # Zenoh ends a query at once where there is no link, or where one is lost
+                if not self._under_way:  # Zenoh ends a query at once if there is no link, or if it is lost
                     if not again:
                         break
                     ask_again_s = min(ask_again_s, now_s + AGAIN_S)
@@ -90,7 +90,7 @@ class Question(Generic[A]):
                 search.close()
 
     def wait_for_others(self, wait_s: float) -> None:
-        """After `ask`: note who else answers, until all who can have done so, at most so long."""
+        """After `ask`: note who else answers, until everybody has answered or declined, for at most `wait_s`."""
         end_s = time.monotonic() + wait_s
         while self._under_way:
             try:
@@ -111,19 +111,19 @@ class Question(Generic[A]):
 
         session.get(
             self._key,
-            # Not `indirect`, a thread for each question that nearly doubled its time: a put never waits.
+            # Not `indirect`: that starts a thread for each question, and took nearly twice the time. A put never waits.
             zenoh.handlers.Callback(hear, hear, indirect=False),
-            target=zenoh.QueryTarget.ALL,  # whoever claims to be complete would be asked alone
+            target=zenoh.QueryTarget.ALL,  # by default only a queryable that claims to be complete is asked
             payload=self._payload,
             encoding=None if self._payload is None else JSON,
             timeout=max(0.001, end_s - time.monotonic()),
             priority=self._priority,
-            consolidation=zenoh.ConsolidationMode.NONE,  # else an answer waits here until its query has ended
+            consolidation=zenoh.ConsolidationMode.NONE,  # otherwise Zenoh holds answers back until the query has ended
         )
         self._under_way += 1
 
     def _take(self, query: _Query[A], reply: zenoh.Reply | None) -> A | None:
-        """Take a reply, or None for the query's end; the answer, once there is one that counts."""
+        """Process a reply, or None for the query's end; returns the answer once one counts."""
         if reply is None:
             self._under_way -= 1
             return query.answer

@@ -99,14 +99,14 @@ def why_not_opened(text: str, endpoints: object) -> str:
 
 
 def _scouting_off(config: zenoh.Config) -> None:
-    """Nobody finds the gateway, or is found by it, by accident: off, unless the file turned it on."""
+    """Switch scouting off, unless the file turned it on: nobody finds the gateway by accident, and it finds nobody."""
     for key in _SCOUTING:
         if get(config, key) is not True:
             config.insert_json5(key, "false")
 
 
 def _file_sets(path: str, section: str) -> bool:
-    """Whether the file names endpoints itself; Zenoh's own defaults differ from the empty list."""
+    """Whether the file sets endpoints (Zenoh's default is not an empty list)."""
     return bool(get(load_config(Path(path)), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))
 
 

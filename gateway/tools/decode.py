@@ -1,4 +1,4 @@
-"""`decode`: what the bytes on the wire say."""
+"""`decode`: explains a frame's bytes, or says what is wrong with them."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -8,10 +8,10 @@ from gateway.protocol.frames import decode as decode_frame
 from gateway.tools.terminal import say
 
 _FRAME_HEADERS = frozenset(frame.to_bytes()[:2] for frame in (stop_leg(1), OneServo(11, STOP)))
-"""FRAME LEN and FRAME TYPE of the two frames that there are."""
+"""FRAME LEN and FRAME TYPE of the two kinds of frames."""
 
 _MAX_ECHO = 40
-"""Characters of what was typed that are repeated."""
+"""How many of the typed characters a message repeats."""
 
 
 def decode(hex_bytes: Sequence[str]) -> int:
@@ -48,7 +48,7 @@ def _short(word: str) -> str:
 
 
 def _frames(data: bytes) -> Iterator[bytes]:
-    """Cut legal frames off the front while there are any; what is left is one piece, to be explained as it is."""
+    """Split off whole frames from the front; the rest is one piece, explained as it is."""
     while data[:2] in _FRAME_HEADERS and len(data) > data[0]:
         yield data[: data[0]]
         data = data[data[0] :]

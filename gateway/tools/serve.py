@@ -1,4 +1,4 @@
-"""`run` and `stop-servos`: the two commands that touch SPI."""
+"""`run`: the service, and what it prints once it is ready."""
 
 import sys
 

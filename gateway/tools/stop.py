@@ -1,4 +1,4 @@
-"""`stop-servos`: the last resort, which must work when nothing else does, and at once."""
+"""`stop-servos`: the last resort. It must work at once, and when nothing else does."""
 
 from gateway.settings import Settings
 from gateway.spi.stop_all import stop_servos as stop
@@ -13,5 +13,5 @@ def stop_servos(settings: Settings) -> None:
         say(_NOTICED if noticed else _NOT_NOTICED)
 
 
-_NOTICED = "The running gateway takes all servos as stopped; they move again when somebody starts them."
-_NOT_NOTICED = "The gateway that holds the device has not noticed: it hangs, or its state may say that servos run."
+_NOTICED = "The running gateway counts all servos as stopped; they move again when somebody starts them."
+_NOT_NOTICED = "The gateway that holds the device has not noticed: it may hang, and its state may say that servos run."

@@ -1,4 +1,4 @@
-"""What a command says: results on stdout, remarks on stderr."""
+"""What a command prints: results on stdout, remarks on stderr."""
 
 import sys
 
@@ -10,6 +10,6 @@ def say(text: str) -> None:
 
 
 def hint(text: str) -> None:
-    """A line for the person, on stderr, out of the way of pipes."""
+    """A line for the person, on stderr, so that pipes carry results only."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()

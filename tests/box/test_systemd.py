@@ -212,7 +212,7 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
             )
             robot.box.write("/box-out/stop.toml", 'spi.framing = "plain"\n')
             said = robot.box.run(*command).stdout
-            assert "The running gateway takes all servos as stopped" in said
+            assert "The running gateway counts all servos as stopped" in said
             journal.wait_for_output("stop-servos stopped all servos past the gateway")
         assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
 

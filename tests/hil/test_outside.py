@@ -15,7 +15,7 @@ from tests.support.heard import events
 
 pytestmark = pytest.mark.hil
 
-NOTICED = "The running gateway takes all servos as stopped"
+NOTICED = "The running gateway counts all servos as stopped"
 
 
 @pytest.fixture

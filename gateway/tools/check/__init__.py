@@ -1,6 +1,6 @@
 """`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to fix it.
 
-It looks, and changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
+It changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
 """
 
 import datetime as dt
@@ -78,7 +78,7 @@ def _unreadable(error: ConfigError) -> Iterator[Result]:
 
 def _configuration(config: Path | None) -> Result:
     path = config or settings_file.DEFAULT_PATH
-    return ok("configuration", str(path) if path.exists() else f"the defaults, for there is no {path}")
+    return ok("configuration", str(path) if path.exists() else f"the defaults, since there is no {path}")
 
 
 def _of_settings(settings: Settings) -> Iterator[Result]:

@@ -1,4 +1,4 @@
-"""The SPI device: node, permissions, who holds it, speed, framing. Nothing is written to the robot."""
+"""The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
 
 import grp
 import importlib.util
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import SpiError
+from gateway.protocol.frames import stop_leg
 from gateway.protocol.framing import Framing
 from gateway.settings import SpiSettings
 from gateway.spi.kernel import KernelDevice
@@ -16,10 +17,10 @@ from gateway.tools.check.result import Result, failure, ok, warning
 from schemas.robot import LEGS
 
 MEASURED_HZ: Final = 2_500_000
-"""Up to here v1.0.0 was measured to keep a clean clock."""
-STOP_BITS: Final = 8 * 14
+"""Up to this speed the clock was measured to be clean."""
+STOP_BITS: Final = 8 * len(stop_leg(1).to_bytes())
 SLOW_STOPS_MS: Final = 20.0
-"""The shortest watchdog timeout that can be set: six Stops should not take longer to write."""
+"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
 SERVICE_USER: Final = "hexapod-gateway"
 
 _NAME: Final = "SPI device"
@@ -27,7 +28,7 @@ _HELD: Final = "is held by a running gateway"
 
 
 def device(spi: SpiSettings) -> Result:
-    """Whether the device can be opened and set up as the service does it; it is let go of at once."""
+    """Whether the device can be opened and set up as the service does it. Closes it at once."""
     path = Path(spi.device)
     lack = _driver() or _node(path) or _permission(path)
     if lack is not None:
@@ -42,7 +43,7 @@ def device(spi: SpiSettings) -> Result:
 
 
 def held(result: Result) -> bool:
-    """Whether `device` found that a gateway has it."""
+    """Whether `device` found that a gateway holds the device."""
     return _HELD in result.sentence
 
 
@@ -84,7 +85,7 @@ def _permission(path: Path) -> Result | None:
 
 
 def speed(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
-    """The clock, against what was measured, what the device tree allows, and what a Stop may take."""
+    """The clock, compared with what was measured, what the device tree allows, and how long a Stop may take."""
     name = "SPI speed"
     wanted = _megahertz(spi.speed_hz)
     most_hz = _most_hz(sys_class / Path(spi.device).name / "device" / "of_node" / "spi-max-frequency")
@@ -149,7 +150,7 @@ def _group(gid: int) -> str:
 
 
 def _other_user() -> str:
-    """Root may open everything; the service is not root."""
+    """A remark for root, who may open everything: the service is not root."""
     try:
         pwd.getpwnam(SERVICE_USER)
     except KeyError:

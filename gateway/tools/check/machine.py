@@ -17,11 +17,11 @@ from gateway.tools.check.result import Result, failure, ok, warning
 
 UNIT: Final = "hexapod-gateway"
 _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
-_TIMEX_BYTES: Final = 512  # more than struct timex has anywhere; zeros ask and set nothing
+_TIMEX_BYTES: Final = 512  # larger than struct timex on any system; all zeros, it only asks
 
 
 def python() -> Result:
-    """The interpreter and what it speaks to robots with; pip sees to it that they are recent enough."""
+    """The interpreter and its Zenoh; pip has checked that their versions will do."""
     version = ".".join(map(str, sys.version_info[:3]))
     try:
         zenoh = importlib.metadata.version("eclipse-zenoh")
@@ -40,7 +40,7 @@ def clock() -> Result:
 
 
 def clock_result(adjtimex: int) -> Result:
-    """Of what adjtimex(2) returned. No decision of the gateway depends on the clock, but certificates do."""
+    """The result for what adjtimex(2) returned. The gateway does not depend on the clock, but certificates do."""
     fix = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
     if adjtimex == _UNSYNCHRONISED:
         return warning("clock", "is not synchronised", fix)
@@ -50,7 +50,7 @@ def clock_result(adjtimex: int) -> Result:
 
 
 def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "systemctl") -> Result:
-    """The service's unit, as systemd knows it."""
+    """Whether systemd knows the service's unit, starts it at boot and runs it."""
     if not booted.is_dir() or shutil.which(systemctl) is None:
         return warning(
             "systemd unit",
@@ -66,7 +66,7 @@ def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "system
 
 
 def unit_result(properties: Mapping[str, str]) -> Result:
-    """Of what `systemctl show` says."""
+    """The result for what `systemctl show` printed."""
     name = "systemd unit"
     load, active = properties.get("LoadState", ""), properties.get("ActiveState", "")
     enabled = properties.get("UnitFileState", "")
@@ -94,7 +94,7 @@ def realtime(priority: int = LOOP_PRIORITY) -> Result:
         return warning(name, "this system has no SCHED_FIFO", "run the gateway on Linux")
     faults: list[OSError] = []
 
-    def ask() -> None:  # on a thread that ends with it, so that nothing has to be put back
+    def ask() -> None:  # on a thread of its own, so that this one keeps its priority
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         except OSError as error:

@@ -35,28 +35,28 @@ _ENDPOINT: Final = re.compile(r"(?P<link>[a-z0-9-]+)/(?P<host>\[[^\]]+\]|[^:#?\[
 
 
 def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, list[Result]]:
-    """The configuration that the service would open, and what it would say about it."""
+    """The configuration that the service would open, and the warnings that it would log about it."""
     with _warnings_of("gateway") as warnings:
         try:
             config = service_config(settings)
         except ConfigError as error:
             return None, [failure("Zenoh", line, "fix it there") for line in str(error).splitlines()]
-    told = [warning("Zenoh", line, "see Security in the README") for line in warnings]
+    told = [warning("Zenoh", line, "docs/security.md says what each link needs") for line in warnings]
     return config, told or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
 
 
 def ports(endpoints: Sequence[str], *, gateway_runs: bool) -> list[Result]:
-    """Each endpoint that the service would listen on. `gateway_runs`: one is known to, so what is taken is its."""
+    """Each endpoint that the service would listen on. `gateway_runs`: then a port in use is the gateway's."""
     if not endpoints:
         return [ok("port", "none: the gateway listens nowhere, and dials others")]
     return [port(endpoint, gateway_runs=gateway_runs) for endpoint in endpoints]
 
 
 def port(endpoint: str, *, gateway_runs: bool = False) -> Result:
-    """Whether `endpoint` can be listened on; a gateway that has it already is fine."""
+    """Whether the service could listen on `endpoint`; a gateway that listens there already is fine."""
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None or found["link"] not in _LINKS:
-        return ok("port", f"{endpoint} was not tried: it is no port")
+        return ok("port", f"{endpoint} was not tried: it names no port that could be")
     error = _listen(found["host"], int(found["port"]), _LINKS[found["link"]])
     taken = error is not None and error.errno == errno.EADDRINUSE
     if taken and (answer := _gateway_at(found) or ("the gateway that runs here, it seems" if gateway_runs else "")):
@@ -65,7 +65,7 @@ def port(endpoint: str, *, gateway_runs: bool = False) -> Result:
 
 
 def metrics_port(address: str, *, gateway_runs: bool) -> Result:
-    """Where the metrics would be."""
+    """Whether the metrics page could listen on `address`."""
     host, _, number = address.rpartition(":")
     error = _listen(host, int(number), socket.SOCK_STREAM)
     if error is not None and error.errno == errno.EADDRINUSE and gateway_runs:
@@ -74,7 +74,7 @@ def metrics_port(address: str, *, gateway_runs: bool) -> Result:
 
 
 def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
-    """Why nobody could listen there now; None where somebody could. Of a name's addresses, none may be taken."""
+    """Why nothing could listen there now; None: it could. For a name, none of its addresses may be in use."""
     if number > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
         return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
     try:
@@ -89,7 +89,7 @@ def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
 def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -> OSError | None:
     try:
         with socket.socket(family, kind) as probe:
-            if kind is socket.SOCK_STREAM:  # as the listener does: a connection that ended lately is no obstacle
+            if kind is socket.SOCK_STREAM:  # as the listener does: a recently closed connection is no obstacle
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
             if kind is socket.SOCK_STREAM:
@@ -114,7 +114,7 @@ def _verdict(where: str, setting: str, error: OSError | None) -> Result:
 def _gateway_at(found: re.Match[str]) -> str:
     """The gateway that answers on a TCP endpoint of this machine, in words; "" where none does."""
     if found["link"] != "tcp":
-        return ""  # it would want a certificate
+        return ""  # TLS would demand a certificate
     host = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}.get(found["host"], found["host"])  # noqa: S104 (dialled, not opened)
     try:
         with Client(f"tcp/{host}:{found['port']}", timeout_s=_ANSWER_S) as client:
@@ -132,7 +132,7 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
     try:
         found = [certs.describe(path) for path in certificate_files(Path(settings.config))]
     except ConfigError as error:
-        return [failure(name, str(error), "until then nobody gets in, and the service does not start")]
+        return [failure(name, str(error), "until then nobody can connect, and the service does not start")]
     if not found:
         return [ok(name, f"{settings.config} names none")]
     return [_expiry(certificate, now) for certificate in found]
@@ -160,7 +160,7 @@ def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
 
 @contextmanager
 def _warnings_of(logger_name: str) -> Iterator[list[str]]:
-    """What is logged as a warning meanwhile; it goes nowhere else."""
+    """Collects the warnings logged meanwhile, which go nowhere else."""
     told: list[str] = []
 
     class Keep(logging.Handler):

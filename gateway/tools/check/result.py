@@ -14,7 +14,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One line: what was looked at, how it stands, and what fixes it ("" where nothing needs mending)."""
+    """One line: what was checked, the verdict, and what fixes it ("" if nothing needs fixing)."""
 
     name: str
     verdict: Verdict
@@ -23,15 +23,15 @@ class Result:
 
 
 def ok(name: str, sentence: str) -> Result:
-    """All is well."""
+    """Nothing to fix."""
     return Result(name, Verdict.OK, sentence)
 
 
 def warning(name: str, sentence: str, fix: str) -> Result:
-    """It runs, but somebody should know."""
+    """The service runs, but somebody should know this."""
     return Result(name, Verdict.WARNING, sentence, fix)
 
 
 def failure(name: str, sentence: str, fix: str) -> Result:
-    """It does not run like this."""
+    """The service does not run like this."""
     return Result(name, Verdict.FAILURE, sentence, fix)

@@ -1,7 +1,7 @@
 """`hexapod-gateway watch`: the robot live in a terminal, with an emergency stop under the space bar.
 
-Three kinds of threads, so that none holds up another: this one reads keys and never waits for anything else; one draws
-(a terminal that is stuck, or a slow line, holds up the drawing alone); the link's speak Zenoh.
+Three kinds of threads, so that none delays another. The calling thread reads keys and waits for nothing else. One
+thread draws; a stuck terminal or a slow line delays only that. The link's threads speak Zenoh.
 """
 
 import importlib.util
@@ -20,7 +20,7 @@ from gateway.tools.terminal import hint
 
 
 def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> NoReturn:
-    """Show the gateway until somebody presses q, and end the process; one that is not there is waited for.
+    """Show the gateway until somebody presses q, then end the process. Waits for a gateway that is not there yet.
 
     Raises ConfigError before it begins.
     """
@@ -32,7 +32,7 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
         raise ConfigError("watch needs a terminal; a program reads hexapod/state and hexapod/event instead")
     if connect is None and zenoh_config is None:
         connect = DEFAULT_ENDPOINT
-    config = client_config(connect, zenoh_config)  # a faulty file is said now, and not on the screen
+    config = client_config(connect, zenoh_config)  # a faulty file is reported before the screen is taken
     endpoints = json.loads(config.get_json("connect/endpoints"))
     client = partial(Client, connect, zenoh_config=zenoh_config, source="hexapod-gateway watch", timeout_s=timeout_s)
     view = Watch(client, ", ".join(map(str, endpoints)), partial(why.unreached, connect, zenoh_config))

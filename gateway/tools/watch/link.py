@@ -28,16 +28,16 @@ LOOK_EVERY_S: Final = 3.0
 OTHERS_S: Final = 0.2
 """How long others that answer besides the gateway are listened for."""
 STOPS_AT_ONCE: Final = 4
-"""A key that is held down repeats itself some 30 times a second; four requests on their way are plenty."""
+"""Requests under way at most; a key that is held down repeats some 30 times a second."""
 CLOSE_S: Final = 0.5
-"""Closing waits for a frozen gateway for ten seconds; nobody who has pressed q should."""
+"""How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
 
 _MANY: Final = 256
 _ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
 
 
 class Link:
-    """Opens, and keeps trying to; Zenoh itself comes back after a broken link, by any of the hosts.
+    """Opens a session, trying until it succeeds; after a broken link Zenoh itself reconnects to any of the hosts.
 
     `changed` wakes whoever draws.
     """
@@ -69,7 +69,7 @@ class Link:
         self._thread.start()
 
     def close(self) -> None:
-        """Let go, or give up after `CLOSE_S`."""
+        """Close the session, or give up after `CLOSE_S`."""
         self._ended.set()
         closer = threading.Thread(target=self._close, name="close", daemon=True)
         closer.start()
@@ -78,7 +78,7 @@ class Link:
     # ---- keys
 
     def stop(self) -> None:
-        """Ask for the emergency stop, at once and without waiting; until it is confirmed, again and again."""
+        """Request the emergency stop, at once and without waiting, and again until it is confirmed."""
         noted = threading.Event()
         self._try_stop(noted)  # first: not even the model's lock stands between the key and the wire
         with self._lock:

@@ -24,7 +24,7 @@ from gateway.tools.watch.view import picture
 FRAME_S: Final = 0.1
 """Ages count up between two states, so it draws ten times a second."""
 LEAST_FRAME_S: Final = 0.03
-"""However much happens, the robot's computer has other things to do than to draw."""
+"""Shortest time between two pictures, however much happens: drawing must not load the robot's computer."""
 DRAWER_END_S: Final = 0.5
 
 STOP_KEYS: Final = frozenset(b" eE")
@@ -41,7 +41,7 @@ class Watch:
         self._news = threading.Event()
         self._ended = threading.Event()
         self.fault: Exception | None = None
-        """Why drawing failed: the view has ended then. A picture that stands still must not pass for the robot's."""
+        """Why drawing failed. The view then ends, since an old picture must not pass for the present state."""
         self._wake = -1
         self._link = Link(connect, self._model, self._lock, self._news.set, why)
         self._console = Console()
