@@ -1,9 +1,9 @@
-# Part of install.sh: which framing the controller needs. Nobody can guess it, and the published STM32 firmware that has
-# once heard the wrong one hears nothing more until it is reset, no Stop either. So it is said before anything is changed.
+# Part of install.sh: which framing the controller needs. The installer cannot find out. Once the published STM32 firmware
+# has heard the wrong framing, it hears nothing until it is reset, not even a Stop. So the installer asks first.
 
 WHICH="length-prefixed for the published STM32 firmware, plain for a controller that follows the protocol's document"
 
-# Sets `framing`, and `said_framing` to a file that is the configuration with it, unless the one that is there has it.
+# Sets `framing`. If the configuration lacks it, sets `said_framing` to a copy of the configuration that has it.
 check_framing() {
 	local file=$ETC/gateway.toml found=''
 	if [ -d $ETC ] && [ ! -x $ETC ]; then # a dry run by somebody else than root
@@ -46,7 +46,7 @@ framing_in() {
 with open(sys.argv[1], "rb") as file: print(tomllib.load(file).get("spi", {}).get("framing", ""))' "$1" 2>/dev/null
 }
 
-# A configuration from stdin to stdout, with the framing: where its comment stands, else below [spi], else at the end.
+# Copies a configuration from stdin to stdout and adds the framing: in place of its comment, below [spi], or at the end.
 with_framing() {
 	awk -v said="framing = \"$framing\"" '
 		{ lines[NR] = $0 }
@@ -69,7 +69,7 @@ before.setdefault("spi", {})["framing"] = sys.argv[3]
 sys.exit(before != after)' "$1" "$2" "$framing" 2>/dev/null
 }
 
-# The running service keeps what it started with, for the Stops after its end; without a framing there would be none.
+# A running service's kept configuration also gets the framing: without it, `stop-servos` after its end sends no Stop.
 add_to_kept() {
 	local kept=/run/$NAME/gateway.toml with
 	[ -e $kept ] && [ -z "$(framing_in $kept)" ] || return 0

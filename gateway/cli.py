@@ -10,14 +10,14 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from gateway import __version__
+from gateway import __version__, protocol
 from gateway.errors import GatewayError
 from gateway.tools import certs
 
 app = typer.Typer(
     name="hexapod-gateway",
-    help="Zenoh to SPI gateway for a six-legged robot: commands in, HexapodProtocol v1.0.0 frames out, "
-    "silence means Stop.",
+    help="Moves a six-legged robot: takes commands over Zenoh, writes HexapodProtocol frames to SPI, and stops the "
+    "robot when commands stop coming.",
     epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
     "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.",
     no_args_is_help=True,
@@ -42,16 +42,20 @@ ConnectOption = Annotated[
 ]
 ZenohConfigOption = Annotated[
     Path | None,
-    typer.Option("--zenoh-config", metavar="PATH", help="Zenoh configuration (JSON5), for certificates."),
+    typer.Option(
+        "--zenoh-config",
+        metavar="PATH",
+        help="A Zenoh configuration (JSON5) with certificates, such as the NAME.json5 that `certs issue` makes.",
+    ),
 ]
 TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after so many seconds.")
+    float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
 ]
 
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"hexapod-gateway {__version__} (HexapodProtocol 1.0.0)")
+        typer.echo(f"hexapod-gateway {__version__} (HexapodProtocol {protocol.VERSION})")
         raise typer.Exit
 
 
@@ -71,7 +75,9 @@ def run(
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
-    Stops all six legs, then takes commands. Exit codes: 0 stopped on request, 2 configuration, 3 SPI device, 4 Zenoh.
+    It stops all six legs first, then takes commands.
+
+    Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
     from gateway import settings
     from gateway.tools import serve
@@ -83,7 +89,9 @@ def run(
 def stop_servos(config: ConfigOption = None) -> None:
     """Stop all six legs straight over SPI, without Zenoh and without a running gateway.
 
-    For when the service has died, or nobody knows; the service unit runs it after every end. Exit codes: 0, 2, 3.
+    Use it when the service has died, or may have. systemd runs it after every end of the service.
+
+    Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
     """
     from gateway import settings
     from gateway.tools import stop
@@ -123,8 +131,10 @@ def check(
     """Say whether this machine can run the service, line by line, and how to fix what it lacks.
 
     With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there.
-    Looks only: nothing reaches the robot, and a running gateway is not disturbed. Exit codes: 0 it can, 1 it cannot,
-    2 spi.framing is not set.
+
+    It changes nothing: no byte reaches the servos, and a running gateway is not disturbed.
+
+    Exit codes: 0 it can, 1 it cannot, 2 spi.framing is not set.
     """
     from gateway.tools.check import check, check_laptop
 
@@ -137,8 +147,9 @@ def check(
 def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Show the robot live in the terminal: legs, servos, rates, rejections, events; SPACE is the emergency stop.
 
-    A gateway that is not there is waited for; q ends it. Exit codes: 0; 1 the terminal cannot show it; 2 there is no
-    terminal, or the --zenoh-config is faulty.
+    It waits for a gateway that is not there yet. Press q to end it.
+
+    Exit codes: 0 ended by q; 1 the terminal cannot show it; 2 there is no terminal, or the --zenoh-config is faulty.
     """
     from gateway.tools.watch import watch
 
@@ -151,7 +162,9 @@ def decode(
 ) -> None:
     """Explain a frame, or say exactly what is wrong with it.
 
-    Several frames may stand in one argument list; each begins with its length. Exit codes: 0 legal, 1 not.
+    Several frames may follow one another; each begins with its length.
+
+    Exit codes: 0 all are legal, 1 not.
     """
     from gateway.tools import decode
 
@@ -162,24 +175,26 @@ app.add_typer(certs.app, name="certs")
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
-    "A leg that is started once is stopped again by the watchdog (after 250 ms, by default); --hold repeats the "
-    "command every 50 ms. Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
+    "The watchdog stops a leg that hears no further command (after watchdog.timeout_ms); --hold repeats the command "
+    "every 50 ms.\n\n"
+    "Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,
 )
 app.add_typer(send_app, name="send")
 
 HoldOption = Annotated[
-    float, typer.Option("--hold", metavar="S", min=0, help="Repeat every 50 ms for so many seconds.")
+    float, typer.Option("--hold", metavar="S", min=0, help="Repeat the command every 50 ms for this many seconds.")
 ]
 OpArgument = Annotated[str, typer.Argument(metavar="OP", help="start, set or stop")]
 
 
 @send_app.command("leg")
 def send_leg(
-    leg: Annotated[int, typer.Argument(metavar="N", min=1, max=6, help="1 to 6")],
+    leg: Annotated[int, typer.Argument(metavar="N", min=1, max=6, help="The leg, 1 to 6")],
     op: OpArgument,
     angles: Annotated[
-        list[float] | None, typer.Argument(metavar="[A B C]", help="Degrees, 0 to 180, joints 1, 2, 3")
+        list[float] | None,
+        typer.Argument(metavar="[A B C]", help="Degrees, 0 to 180, for joints 1, 2 and 3; none for stop"),
     ] = None,
     hold: HoldOption = 0,
     connect: ConnectOption = None,
@@ -195,9 +210,9 @@ def send_leg(
 
 @send_app.command("servo")
 def send_servo(
-    servo_id: Annotated[int, typer.Argument(metavar="ID", help="The leg and the joint: 11 to 63")],
+    servo_id: Annotated[int, typer.Argument(metavar="ID", help="Leg, then joint: 32 is joint 2 of leg 3")],
     op: OpArgument,
-    angle: Annotated[float | None, typer.Argument(metavar="[A]", help="Degrees, 0 to 180")] = None,
+    angle: Annotated[float | None, typer.Argument(metavar="[A]", help="Degrees, 0 to 180; none for stop")] = None,
     hold: HoldOption = 0,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -214,7 +229,7 @@ def send_servo(
 def send_stop(
     connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
 ) -> None:
-    """Stop all six legs. They can be started again at once; `estop` also forbids that."""
+    """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
     from gateway.tools import send
 
     sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
@@ -224,7 +239,7 @@ def main() -> None:
     """The console script."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
-            # Closed, so that the next file would have its number; the SPI device must never be anyone's stderr.
+            # It is closed, so the next file would get its number; the SPI device must never become stderr.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+"))
     try:
         app(prog_name="hexapod-gateway")  # also as `python -m gateway`
@@ -241,7 +256,7 @@ def main() -> None:
 
 
 def _end(code: int) -> NoReturn:
-    """End with this exit code, without waiting for what still tries to reach another host."""
+    """End with this exit code, without waiting for threads that still try to reach another host."""
     hosts = sys.modules.get("gateway.edge.hosts")
     if hosts is not None and hosts.under_way():
         sys.stdout.flush()

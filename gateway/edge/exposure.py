@@ -45,8 +45,8 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
             )
     if _dials_whom_it_finds(config):
         logger.warning(
-            "the Zenoh file turns scouting on, and not only for TLS: the gateway connects to every program that it "
-            "finds on the network, and each of them can move the robot"
+            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials whoever it finds on the "
+            "network, and they can move the robot"
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")

@@ -13,7 +13,8 @@ WARN_DAYS = 30
 app = typer.Typer(
     no_args_is_help=True,
     help="Certificates: who may reach the robot over the network, and as what.\n\n"
-    "`init` makes a private CA and the robot's files, once; `issue` makes a laptop's, and the robot stays as it is. "
+    "`init` makes a private certificate authority (CA) and the robot's files, once. `issue` makes a laptop's files and "
+    "changes nothing on the robot. "
     "An operator commands and watches, an observer only watches, anyone else gets nothing.\n\n"
     "Keep the folder on a machine you trust, not on the robot: whoever has its ca.key can let anyone in.\n\n"
     "Exit codes: 0 done, 2 an argument or the folder is wrong, and nothing was changed.",
@@ -41,8 +42,8 @@ def init(
         list[str],
         typer.Option(
             metavar="HOST",
-            help="A name or address by which laptops dial the robot; repeat it for each. Laptops reject a robot "
-            "that they reach by any other. Example: --host robot.local --host 192.0.2.7",
+            help="A name or address by which laptops reach the robot; repeat it for each. Laptops reject the robot "
+            "under any other. Example: --host robot.local --host 192.0.2.7",
             show_default=False,
         ),
     ],
@@ -58,9 +59,9 @@ def init(
     ] = "",
     days: Days = certs.LEAF_DAYS,
 ) -> None:
-    """Make a private CA, the robot's certificate, and the Zenoh configuration that lets in only its own.
+    """Make a private CA, the robot's certificate, and a Zenoh configuration that admits only certificates of this CA.
 
-    Rejects a folder that has a CA already; never overwrites a file; leaves nothing half made.
+    It never overwrites a file: a folder that has a CA already is an error, and then nothing is changed.
     """
     certs.init(directory, host, days=days, port=port, namespace=namespace)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")
@@ -114,7 +115,7 @@ def issue(
 ) -> None:
     """Make a laptop's certificate and NAME.json5, ready for --zenoh-config. Nothing changes on the robot.
 
-    A certificate cannot be taken back: give short lives (--days) to laptops that travel.
+    A certificate cannot be revoked: choose few --days for laptops that travel.
     """
     certs.issue(directory, name, role, robot=robot, bundle=bundle, days=days)
     typer.echo(
@@ -122,7 +123,7 @@ def issue(
     )
     if bundle is not None:
         typer.echo(
-            f"All that the laptop needs is in {bundle}; its key too, so hand it over in private and delete it then."
+            f"All that the laptop needs is in {bundle}, its key included: hand it over in private, then delete it."
         )
     typer.echo(f"Try it: hexapod-gateway watch --zenoh-config {directory / name}.json5")
 
@@ -141,7 +142,7 @@ def robot(
     directory: Directory,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
-    """Add robots to a fleet behind one Zenoh router, whose hosts were given to `init`; makes router.json5 anew."""
+    """Add robots to a fleet behind one Zenoh router, whose hosts `certs init` was given. Rewrites router.json5."""
     certs.add_robots(directory, names, days=days)
     first = names[0]
     typer.echo(f"Made {', '.join(names)} in {directory}, and router.json5 for all robots there.")
@@ -162,7 +163,7 @@ def renew(
     directory: Directory,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
-    """Give a certificate a new expiry before it runs out. Its key stays, so only NAME.pem has to be copied again."""
+    """Extend a certificate before it expires. Its key stays, so only NAME.pem has to be copied again."""
     path = certs.renew(directory, name, days=days)
     left = certs.describe(path)
     typer.echo(f"{path} is good until {left.not_after:%Y-%m-%d}: copy it over the old one on {_where(name)}.")
@@ -170,7 +171,7 @@ def renew(
 
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
 def show(directory: Directory) -> None:
-    """Show who has what: name, role, expiry, days left, serial number. Tab-separated when not on a terminal."""
+    """List all certificates: name, role, expiry, days left, serial number. Tab-separated if not on a terminal."""
     from rich.console import Console
     from rich.table import Table
 
