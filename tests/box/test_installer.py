@@ -16,6 +16,13 @@ pytestmark = pytest.mark.systemd
 CONFIG_TXT = "/boot/firmware/config.txt"
 STOCK = "#dtparam=i2c_arm=on\n#dtparam=spi=on\n\ndtoverlay=vc4-kms-v3d\n[cm4]\notg_mode=1\n"
 DROP_IN = f"/etc/systemd/system/{NAME}.service.d/simulated.conf"
+KEPT = "/opt/kept"
+_MOVE = """
+for complete in "$1"/venv-*/complete; do
+    venv=$(dirname "$complete")
+    [ ! -e "$complete" ] || [ -e "$2/${venv##*/}" ] || { mkdir -p "$2" && mv "$venv" "$2"; }
+done
+"""
 
 
 class Machine:
@@ -37,6 +44,17 @@ class Machine:
         done = self.box.run(INSTALLER, *options, check=check, env=env, timeout_s=300)
         assert check or done.returncode != 0, done.stdout
         return (done.stdout + done.stderr).splitlines()
+
+    def keep_venv(self) -> None:
+        """Set aside what pip has installed: it takes half a minute on a busy machine, and is always the same."""
+        self._move_venv(f"/opt/{NAME}", KEPT)
+
+    def restore_venv(self) -> None:
+        """Put it back to where the installer finds it, and nothing else of an installation."""
+        self._move_venv(KEPT, f"/opt/{NAME}")
+
+    def _move_venv(self, whence: str, to: str) -> None:
+        self.box.run("sh", "-c", _MOVE, "sh", whence, to)
 
     def simulate(self) -> None:
         """The simulated controller in place of SPI, as deploy/systemd/simulated.conf says."""
@@ -67,15 +85,25 @@ def bare(machine: Machine) -> Iterator[Machine]:
     clear(machine)
 
 
+@pytest.fixture
+def with_venv(bare: Machine) -> Machine:
+    """It, with what pip installs, and nothing else, if an earlier test has come that far."""
+    bare.restore_venv()
+    return bare
+
+
 @pytest.fixture(scope="module")
 def installed_machine(machine: Machine) -> Iterator[Machine]:
     """It, with the gateway installed once for several tests."""
+    clear(machine)
+    machine.restore_venv()
     machine.install()
     yield machine
     clear(machine)
 
 
 def clear(machine: Machine) -> None:
+    machine.keep_venv()
     machine.run("--uninstall")
     machine.box.run("rm", "-rf", f"/etc/{NAME}", str(Path(DROP_IN).parent))
     machine.box.run("systemctl", "daemon-reload")
@@ -202,67 +230,6 @@ def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
     machine.unit.systemctl("stop")
 
 
-LENGTH_PREFIXED = ("--framing", "length-prefixed")
-
-
-def test_no_framing_no_installation(bare: Machine) -> None:
-    """Without a terminal somebody has to say it, and nothing is changed before; a dry run says the same."""
-    for dry in ((), ("--dry-run",)):
-        (said,) = bare.run("--wheels", bare.wheels, *dry, check=False)
-        assert said.startswith("install.sh: which framing does the controller need? Say --framing: length-prefixed ")
-    for wrong in (("--framing", "Plain"), ("--framing",)):
-        (said,) = bare.run("--wheels", bare.wheels, *wrong, check=False)
-        assert said.startswith("install.sh: --framing is length-prefixed (the published STM32 firmware) or plain")
-    assert bare.traces() == []
-    assert bare.box.read(CONFIG_TXT) == STOCK
-
-
-def test_a_terminal_is_asked(bare: Machine) -> None:
-    """Until it says one of the two; what it says is what the service runs with."""
-    wheels = f"{INSTALLER} --wheels {bare.wheels}"
-    done = bare.box.run(
-        "sh", "-c", f"printf 'prefixed\nlength-prefixed\n' | script -qec '{wheels}' /dev/null", timeout_s=300
-    )
-    assert done.stdout.count("length-prefixed or plain? ") == 2
-    assert 'framing = "length-prefixed"' in bare.box.read(CONFIGURATION).splitlines()
-
-
-def test_a_framing_stays_as_it_is(bare: Machine) -> None:
-    """Installed again it needs no option, takes the same one, and rejects another before anything is changed."""
-    wheels = ("--wheels", bare.wheels)
-    bare.run(*wheels, *LENGTH_PREFIXED)
-    written = bare.box.read(CONFIGURATION)
-    assert 'framing = "length-prefixed"' in written.splitlines()
-    assert f"keep {CONFIGURATION}, your configuration" in bare.run(*wheels)
-    assert f"keep {CONFIGURATION}, your configuration" in bare.run(*wheels, *LENGTH_PREFIXED)
-    (said,) = bare.run(*wheels, "--framing", "plain", check=False)
-    assert said.startswith(f'install.sh: {CONFIGURATION} says framing = "length-prefixed", and --framing plain; ')
-    assert bare.box.read(CONFIGURATION) == written
-
-
-def test_a_robot_from_before_there_was_a_framing(bare: Machine) -> None:
-    """It goes on as it is until somebody says the framing, which is then added to its configuration; Stops included."""
-    box, wheels = bare.box, ("--wheels", bare.wheels)
-    bare.install()
-    older = '[zenoh]\n[spi] # mine\n# framing = "plain"\nspeed_hz = 1_000_000\n[log]\n'
-    box.write(CONFIGURATION, older)
-    box.write(f"/run/{NAME}/gateway.toml", "[spi]\nspeed_hz = 500\n")
-    (said,) = bare.run(*wheels, check=False)
-    assert "which framing does the controller need?" in said
-    assert box.read(CONFIGURATION) == older
-    promised = bare.run("--dry-run", *wheels, *LENGTH_PREFIXED)
-    assert bare.run(*wheels, *LENGTH_PREFIXED) == promised
-    assert f'add framing = "length-prefixed" to {CONFIGURATION}, and keep the rest of your configuration' in promised
-    assert box.read(CONFIGURATION) == older.replace('# framing = "plain"', 'framing = "length-prefixed"')
-    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
-    assert box.read(f"/run/{NAME}/gateway.toml") == '[spi]\nframing = "length-prefixed"\nspeed_hz = 500\n'
-    for unclear in ("spi.speed_hz = 5\n", "spi = {}\n"):
-        box.write(CONFIGURATION, unclear)
-        (said,) = bare.run(*wheels, *LENGTH_PREFIXED, check=False)
-        assert said.startswith(f"install.sh: {CONFIGURATION} does not say which framing the controller needs; add ")
-        assert box.read(CONFIGURATION) == unclear
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -283,3 +250,64 @@ def test_config_txt(installed_machine: Machine, before: str, after: str | None) 
     said = installed_machine.install()
     assert (f"switch SPI on in {CONFIG_TXT} (dtparam=spi=on)" in said) == (after is not None)
     assert installed_machine.box.read(CONFIG_TXT) == (before if after is None else after)
+
+
+LENGTH_PREFIXED = ("--framing", "length-prefixed")
+
+
+def test_no_framing_no_installation(bare: Machine) -> None:
+    """Without a terminal somebody has to say it, and nothing is changed before; a dry run says the same."""
+    for dry in ((), ("--dry-run",)):
+        (said,) = bare.run("--wheels", bare.wheels, *dry, check=False)
+        assert said.startswith("install.sh: which framing does the controller need? Say --framing: length-prefixed ")
+    for wrong in (("--framing", "Plain"), ("--framing",)):
+        (said,) = bare.run("--wheels", bare.wheels, *wrong, check=False)
+        assert said.startswith("install.sh: --framing is length-prefixed (the published STM32 firmware) or plain")
+    assert bare.traces() == []
+    assert bare.box.read(CONFIG_TXT) == STOCK
+
+
+def test_a_terminal_is_asked(with_venv: Machine) -> None:
+    """Until it says one of the two; what it says is what the service runs with."""
+    wheels = f"{INSTALLER} --wheels {with_venv.wheels}"
+    done = with_venv.box.run(
+        "sh", "-c", f"printf 'prefixed\nlength-prefixed\n' | script -qec '{wheels}' /dev/null", timeout_s=300
+    )
+    assert done.stdout.count("length-prefixed or plain? ") == 2
+    assert 'framing = "length-prefixed"' in with_venv.box.read(CONFIGURATION).splitlines()
+
+
+def test_a_framing_stays_as_it_is(with_venv: Machine) -> None:
+    """Installed again it needs no option, takes the same one, and rejects another before anything is changed."""
+    wheels = ("--wheels", with_venv.wheels)
+    with_venv.run(*wheels, *LENGTH_PREFIXED)
+    written = with_venv.box.read(CONFIGURATION)
+    assert 'framing = "length-prefixed"' in written.splitlines()
+    assert f"keep {CONFIGURATION}, your configuration" in with_venv.run(*wheels)
+    assert f"keep {CONFIGURATION}, your configuration" in with_venv.run(*wheels, *LENGTH_PREFIXED)
+    (said,) = with_venv.run(*wheels, "--framing", "plain", check=False)
+    assert said.startswith(f'install.sh: {CONFIGURATION} says framing = "length-prefixed", and --framing plain; ')
+    assert with_venv.box.read(CONFIGURATION) == written
+
+
+def test_a_robot_from_before_there_was_a_framing(with_venv: Machine) -> None:
+    """It goes on as it is until somebody says the framing, which is then added to its configuration; Stops included."""
+    box, wheels = with_venv.box, ("--wheels", with_venv.wheels)
+    with_venv.install()
+    older = '[zenoh]\n[spi] # mine\n# framing = "plain"\nspeed_hz = 1_000_000\n[log]\n'
+    box.write(CONFIGURATION, older)
+    box.write(f"/run/{NAME}/gateway.toml", "[spi]\nspeed_hz = 500\n")
+    (said,) = with_venv.run(*wheels, check=False)
+    assert "which framing does the controller need?" in said
+    assert box.read(CONFIGURATION) == older
+    promised = with_venv.run("--dry-run", *wheels, *LENGTH_PREFIXED)
+    assert with_venv.run(*wheels, *LENGTH_PREFIXED) == promised
+    assert f'add framing = "length-prefixed" to {CONFIGURATION}, and keep the rest of your configuration' in promised
+    assert box.read(CONFIGURATION) == older.replace('# framing = "plain"', 'framing = "length-prefixed"')
+    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
+    assert box.read(f"/run/{NAME}/gateway.toml") == '[spi]\nframing = "length-prefixed"\nspeed_hz = 500\n'
+    for unclear in ("spi.speed_hz = 5\n", "spi = {}\n"):
+        box.write(CONFIGURATION, unclear)
+        (said,) = with_venv.run(*wheels, *LENGTH_PREFIXED, check=False)
+        assert said.startswith(f"install.sh: {CONFIGURATION} does not say which framing the controller needs; add ")
+        assert box.read(CONFIGURATION) == unclear

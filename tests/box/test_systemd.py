@@ -1,4 +1,4 @@
-"""The service unit under a real systemd: it starts, is armed, is stopped from outside after every end, gives up."""
+"""The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
 import signal
 import subprocess

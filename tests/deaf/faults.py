@@ -13,7 +13,7 @@ from tests.deaf.watcher import State, Watcher, pulses
 
 END_NS = BEGIN_NS + 60_500 * MS
 AFTER_NS = 2_000 * MS
-"""How long a scene is armed after a stall: twice what a stream may take."""
+"""How long a scene is watched after a stall: twice what a stream may take."""
 STALLS_MS = (900, 1100, 3000)
 
 
@@ -38,7 +38,7 @@ class Tally:
     unasked_ms: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, where: str, place: str, watcher: Watcher) -> None:
-        """A fault that has been armed to its end; `place` is what it hit."""
+        """A fault that has been watched to its end; `place` is what it hit."""
         self.faults += 1
         self.without_effect += not (watcher.missed or watcher.unasked)
         self.missed += watcher.missed

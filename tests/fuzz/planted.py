@@ -189,10 +189,10 @@ class OlderStartSurvivesStop(Legs):
         for servo, older in waiting:
             servo.waiting = older
             if older is not None:
-                self._pending.setdefault(older.number, self._order_of_one())
+                self._pending.setdefault(older.number, self._pending_of_one())
         return [effect for effect in effects if getattr(effect, "number", None) not in self._pending]
 
-    def _order_of_one(self) -> Any:
+    def _pending_of_one(self) -> Any:
         from gateway.core.legs import _PendingCommand  # noqa: PLC0415
 
         return _PendingCommand(1)

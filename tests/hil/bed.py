@@ -180,7 +180,7 @@ class SpiTestbed:
     ) -> Child:
         """Start a program on the device; several may run at once or in a row. `env` adds to this process's variables.
 
-        `privileged=False`: file permissions bind it even if the test runs as root (for `refuse_open(EACCES)`).
+        `privileged=False`: file permissions bind it even if the test runs as root (for `fail_open(EACCES)`).
         """
         command = command if privileged else without_file_privileges(command)
         child = Child(command, {**os.environ, **(env or {}), **self.environment}, cwd)
@@ -274,15 +274,15 @@ class SpiTestbed:
         """The device goes: opening answers ENOENT, descriptors open now answer ESHUTDOWN for ever."""
         self._command("remove_node")
 
-    def refuse_open(self, errno: int = errors.EACCES) -> None:
+    def fail_open(self, errno: int = errors.EACCES) -> None:
         """Opening answers `errno`, EACCES (see `spawn`) or ENXIO; descriptors already open go on.
 
         umockdev aborts a program whose openings failed this way 50 times; `remove_node` has no such limit.
         """
-        self._command("refuse_open", code=errno)
+        self._command("fail_open", code=errno)
 
     def restore_node(self) -> None:
-        """The device is back, as a new node; ends `remove_node` and `refuse_open`."""
+        """The device is back, as a new node; ends `remove_node` and `fail_open`."""
         self._command("restore_node")
 
     def _command(self, name: str, **arguments: object) -> None:

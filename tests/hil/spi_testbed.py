@@ -282,7 +282,7 @@ class Testbed:
             "block": self._controller.block,
             "release": self._controller.release,
             "remove_node": self.remove_node,
-            "refuse_open": self.refuse_open,
+            "fail_open": self.fail_open,
             "restore_node": self.restore_node,
         }
 
@@ -304,10 +304,10 @@ class Testbed:
             self._sockets.rename(self._hidden)
         self._controller.shut_down()
 
-    def refuse_open(self, code: int) -> None:
+    def fail_open(self, code: int) -> None:
         """Opening answers `code`, EACCES or ENXIO; descriptors already open go on. At most 50 times a child."""
         if code not in (errno.EACCES, errno.ENXIO):
-            raise ValueError("the node can reject with EACCES or ENXIO only")
+            raise ValueError("opening can fail with EACCES or ENXIO only")
         self.restore_node()
         if code == errno.EACCES:
             self._node.chmod(0)

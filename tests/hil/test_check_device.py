@@ -58,7 +58,7 @@ def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestb
 
 
 def test_a_node_that_this_user_may_not_open(spi_testbed: SpiTestbed, config: Path) -> None:
-    spi_testbed.refuse_open(errno.EACCES)
+    spi_testbed.fail_open(errno.EACCES)
     child = check(spi_testbed, config, privileged=False)
     assert child.returncode == 1
     assert line(child, "SPI device").startswith(f"failure  SPI device     {DEVICE} may not be opened by ")
@@ -81,7 +81,7 @@ def test_another_node_is_named(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
 
 
 def test_a_device_that_does_not_open(spi_testbed: SpiTestbed, config: Path) -> None:
-    spi_testbed.refuse_open(errno.ENXIO)
+    spi_testbed.fail_open(errno.ENXIO)
     child = check(spi_testbed, config)
     assert child.returncode == 1
     assert line(child, "SPI device").startswith("failure")

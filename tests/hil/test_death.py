@@ -143,7 +143,7 @@ def test_a_gateway_that_works_is_heard_in_time_also_under_load(
 # ---- killed under load
 
 
-KILLS = 100  # for each framing
+KILLS = 50  # for each framing
 LANES = 3  # gateways that share nothing, at once
 
 

@@ -194,10 +194,10 @@ def test_the_device_vanishes_and_comes_back(tmp_path: Path, wire: Wire) -> None:
         at.goes_on()
 
 
-def test_opening_is_rejected_for_a_while(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+def test_opening_fails_for_a_while(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     wire = Wire(spi_testbed)
     with scene(tmp_path, wire, log={"level": "debug"}) as at:
-        spi_testbed.refuse_open(errno.ENXIO)
+        spi_testbed.fail_open(errno.ENXIO)
         spi_testbed.fail(errno.EIO, count=1)
         at.touch()
         at.gateway.child.wait_for_output("does not answer yet")

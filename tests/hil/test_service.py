@@ -286,7 +286,7 @@ def test_a_program_that_keeps_its_turn_for_ever_holds_nobody_up_for_long(
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
     node = Path(spi_testbed.environment["UMOCKDEV_DIR"]) / DEVICE.lstrip("/")
     with node.open("r+b") as hung:
-        fcntl.lockf(hung, fcntl.LOCK_EX, 2)  # the bytes of the turns
+        fcntl.lockf(hung, fcntl.LOCK_EX, 2)  # the bytes of the bus lock
         with start(tmp_path, wire) as gateway, gateway.client() as client:
             assert client.estop().stop_frames == 6
             wire.expect(*STOPS)
@@ -327,7 +327,7 @@ def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiT
 
 
 def test_a_device_that_may_not_be_opened_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    spi_testbed.refuse_open()
+    spi_testbed.fail_open()
     config = config_for(tmp_path, Wire(spi_testbed))
     child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)], privileged=False)
     assert child.wait(LATE_S) == 3

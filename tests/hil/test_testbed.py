@@ -113,7 +113,7 @@ def test_a_message_carries_its_own_speed(spi_testbed: SpiTestbed, peer: Peer) ->
     assert spi_testbed.transfers[0].segments == (Segment(b"\x0e", 1_000_000, 8, 7, False),)
 
 
-def test_what_a_raspberry_pi_rejects_to_set(spi_testbed: SpiTestbed, peer: Peer) -> None:
+def test_what_a_raspberry_pi_does_not_set(spi_testbed: SpiTestbed, peer: Peer) -> None:
     assert peer.call("set", "lsbfirst", True) == failed(errno.EINVAL)
     assert peer.call("set", "bits_per_word", 16) == failed(errno.EINVAL)
     assert [(setting.kind, setting.value, setting.errno) for setting in spi_testbed.settings] == [
@@ -220,9 +220,9 @@ def test_a_descriptor_from_before_stays_dead(spi_testbed: SpiTestbed, peer: Peer
 
 
 @pytest.mark.parametrize(("code", "privileged"), [(errno.ENXIO, True), (errno.EACCES, False)])
-def test_opening_is_rejected(spi_testbed: SpiTestbed, peer: Peer, code: int, privileged: bool) -> None:
+def test_opening_fails(spi_testbed: SpiTestbed, peer: Peer, code: int, privileged: bool) -> None:
     late = Peer(spi_testbed, opened=False, privileged=privileged)
-    spi_testbed.refuse_open(code)
+    spi_testbed.fail_open(code)
     assert [late.call("open_path", DEVICE) for _ in range(40)] == [failed(code)] * 40
     assert peer.call("writebytes2", "01") == {"ok": None}, "who has it open goes on"
     spi_testbed.restore_node()
@@ -232,7 +232,7 @@ def test_opening_is_rejected(spi_testbed: SpiTestbed, peer: Peer, code: int, pri
 
 def test_a_fault_that_cannot_be_had_is_an_error(spi_testbed: SpiTestbed) -> None:
     with pytest.raises(RuntimeError, match="EACCES or ENXIO"):
-        spi_testbed.refuse_open(errno.EBUSY)
+        spi_testbed.fail_open(errno.EBUSY)
 
 
 def test_the_device_outlives_a_killed_program(spi_testbed: SpiTestbed, peer: Peer) -> None:

@@ -54,7 +54,7 @@ def judge_a_small_tree(folder: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     subject = Subject("gateway/sums.py", ("tests/test_sums.py",), tuple(OUTCOMES))
-    workers = Workers(folder / "root", folder / "copies", 2, timeout_s=2)
+    workers = Workers(folder / "root", folder / "copies", 2, timeout_s=5)
     if workers.without_mutant(subject.tests) is not Outcome.SURVIVED:
         print(workers.output)
     for _, mutant, outcome in workers.run((subject, mutant) for mutant in OUTCOMES):

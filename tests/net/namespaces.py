@@ -104,7 +104,7 @@ class Network(AbstractContextManager["Network"]):
     def _laptop_address(self, laptop: int) -> str:
         return f"10.77.{laptop}.2"
 
-    def held_up(self, laptop: int) -> int:
+    def queued_bytes(self, laptop: int) -> int:
         """How many bytes that were sent to this laptop are still with the robot's kernel."""
         to_it = ("dst", f"{self._laptop_address(laptop)}")
         lines = _run("ip", "netns", "exec", self._robot, "ss", "-Htn", "state", "established", *to_it).splitlines()

@@ -116,13 +116,13 @@ class Streamer:
 
     def _begin(self, word: str, rest: Sequence[str]) -> Any:
         self.end()
-        turns = cycle(rest)
+        legs = cycle(rest)
         sends: dict[str, Callable[[], None]] = {
             "stream": lambda: self._publish(rest[0], rest[1:]),
             "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
             "deaf": lambda: self._ask_unheard(rest),
             "deaf-flood": lambda: self._ask_unheard([*rest] * FLOOD),
-            "ask": lambda: self._ask(next(turns)),
+            "ask": lambda: self._ask(next(legs)),
         }
         if word in ("deaf", "deaf-flood"):
             self._declared.append(self._client.session.declare_subscriber(STATE, FifoChannel(1)))
@@ -159,7 +159,7 @@ class Streamer:
                 self._note(time.monotonic_ns())
                 self._progress.notify_all()
             if period_s:
-                due_s = max(due_s + period_s, time.monotonic())  # a missed turn is skipped, never made up
+                due_s = max(due_s + period_s, time.monotonic())  # a missed period is skipped, never made up
                 self._paused.wait(due_s - time.monotonic())
 
     def _note(self, now_ns: int) -> None:

@@ -94,10 +94,10 @@ class LegHistory:
         """A copy."""
         return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source)
 
-    def key(self, now_ns: int, rules: Rules, *, watched: bool) -> tuple[object, ...]:
+    def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
         return (
-            min(now_ns - self.heard_ns, rules.timeout_ns) if self.heard_ns is not None and watched else None,
+            min(now_ns - self.heard_ns, rules.timeout_ns) if self.heard_ns is not None and armed else None,
             self.held_ns(now_ns, rules.period_ns),
             max(0, self.slot_ns(rules.period_ns) - now_ns),
         )

@@ -75,7 +75,7 @@ _servo_fields = _getter(
 _leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired", "source")
 _slots_fields = _getter(RateSlots, "period_ns", "oldest_ns", "next_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
-_order_fields = _getter(_PendingCommand, "targets", "coalesced")
+_pending_fields = _getter(_PendingCommand, "targets", "coalesced")
 _getter(Waiting, "op", "number")
 _SUPERVISOR_FIELDS: Final = {
     "_rules",
@@ -122,7 +122,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     legs._pending = {
-        number: _PendingCommand(*_order_fields(order)) for number, order in supervisor.legs._pending.items()
+        number: _PendingCommand(*_pending_fields(pending)) for number, pending in supervisor.legs._pending.items()
     }
     return other
 
@@ -147,7 +147,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
-        tuple((rank[number], *_order_fields(order)) for number, order in sorted(legs._pending.items())),
+        tuple((rank[number], *_pending_fields(pending)) for number, pending in sorted(legs._pending.items())),
         tuple(
             (
                 min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
@@ -173,19 +173,19 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 # ---- the search
 
 
-def events(configuration: Configuration, mode: Mode, order: int, estops: int) -> Iterator[tuple[str, Event]]:
-    """Everything that can happen, with a name. A command is number `order`, the latest emergency stop `estops`."""
+def events(configuration: Configuration, mode: Mode, number: int, estops: int) -> Iterator[tuple[str, Event]]:
+    """Everything that can happen, with a name. The next command is `number`, the latest emergency stop `estops`."""
     # Where every command is rejected, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
-    for number, (channel, targets) in enumerate(commands):
-        yield f"{channel} command {number}", Command(order, channel, targets)
+    for which, (channel, targets) in enumerate(commands):
+        yield f"{channel} command {which}", Command(number, channel, targets)
     yield "time passed", TimePassed()
     yield "emergency stop", EmergencyStop()
-    yield "reset", Reset(order, estop=estops)
+    yield "reset", Reset(number, estop=estops)
     if mode is Mode.ESTOPPED:
-        yield "reset of an older one", Reset(order, estop=estops - 1)
-        yield "reset of none that was", Reset(order, estop=estops + 1)
-        yield "reset without a number", Reset(order)
+        yield "reset of an older one", Reset(number, estop=estops - 1)
+        yield "reset of none that was", Reset(number, estop=estops + 1)
+        yield "reset without a number", Reset(number)
     yield from STOP_SERVOS.items()
     yield "bus failed", BusFailed("a test's fault")
     yield "bus opened", BusOpened()

@@ -67,13 +67,13 @@ class Oracle:
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
         """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
-        legs = tuple(leg.key(now_ns, self.rules, watched=self._watched(number)) for number, leg in self.legs.items())
+        legs = tuple(leg.key(now_ns, self.rules, armed=self._armed(number)) for number, leg in self.legs.items())
         servos = tuple(servo.key(now_ns, self.instant_ns, rank) for servo in self.servos.values())
         latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
         pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
-        pending = tuple(self.pending[order] for order in sorted(self.pending))
+        pending = tuple(self.pending[number] for number in sorted(self.pending))
         return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
@@ -213,7 +213,7 @@ class Oracle:
             waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
             demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
-    def _watched(self, leg: int) -> bool:
+    def _armed(self, leg: int) -> bool:
         return any(servo.on or servo.starts for servo in self._servos_of(leg))
 
     def _servos_of(self, leg: int) -> list[ServoHistory]:
@@ -226,7 +226,7 @@ class Oracle:
         silent = [
             number
             for number, leg in self.legs.items()
-            if self._watched(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
+            if self._armed(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
         ]
         stopped = list(self.legs) if silent and self.rules.whole_robot else silent
         for number in stopped:
@@ -249,7 +249,7 @@ class Oracle:
         self.pending[command.number] = False
         if reason is not None:
             return frozenset()
-        running = [number for number in self.legs if self._watched(number)]
+        running = [number for number in self.legs if self._armed(number)]
         change_hands(self.legs, running, command, effects)
         told_to_stop: set[int] = set()
         for effect in effects:
@@ -364,9 +364,9 @@ class Oracle:
 
     # ---- answers, and what holds after every step
 
-    def _answered(self, order: int) -> bool:
-        demand(order in self.pending, f"command {order} is answered exactly once")
-        return self.pending.pop(order)
+    def _answered(self, number: int) -> bool:
+        demand(number in self.pending, f"command {number} is answered exactly once")
+        return self.pending.pop(number)
 
     def _after(self, now_ns: int, due_ns: int | None) -> None:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
@@ -377,7 +377,7 @@ class Oracle:
         latest = self._head_of_queue(now_ns)
         for number, leg in self.legs.items():
             servos = self._servos_of(number)
-            if self._watched(number):
+            if self._armed(number):
                 deadline_ns = (leg.heard_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
                 latest.append(deadline_ns)

@@ -24,7 +24,7 @@ POLL_S = 0.002  # several rings have no common wait; every loop below ends
 ANSWER_S = 20  # far above anything seen (0.2 s): a test that hangs must end, not flicker
 
 
-class RefusedError(Exception):
+class RemoteError(Exception):
     """The process answered with an error; its text is the error's."""
 
 
@@ -67,7 +67,7 @@ class Remote:
                 assert selector.select(ANSWER_S), f"no answer to {name}"
             answer = json.loads(self._process.stdout.readline())
             if "error" in answer:
-                raise RefusedError(answer["error"])
+                raise RemoteError(answer["error"])
             return answer["ok"]
 
         return call

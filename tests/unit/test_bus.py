@@ -26,17 +26,17 @@ OPENING = {framing: len(framing.preamble) for framing in Framing}
 
 
 class FailingDevice:
-    """Hands transfers on to a controller, and fails those whose turn is told."""
+    """Hands transfers on to a controller, and fails those whose number is told."""
 
     def __init__(self, controller: SimulatedController, failing: Iterable[int]) -> None:
         self._controller = controller
         self._failing = frozenset(failing)
-        self._bus_lock = itertools.count()
+        self._numbers = itertools.count()
         self.seen: list[bytes] = []
 
     def transfer(self, data: bytes) -> None:
         self.seen.append(data)
-        if next(self._bus_lock) in self._failing:
+        if next(self._numbers) in self._failing:
             raise SpiError("told to fail")
         self._controller.transfer(data)
 

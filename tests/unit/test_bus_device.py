@@ -22,7 +22,7 @@ class Devices:
     def __init__(self) -> None:
         self.now_ns = 0
         self.opened = self.open_now = 0
-        self.turns = 0
+        self.locks = 0
         self.written: list[bytes] = []
         self.pauses_s: list[float] = []
         self.failing: set[int] = set()
@@ -45,7 +45,7 @@ class Devices:
         self.written.append(data)
 
     def lock(self) -> AbstractContextManager[None]:
-        self.turns += 1
+        self.locks += 1
         return nullcontext()
 
     def stop_servos_at_work(self) -> bool:
@@ -144,11 +144,11 @@ def test_after_a_zero_that_failed_the_next_frame_comes_behind_a_whole_preamble()
     assert devices.written == [*[ZERO] * PREAMBLE_ZEROS, *PREFIXED.transfers(STOP.to_bytes())]
 
 
-def test_the_settings_say_how_long_the_pauses_are_and_beside_another_program_there_are_more() -> None:
-    for beside, pauses in ((False, 1), (True, 3)):
+def test_the_settings_say_how_long_the_pauses_are_and_on_a_shared_device_there_are_more() -> None:
+    for shared, pauses in ((False, 1), (True, 3)):
         devices = Devices()
         settings = SpiSettings(framing=PREFIXED, frame_gap_us=200)
-        bus = bus_for(settings, devices.open, shared_device=beside, clock=devices.clock, pause=devices.pause)
+        bus = bus_for(settings, devices.open, shared_device=shared, clock=devices.clock, pause=devices.pause)
         bus.open()
         devices.now_ns += 1_000_000
         devices.pauses_s.clear()
@@ -156,7 +156,7 @@ def test_the_settings_say_how_long_the_pauses_are_and_beside_another_program_the
         assert devices.pauses_s == pytest.approx([200e-6] * pauses)
 
 
-def test_a_turn_is_the_devices() -> None:
+def test_the_bus_lock_is_the_devices() -> None:
     devices = Devices()
     with GuardedDevice(devices, PREFIXED).lock():
-        assert devices.turns == 1
+        assert devices.locks == 1

@@ -57,7 +57,7 @@ class Bed:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        self.log.append((self.now_ns, "turn"))
+        self.log.append((self.now_ns, "lock"))
         yield
         self.log.append((self.now_ns, "end"))
 
@@ -317,6 +317,6 @@ def test_beside_another_program_the_pause_is_made_on_both_sides_of_a_turn() -> N
     bed.now_ns += 50 * MS
     bed.bus.write(STOP)
     announcement, body = transfers(STOP)
-    assert [what for _, what in bed.log] == ["turn", "pause", announcement, "pause", body, "pause", "end"]
+    assert [what for _, what in bed.log] == ["lock", "pause", announcement, "pause", body, "pause", "end"]
     assert bed.log[-1][0] - bed.log[-2][0] == GAP_NS
     assert bed.log[2][0] - bed.log[1][0] == GAP_NS

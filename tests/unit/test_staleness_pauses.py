@@ -75,7 +75,7 @@ def test_a_pause_that_is_not_longer_than_what_a_command_may_be_delayed_is_none()
 
 
 @pytest.mark.virtual_time
-async def test_the_gateway_rejects_what_was_held_up_but_never_a_stop() -> None:
+async def test_the_gateway_rejects_what_was_delayed_but_never_a_stop() -> None:
     robot = await started_and_quiet(limits={"max_age_ms": MAX_AGE_MS})
     key = keys.servo_command(32)
     assert robot.ask(key, servo("start", 90, source="laptop", sent_ms=1000)).accepted
@@ -92,13 +92,13 @@ async def test_the_gateway_rejects_what_was_held_up_but_never_a_stop() -> None:
 
 
 @pytest.mark.virtual_time
-async def test_a_reset_that_was_held_up_leaves_no_emergency_stop() -> None:
+async def test_a_reset_that_was_delayed_leaves_no_emergency_stop() -> None:
     robot = await started_and_quiet()
     assert robot.ask(keys.servo_command(32), servo("start", 90, source="laptop", sent_ms=1000)).accepted
     await asyncio.sleep(1)
     assert robot.ask(keys.ESTOP).estop == 1
-    held_up = robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 1100})
-    assert held_up.reason == Reason.STALE
+    delayed = robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 1100})
+    assert delayed.reason == Reason.STALE
     assert robot.mode == "estopped"
     assert robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 2000}).accepted
 

@@ -19,7 +19,7 @@ from gateway.certs.reading import read_certificate, read_key
 from gateway.limits import SIZE_LIMIT
 from schemas.command import MAX_PAYLOAD_BYTES
 from tests.support.gateway_process import free_port
-from tests.support.zenoh_actor import RefusedError, Remote
+from tests.support.zenoh_actor import Remote, RemoteError
 
 # Good for the gateway's certificate; "localhost" is not among them: the wrong name for a machine that answers to it.
 HOST = "127.0.0.1"
@@ -276,7 +276,7 @@ def outsider() -> Iterator[Remote]:
 
 def turned_away(robot: SecuredRobot, outsider: Remote, overrides: Mapping[str, object], name: str = "alice") -> None:
     """Without TLS's consent no session opens; with alice's own files, right after, one does."""
-    with pytest.raises(RefusedError, match="Unable to connect to any of"):
+    with pytest.raises(RemoteError, match="Unable to connect to any of"):
         outsider.open(str(robot.folder / f"{name}.json5"), {**absolute(robot.folder, name), **overrides}, False)
     zid = robot.join(outsider, "alice")
     outsider.close()
@@ -305,7 +305,7 @@ def test_a_gateway_of_another_ca(robot: SecuredRobot, outsider: Remote, tmp_path
 def test_an_expired_certificate(robot: SecuredRobot, outsider: Remote) -> None:
     certs.issue(robot.folder, "late", "operator", days=1, now=now() - dt.timedelta(days=10))
     turned_away(robot, outsider, {}, "late")
-    with pytest.raises(RefusedError, match=r"ConfigError: .*late\.pem expired on"):  # what a person gets to read
+    with pytest.raises(RemoteError, match=r"ConfigError: .*late\.pem expired on"):  # what a person gets to read
         robot.join(outsider, "late")
 
 

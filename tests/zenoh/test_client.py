@@ -38,14 +38,14 @@ def test_states_and_events_are_called_back(tmp_path: Path) -> None:
         rejected.set()
 
     with Gateway(tmp_path) as gateway, Client(gateway.endpoint, source="a gait") as client:
-        armed = (client.on_state(on_state), client.on_event(on_event))
+        subscribers = (client.on_state(on_state), client.on_event(on_event))
         client.state()
         client.publish(keys.leg_command(4), leg_payload("set", (1, 2, 3)))
         assert rejected.wait(10)
         assert (events[0].source, events[0].reason) == ("a gait", "servo_stopped")
         client.start_leg(4, 1, 2, 3)
         assert active.wait(10)
-        assert len(armed) == 2
+        assert len(subscribers) == 2
 
 
 def test_it_stops_one_leg_or_all(tmp_path: Path) -> None:

@@ -159,13 +159,13 @@ async def test_an_emergency_stop_wakes_the_loop_by_itself(session: zenoh.Session
 
 
 async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:
-    """The sender of all other answers is held up by an asker who does not read."""
+    """The sender of all other answers waits for an asker who does not read."""
     gate = threading.Event()
 
-    held_up: list[bool] = []
+    waited: list[bool] = []
 
     def hold_up() -> None:
-        held_up.append(gate.wait(PATIENCE_S))
+        waited.append(gate.wait(PATIENCE_S))
 
     held.inbox._replies._work.put(hold_up)
     asked = session.get(ESTOP, timeout=PATIENCE_S)
@@ -174,7 +174,7 @@ async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: H
     assert each.reply is not None
     each.reply(b"stopped")
     reply = await asyncio.to_thread(lambda: next(iter(asked)))
-    assert not held_up
+    assert not waited
     gate.set()
     assert reply.ok is not None
     assert reply.ok.payload.to_bytes() == b"stopped"
