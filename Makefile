@@ -68,6 +68,8 @@ clean:
 # ---- the virtual environment, in two sizes
 
 $(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "$(PYTHON) is too old: 3.11 or later is needed; name one: make $(MAKECMDGOALS) PYTHON=python3.11"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { \
 		rm -rf $(VENV); \
 		echo "Python's venv is missing; on Debian: apt-get install python3-venv"; exit 1; }

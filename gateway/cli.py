@@ -21,7 +21,7 @@ app = typer.Typer(
     epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
     "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -103,10 +103,12 @@ def issue(
     bundle: Path | None = None,
     days: int = LEAF_DAYS,
     now: dt.datetime | None = None,
+    absolute: bool = False,
 ) -> list[Path]:
     """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths.
 
     `robot` is the one robot of a fleet that it is for, as `add_robots` named it.
+    `absolute`: NAME.json5 names the files by their full paths; in the zip it never does.
     """
     now = now or _now()
     _check_name(name)
@@ -137,6 +139,11 @@ def issue(
         members["ca.pem"] = Content(ca.certificate_pem())
         members["README.txt"] = Content(zenoh_files.laptop_readme(name, role, hosts, expiry))
         files[bundle] = Content(_zip(members, now), SECRET)
+    if absolute:
+        text = files[config].data
+        for file in (directory / "ca.pem", certificate, key):
+            text = text.replace(f'"{file.name}"'.encode(), json.dumps(str(file.absolute())).encode())
+        files[config] = Content(text)
     publish(files)
     return list(files)
 

@@ -27,6 +27,7 @@ from gateway.edge.rings import RING_DEPTH, Receive, Rings
 from gateway.host.realtime import RECEIVER_PRIORITY, prefer_thread
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
+from schemas.telemetry import Ack, Reason
 
 OTHER_DEPTH: Final = 16
 """The same for what names no key of ours; it is rejected one by one, so there is no use in more."""
@@ -210,6 +211,9 @@ class Inbox:
     # ---- on the waiting threads
 
     def _estop(self, item: _Item, received_ns: int) -> Deal:
+        if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
+            # Whoever lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
+            return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
         self._estops.append(_received(item, ESTOP, received_ns, self._estop_replies))
         return self._wake
 
@@ -303,6 +307,17 @@ class Inbox:
             self._look(attempt + 1)
         else:
             self._missed, self._lost_some = {}, False  # pushed out of its ring, or taken before its wakeup was heard
+
+
+_NOT_BY_WILDCARD: Final = (
+    Ack(
+        accepted=False,
+        reason=Reason.INVALID,
+        detail=f"a get by wildcard engages no emergency stop; get or put on {ESTOP}",
+    )
+    .model_dump_json()
+    .encode()
+)
 
 
 def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:

@@ -63,6 +63,7 @@ def client_config(endpoint: str | None, config_file: Path | None = None) -> zeno
     config = load_client_config(config_file) if config_file is not None else zenoh.Config()
     config.insert_json5("mode", '"client"')
     if endpoint is not None:
+        endpoint = endpoint if "/" in endpoint else f"tcp/{endpoint}"
         _insert(config, "connect/endpoints", [endpoint], "--connect")
     _insert(config, "listen/endpoints", [], "listen")
     _scouting_off(config)

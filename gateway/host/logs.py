@@ -7,6 +7,7 @@ import logging
 import os
 import sys
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -27,13 +28,31 @@ def set_up(settings: LogSettings) -> None:
 
     From now on two threads of this module write to stdout and stderr; nobody else waits for these.
     """
-    out, err = Outlet(1), Outlet(2, _formatter(settings, os.isatty(2)).format)
+    render = _formatter(settings, os.isatty(2)).format
+    out, err = Outlet(1), Outlet(2, _with_priority(render) if _is_journal(2) else render)
     _outlets[:] = [out, err]
     sys.stdout, sys.stderr = Stream(out), Stream(err)
     atexit.register(close)
     root = logging.getLogger()
     root.handlers[:] = [_Handler(err)]
     root.setLevel(settings.level.upper())
+
+
+def _is_journal(descriptor: int) -> bool:
+    """Whether systemd has connected it to the journal, by its own word (systemd.exec(5), JOURNAL_STREAM)."""
+    found = os.fstat(descriptor)
+    return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
+
+
+def _with_priority(render: Callable[[logging.LogRecord], str]) -> Callable[[logging.LogRecord], str]:
+    """Begin each line with its syslog priority, so that `journalctl -p warning` finds it; the journal takes it off."""
+
+    def rendered(record: logging.LogRecord) -> str:
+        levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+        priority = next((number for level, number in levels if record.levelno >= level), 7)
+        return "\n".join(f"<{priority}>{line}" for line in render(record).split("\n"))
+
+    return rendered
 
 
 def close(timeout_s: float = FLUSH_S) -> None:

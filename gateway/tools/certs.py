@@ -7,8 +7,10 @@ from typing import Annotated
 import typer
 
 from gateway import certs
+from gateway.tools.terminal import this_command
 
 WARN_DAYS = 30
+WIDE = 100
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -112,12 +114,19 @@ def issue(
         ),
     ] = None,
     days: Days = certs.LEAF_DAYS,
+    absolute: Annotated[
+        bool,
+        typer.Option(
+            "--absolute",
+            help="Name the files in NAME.json5 by their full paths, for other Zenoh programs (not in the zip).",
+        ),
+    ] = False,
 ) -> None:
     """Make a laptop's certificate and NAME.json5, ready for --zenoh-config. Nothing changes on the robot.
 
     A certificate cannot be revoked: choose few --days for laptops that travel.
     """
-    certs.issue(directory, name, role, robot=robot, bundle=bundle, days=days)
+    certs.issue(directory, name, role, robot=robot, bundle=bundle, days=days, absolute=absolute)
     typer.echo(
         f"Made {name}, {role}{f' of {robot}' if robot else ''}, in {directory}: {name}.json5 {name}.pem {name}.key"
     )
@@ -125,7 +134,7 @@ def issue(
         typer.echo(
             f"All that the laptop needs is in {bundle}, its key included: hand it over in private, then delete it."
         )
-    typer.echo(f"Try it: hexapod-gateway watch --zenoh-config {directory / name}.json5")
+    typer.echo(f"Try it: {this_command()} watch --zenoh-config {directory / name}.json5")
 
 
 @app.command(epilog="Example: hexapod-gateway certs robot robot-1 robot-2 --dir ~/fleet")
@@ -186,9 +195,14 @@ def show(directory: Directory) -> None:
         for row in (head, *rows):
             typer.echo("\t".join(row))
         return
-    table = Table()
+    table = Table(padding=(0, 0) if console.width < WIDE else (0, 1))
     for title in head:
-        table.add_column(title.capitalize(), justify="right" if title == "DAYS LEFT" else "left", overflow="fold")
+        table.add_column(
+            title.capitalize(),
+            justify="right" if title == "DAYS LEFT" else "left",
+            overflow="fold",
+            no_wrap=title != "SERIAL",
+        )
     for row in rows:
         left = int(row[3])
         table.add_row(*row, style="red" if left < 0 else "yellow" if left < WARN_DAYS else None)

@@ -8,7 +8,7 @@ from gateway.client import Client, leg_payload, servo_payload, several_answer
 from gateway.errors import ConfigError
 from gateway.tools import reach
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say
+from gateway.tools.terminal import hint, say, this_command
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack
@@ -29,7 +29,7 @@ def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float]
     if len(angles_deg) != wanted:
         raise ConfigError(
             f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; "
-            f"for example: send leg {leg} start 90 45 120"
+            f"for example: send leg {leg} {op}{' 90 45 120' if wanted else ''}"
         )
     return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
 
@@ -38,7 +38,8 @@ def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | N
     """Send a servo's command; see `_send`."""
     _check_op(op)
     if (angle_deg is None) != (op == "stop"):
-        raise ConfigError(f"{op} takes {'no' if op == 'stop' else 'one'} angle; for example: send servo 32 start 90")
+        wanted, angle = ("no", "") if op == "stop" else ("one", " 90")
+        raise ConfigError(f"{op} takes {wanted} angle; for example: send servo {servo_id} {op}{angle}")
     try:
         key = keys.servo_command(servo_id)
     except ValueError as error:
@@ -82,7 +83,7 @@ def estop(connect: Connection) -> int:
         stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
         if stopped:
             say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
-            hint("All commands are rejected until `hexapod-gateway reset`.")
+            hint(f"All commands are rejected until `{this_command()} reset`.")
         else:
             written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
             say(f"latched, but {written}: switch the servos' power off")

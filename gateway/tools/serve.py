@@ -1,11 +1,9 @@
 """`run`: the service, and what it prints once it is ready."""
 
-import sys
-
 from gateway import service
 from gateway.client import DEFAULT_ENDPOINT
 from gateway.settings import Settings
-from gateway.tools.terminal import say
+from gateway.tools.terminal import say, this_command
 
 
 def run(settings: Settings, *, simulated: bool) -> None:
@@ -15,15 +13,10 @@ def run(settings: Settings, *, simulated: bool) -> None:
         robot = "a simulated controller" if simulated else settings.spi.device
         where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
-        command = f"{_this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}"
+        command = f"{this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}"
         say(f"Try, in a second terminal: {command}")
 
     service.run(settings, simulated=simulated, on_ready=ready)
-
-
-def _this_command() -> str:
-    """How this program was called, so that a line can be copied."""
-    return "hexapod-gateway" if sys.argv[0].endswith("__main__.py") else sys.argv[0]
 
 
 def _connect_option(settings: Settings) -> str:

@@ -1,6 +1,16 @@
 """What a command prints: results on stdout, remarks on stderr."""
 
+import shutil
 import sys
+from pathlib import Path
+
+
+def this_command() -> str:
+    """How this program was called, so that a line that names it can be copied: `.venv/bin/…` after `make run`."""
+    called, found = sys.argv[0], shutil.which("hexapod-gateway")
+    if called.endswith("__main__.py") or (found is not None and Path(called).absolute() == Path(found).absolute()):
+        return "hexapod-gateway"
+    return called
 
 
 def say(text: str) -> None:

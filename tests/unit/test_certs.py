@@ -3,6 +3,7 @@
 import ipaddress
 import json
 import os
+import re
 import zipfile
 from pathlib import Path
 
@@ -126,6 +127,18 @@ def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp
     assert tls["root_ca_certificate"] == str(tmp_path / "elsewhere" / "ca.pem")
 
 
+def test_full_paths_on_request_and_never_in_the_zip(folder: Path, tmp_path: Path) -> None:
+    bundle = tmp_path / "anna.zip"
+    certs.issue(folder, "anna", "operator", bundle=bundle, absolute=True)
+    text = (folder / "anna.json5").read_text()
+    for name in ("ca.pem", "anna.pem", "anna.key"):
+        assert f'"{folder / name}"' in text
+        assert f'"{name}"' not in text
+    with zipfile.ZipFile(bundle) as zipped:
+        assert str(folder) not in zipped.read("anna.json5").decode()
+    assert load_client_config(folder / "anna.json5")
+
+
 def test_a_laptop_dials_every_host_at_the_gateways_port(tmp_path: Path) -> None:
     certs.init(tmp_path / "D", HOSTS, port=7555)
     certs.issue(tmp_path / "D", "alice", "observer")
@@ -235,3 +248,19 @@ def test_the_list_is_a_table_on_a_terminal(folder: Path, monkeypatch: pytest.Mon
     assert code == 0
     assert "│" in text
     assert "\x1b[31m" in text  # expired: red
+
+
+def test_the_list_fits_80_columns(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    certs.issue(folder, "annas-long-laptop-name", "operator")
+    code, shown = run("list", "--dir", str(folder))
+    lines = re.sub(r"\x1b\[[\d;]*m", "", shown).splitlines()
+    assert code == 0
+    assert "┃" in shown
+    assert max(map(len, lines)) <= 80
+    (line,) = [line for line in lines if "annas-long-laptop-name" in line]
+    assert "operator" in line
+    assert re.search(r"\d{4}-\d\d-\d\d", line), line

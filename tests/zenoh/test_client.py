@@ -48,6 +48,11 @@ def test_states_and_events_are_called_back(tmp_path: Path) -> None:
         assert len(subscribers) == 2
 
 
+def test_an_endpoint_without_a_protocol_is_tcp(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, Client(gateway.endpoint.removeprefix("tcp/")) as client:
+        assert client.state().mode is Mode.IDLE
+
+
 def test_it_stops_one_leg_or_all(tmp_path: Path) -> None:
     with Gateway(tmp_path) as gateway, gateway.client() as client:
         for leg in (1, 2, 3):

@@ -14,7 +14,7 @@ from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames
+from tests.support.heard import events, frames, states
 
 START = leg_payload("start", (90, 45, 120))
 
@@ -218,6 +218,23 @@ def test_a_flood_of_one_key_keeps_nothing_from_the_others(
         assert ack.stop_frames == 6
         assert time.monotonic() - began < 2, "seconds would mean that it waited for the flood"
     assert flood.sent > 1000
+
+
+@pytest.mark.parametrize("expression", ["hexapod/**", "hexapod/*/cmd"])
+def test_who_lists_what_there_is_engages_no_emergency_stop_and_a_put_by_wildcard_does(
+    client: Client, expression: str
+) -> None:
+    before = client.state().estop
+    answers = [reply.ok for reply in client.session.get(expression, timeout=5) if reply.ok is not None]
+    (told,) = [answer.payload.to_string() for answer in answers if str(answer.key_expr) == keys.ESTOP]
+    assert (
+        Ack.model_validate_json(told).detail
+        == "a get by wildcard engages no emergency stop; get or put on " + keys.ESTOP
+    )
+    assert client.state().estop == before
+    heard = states(client)
+    client.session.put(expression, b"")
+    heard.wait(lambda state: state.estop == before + 1)
 
 
 def test_a_flood_of_one_leg_reaches_the_wire_at_the_legs_rate(gateway: Gateway, client: Client) -> None:

@@ -164,10 +164,11 @@ def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
 
 
 def test_all_that_was_said_is_written_before_the_process_goes() -> None:
-    program = (
-        "import logging, sys, threading, warnings\nfrom gateway import logs\nfrom gateway.settings import LogSettings"
+    program = "import logging, sys, threading, warnings\nfrom gateway.host import logs\n"
+    program += (
+        "from gateway.settings import LogSettings\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')"
+        + MORE
     )
-    program += "\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')" + MORE
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout.splitlines() == [f"printed {number}" for number in range(400)]
     assert "UserWarning: beware" in ran.stderr
@@ -186,3 +187,19 @@ def test_rejections_in_the_log_of_the_real_service(tmp_path: Path) -> None:
     assert [line["reason"] for line in told] == ["invalid", "servo_stopped"]
     assert [line.get("source") for line in told][1] == "lap top"
     assert all(line["kind"] == "command_rejected" and line["level"] == "warning" for line in told)
+
+
+def test_lines_for_the_journal_begin_with_their_priority() -> None:
+    """Only where stderr is the journal's own, as systemd says it by device and inode."""
+    journal = "os.environ['JOURNAL_STREAM'] = f'{found.st_dev}:{found.st_ino}'"
+    program = f"import os\nfound = os.fstat(2)\n{journal}\n{SPEAKER}"
+    lines = spoken("json", "debug", program)
+    assert {json.loads(line[3:])["level"]: line[:3] for line in lines} == {
+        "debug": "<7>",
+        "info": "<6>",
+        "warning": "<4>",
+        "error": "<3>",
+    }
+    assert all(line.startswith("<") for line in spoken("console", "debug", program)), "each line of a traceback, too"
+    other = spoken("json", "debug", "import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
+    assert all(line.startswith("{") for line in other)
