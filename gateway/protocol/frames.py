@@ -21,10 +21,10 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 MAX_ANGLE_CDEG: Final = 180_00
 
 _SERVO_ID_SET: Final = frozenset(SERVO_IDS)
-_ONE_LEG_LEN: Final = 14
-_ONE_LEG_TYPE: Final = 1
-_ONE_SERVO_LEN: Final = 6
-_ONE_SERVO_TYPE: Final = 2
+ONE_LEG_LEN: Final = 14
+ONE_LEG_TYPE: Final = 1
+ONE_SERVO_LEN: Final = 6
+ONE_SERVO_TYPE: Final = 2
 _MAX_INT: Final = 180
 _MAX_FLOAT: Final = 99
 
@@ -88,12 +88,12 @@ class OneServo:
     def to_bytes(self) -> bytes:
         """The 6 bytes of the frame."""
         whole_deg, hundredths = divmod(self.command.angle_cdeg, 100)
-        return bytes((_ONE_SERVO_LEN, _ONE_SERVO_TYPE, self.servo_id, self.command.op, whole_deg, hundredths))
+        return bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE, self.servo_id, self.command.op, whole_deg, hundredths))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """Read a ONE SERVO frame. Raises FrameError."""
-        _check_header(data, "ONE SERVO", _ONE_SERVO_LEN, _ONE_SERVO_TYPE)
+        _check_header(data, "ONE SERVO", ONE_SERVO_LEN, ONE_SERVO_TYPE)
         return cls(_read_servo_id(data, 2), _read_op(data, 3))
 
 
@@ -126,7 +126,7 @@ class OneLeg:
 
     def to_bytes(self) -> bytes:
         """The 14 bytes of the frame."""
-        data = [_ONE_LEG_LEN, _ONE_LEG_TYPE]
+        data = [ONE_LEG_LEN, ONE_LEG_TYPE]
         for servo_id, command in zip(servo_ids_of(self.leg), self.commands, strict=True):
             data += (servo_id, command.op, *divmod(command.angle_cdeg, 100))
         return bytes(data)
@@ -134,7 +134,7 @@ class OneLeg:
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """Read a ONE LEG frame. Raises FrameError, also where the servos are not joints 1, 2, 3 of one leg in order."""
-        _check_header(data, "ONE LEG", _ONE_LEG_LEN, _ONE_LEG_TYPE)
+        _check_header(data, "ONE LEG", ONE_LEG_LEN, ONE_LEG_TYPE)
         leg = leg_of(_read_servo_id(data, 2))
         for index, expected_id in zip((2, 6, 10), servo_ids_of(leg), strict=True):
             if _read_servo_id(data, index) != expected_id:
@@ -175,9 +175,9 @@ def decode(data: bytes) -> Frame:
     """Read a frame of either type. Raises FrameError, which names the first byte that is wrong."""
     if len(data) < 2:
         raise FrameError(f"byte {len(data) + 1} is missing; a frame starts with FRAME LEN and FRAME TYPE")
-    if data[1] == _ONE_LEG_TYPE:
+    if data[1] == ONE_LEG_TYPE:
         return OneLeg.from_bytes(data)
-    if data[1] == _ONE_SERVO_TYPE:
+    if data[1] == ONE_SERVO_TYPE:
         return OneServo.from_bytes(data)
     raise FrameError(f"{_found(data, 1)}; a FRAME TYPE is 1 (ONE LEG) or 2 (ONE SERVO)")
 

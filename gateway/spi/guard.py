@@ -7,12 +7,23 @@ nor lengths and would corrupt its memory, which is why the bytes are checked a s
 from contextlib import AbstractContextManager
 from typing import Final
 
-from gateway.protocol.frames import FrameError, Op, decode, servo_ids_of
+from gateway.protocol.frames import (
+    ONE_LEG_LEN,
+    ONE_LEG_TYPE,
+    ONE_SERVO_LEN,
+    ONE_SERVO_TYPE,
+    FrameError,
+    Op,
+    decode,
+    servo_ids_of,
+)
 from gateway.protocol.framing import Framing
 from gateway.spi import SpiDevice
 from schemas.robot import LEGS, SERVO_IDS
 
-_ANNOUNCEMENTS: Final = frozenset((bytes((6,)), bytes((14,))))  # the two lengths that a frame can have
+_ANNOUNCEMENTS: Final = frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))
+_ONE_LEG: Final = bytes((ONE_LEG_LEN, ONE_LEG_TYPE))
+_ONE_SERVO: Final = bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))
 _ZERO: Final = b"\0"
 _ZEROS_FOR_A_BODY: Final = 16  # no fewer: fewer than 14 would leave the rest of a body to the next frame
 
@@ -92,11 +103,11 @@ class GuardedDevice:
 
 def _is_frame(data: bytes) -> bool:
     """Whether these are a legal frame's bytes. Four times faster than `decode`, which says why not."""
-    if data[:2] == b"\x0e\x01" and len(data) == 14:
+    if data[:2] == _ONE_LEG and len(data) == ONE_LEG_LEN:
         ids = (data[2], data[6], data[10])
         known = ids in _IDS_OF_LEGS
     else:
-        known = data[:2] == b"\x06\x02" and len(data) == 6 and data[2] in SERVO_IDS
+        known = data[:2] == _ONE_SERVO and len(data) == ONE_SERVO_LEN and data[2] in SERVO_IDS
     if not known:
         return False
     for index in range(3, len(data), 4):

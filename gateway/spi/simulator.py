@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.errors import SpiError
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.protocol.framing import Framing
 from schemas.robot import SERVO_IDS
 
@@ -33,7 +33,10 @@ MAX_SPEED_DEG_S: Final = 60 / 0.17  # MG996R at 4.8 V without load: 0.17 s for 6
 KEPT_TRANSFERS: Final = 10_000  # the newest; 33 s of six legs at 50 Hz
 
 _RECEIVE_BUFFER_LEN: Final = 64  # MESSAGE_MAX_LEN
-_RECORDS_BY_LEN_AND_TYPE: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}  # where each servo's four bytes begin
+_RECORDS_BY_LEN_AND_TYPE: Final = {  # where each servo's four bytes begin
+    (ONE_LEG_LEN, ONE_LEG_TYPE): (2, 6, 10),
+    (ONE_SERVO_LEN, ONE_SERVO_TYPE): (2,),
+}
 _DONE: Final = {Op.START: "started at", Op.SET: "set to"}
 
 

@@ -3,11 +3,19 @@
 import re
 from collections.abc import Iterator, Sequence
 
-from gateway.protocol.frames import STOP, FrameError, OneLeg, OneServo, Op, stop_leg
+from gateway.protocol.frames import (
+    ONE_LEG_LEN,
+    ONE_LEG_TYPE,
+    ONE_SERVO_LEN,
+    ONE_SERVO_TYPE,
+    FrameError,
+    OneLeg,
+    Op,
+)
 from gateway.protocol.frames import decode as decode_frame
 from gateway.tools.terminal import say
 
-_FRAME_HEADERS = frozenset(frame.to_bytes()[:2] for frame in (stop_leg(1), OneServo(11, STOP)))
+_FRAME_HEADERS = frozenset((bytes((ONE_LEG_LEN, ONE_LEG_TYPE)), bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))))
 """FRAME LEN and FRAME TYPE of the two kinds of frames."""
 
 _MAX_ECHO = 40

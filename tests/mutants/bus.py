@@ -249,12 +249,14 @@ GUARD = Subject(
     tests=("tests/unit/test_guard.py", "tests/unit/test_guard_agrees.py", "tests/unit/test_bus_device.py"),
     mutants=(
         Mutant(
-            "frozenset((bytes((6,)), bytes((14,))))",
-            "frozenset((bytes((6,)), bytes((14,)), bytes((65,))))",
+            "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))",
+            "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,)), bytes((65,))))",
             "a length that overruns the controller's memory is announced",
         ),
         Mutant(
-            "frozenset((bytes((6,)), bytes((14,))))", "frozenset((bytes((14,)),))", "no frame for a servo is written"
+            "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))",
+            "frozenset((bytes((ONE_LEG_LEN,)),))",
+            "no frame for a servo is written",
         ),
         Mutant(
             "_ZEROS_FOR_A_BODY: Final = 16",
@@ -319,7 +321,7 @@ GUARD = Subject(
         ),
         Mutant("        if data != canonical:\n", "        if False:\n", "a Stop with an angle passes"),
         Mutant(
-            'if data[:2] == b"\\x0e\\x01" and len(data) == 14:', 'if data[:2] == b"\\x0e\\x01":', "half a frame passes"
+            "if data[:2] == _ONE_LEG and len(data) == ONE_LEG_LEN:", "if data[:2] == _ONE_LEG:", "half a frame passes"
         ),
         Mutant(
             "known = ids in _IDS_OF_LEGS",
@@ -330,11 +332,13 @@ GUARD = Subject(
             "known = ids in _IDS_OF_LEGS", "known = True", "an id beyond the controller's table writes into its memory"
         ),
         Mutant(
-            "and len(data) == 6 and data[2] in SERVO_IDS",
-            "and len(data) == 6",
+            "and len(data) == ONE_SERVO_LEN and data[2] in SERVO_IDS",
+            "and len(data) == ONE_SERVO_LEN",
             "an id beyond the controller's table writes into its memory",
         ),
-        Mutant("and len(data) == 6 and data[2] in SERVO_IDS", "and data[2] in SERVO_IDS", "half a frame passes"),
+        Mutant(
+            "and len(data) == ONE_SERVO_LEN and data[2] in SERVO_IDS", "and data[2] in SERVO_IDS", "half a frame passes"
+        ),
         Mutant(
             "    if not known:\n        return False\n",
             "",

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import SpiError
-from gateway.protocol.frames import stop_leg
+from gateway.protocol.frames import ONE_LEG_LEN
 from gateway.protocol.framing import Framing
 from gateway.settings import SpiSettings
 from gateway.spi.kernel import KernelDevice
@@ -18,7 +18,7 @@ from schemas.robot import LEGS
 
 MEASURED_HZ: Final = 2_500_000
 """Up to this speed the clock was measured to be clean."""
-STOP_BITS: Final = 8 * len(stop_leg(1).to_bytes())
+STOP_BITS: Final = 8 * ONE_LEG_LEN
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
 SERVICE_USER: Final = "hexapod-gateway"
