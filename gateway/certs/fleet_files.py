@@ -1,8 +1,8 @@
 """The Zenoh files of a fleet: router.json5 for the router all robots dial, NAME.json5 for a robot's gateway.
 
 Zenoh's access control compares a certificate's common name whole and cannot put it into a key expression, so the
-router's file has one block for each robot, and is made anew when a robot is added. Who is whom: `robot.NAME` the
-gateway of a robot, `operator.NAME` and `observer.NAME` its people, `gateway` the routers themselves.
+router's file has one block for each robot, and is rewritten when a robot is added. Common names: `robot.NAME` of a
+robot's gateway, `operator.NAME` and `observer.NAME` of its people, `gateway` of the routers.
 tests/zenoh/test_fleet.py has the gateways, a router and people as processes of their own.
 """
 
@@ -28,10 +28,10 @@ _ROUTER = """\
     shared_memory: { enabled: false },
     link: {
       protocols: ["tls"],
-      // Who asks and does not read loses the link after 20 ms. With Zenoh's own 5 s, one such laptop delayed everything
-      // that the router receives, and all robots' links with it.
+      // A client that asks and does not read loses its link after 20 ms. With Zenoh's own 5 s, one such laptop delayed
+      // everything that the router receives, and all robots' links with it.
       tx: { lease: 1000, queue: { congestion_control: { block: { wait_before_close: 20000 } } } },
-      // No message is put together to more than this many bytes, whoever sends it.
+      // No message is assembled from fragments to more than this many bytes, whoever sends it.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",

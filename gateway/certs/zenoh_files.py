@@ -1,7 +1,7 @@
 """The Zenoh files that go with the certificates: gateway.json5 for the robot, NAME.json5 for a laptop.
 
-Paths in them are relative and meant from the file's own folder (gateway/edge/config_file.py), so the folder can be made
-on a laptop, copied to a robot, zipped, unzipped elsewhere. Every rule below has a test against real sessions
+Paths in them are relative to the file's own folder (gateway/edge/config_file.py), so the folder can be made on a
+laptop, copied to a robot, zipped and unzipped elsewhere. Every rule below has a test with real sessions
 (tests/zenoh/test_certs_zenoh.py).
 """
 
@@ -36,7 +36,7 @@ _GATEWAY = """\
       protocols: ["tls"],
       // A link that is silent for this long (ms) is dead, and what waited on it is dropped with it.
       tx: { lease: 1000 },
-      // No message is put together to more than this many bytes, whoever sends it.
+      // No message is assembled from fragments to more than this many bytes, whoever sends it.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
@@ -91,12 +91,12 @@ _LAPTOP = """\
   },
   scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
   transport: {
-    // What one host may take, its name and its handshake included. By default it would hold up the next one for 10 s.
+    // How long one host may take, name and handshake included. By default it would delay the next one by 10 s.
     unicast: { open_timeout: 1000 },
     shared_memory: { enabled: false },
     link: {
       protocols: ["tls"],
-      // The laptop's lease decides how soon a cut is noticed; with 1000 ms nothing that waited for 3 s comes out late.
+      // The laptop's lease decides how soon a cut is noticed. With 1000 ms, what waited for 3 s is not sent late.
       tx: { lease: 1000 },
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {

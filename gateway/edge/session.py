@@ -18,11 +18,11 @@ _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
 UNREAD_US: Final = 20_000
 """For how long an answer may wait for a laptop that does not read, before that laptop loses its link.
 
-Zenoh sends the end of a query that a flood pushed out of its ring, or that nobody here answers, on a thread that
-receives, with the ring locked for which the loop waits. With 500 ms, watchdog Stops were 546 ms late beside a laptop
-that asked 18 000 times a second and read nothing. With 20 ms none of 147 was later than 1.5 ms; one that is due in
-just these 20 ms would wait for them. Who asks as much and does read may lose the link now and then (twice in 32 s);
-who asks 50 times a second does not, down to 300 kbit/s.
+When a flood pushes a query out of its ring, or nothing answers it, Zenoh sends the query's end from a receiving thread
+that holds the ring's lock, and the loop waits for that lock. With 500 ms, watchdog Stops were 546 ms late beside a
+laptop that asked 18 000 times a second and read nothing. With 20 ms none of 147 was later than 1.5 ms; one that falls
+due in these 20 ms would wait for their end. A client that asks as often and does read may lose its link (twice in
+32 s). One that asks 50 times a second does not, down to 300 kbit/s.
 """
 _UNREAD_US_KEY: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
@@ -32,7 +32,7 @@ _MOST: Final = {
     "transport/unicast/accept_pending": ACCEPT_PENDING,
     "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
 }
-"""A Zenoh file may say less."""
+"""Upper limits; a Zenoh file may set lower ones."""
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:
@@ -46,9 +46,9 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     if settings.connect or not settings.config:
         _insert(config, "connect/endpoints", list(settings.connect), "zenoh.connect")
     _scouting_off(config)
-    # A gateway that opens without its listener looks well and hears nobody.
+    # Without its listener a gateway would open without an error and hear nobody.
     config.insert_json5("listen/exit_on_failure", "true")
-    # Shared memory goes around every size limit, and local clients gain nothing by it at this size.
+    # Shared memory bypasses every size limit, and for such small messages local clients gain nothing by it.
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
     config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))

@@ -1,7 +1,7 @@
-"""What `watch` knows: pure, with the time as an argument. It neither draws nor speaks Zenoh.
+"""What `watch` shows, as data: pure, with the time as an argument. It neither draws nor speaks Zenoh.
 
-Three questions it answers with care, since people stand beside the robot: how old is what I see, is anybody there, and
-has my emergency stop been taken?
+People stand beside the robot, so it must always be right about three things: how old the picture is, whether the
+gateway is there, and whether the emergency stop was taken.
 """
 
 from collections import Counter, deque
@@ -18,21 +18,21 @@ NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
 
 SILENT_AFTER_NS: Final = 2_000_000_000
-"""Whoever publishes no state is asked for it, and one lost answer (link.py: 0.4 s, 0.6 s, 0.4 s) is no silence. A
-process that ends takes its token with it, and is noticed at once."""
+"""Long enough for a gateway that publishes no state, which is asked for it, and for one lost answer (link.py: 0.4 s,
+0.6 s, 0.4 s). The end of its process is noticed at once, by its liveliness token."""
 RATE_WINDOW_S: Final = 2.0
-"""Rates are means over so long: at 10 states a second, steady to the eye and still quick to follow."""
+"""Rates are means over this time: at 10 states a second, steady to the eye and still quick to follow."""
 SAME_START_S: Final = 0.1
-"""Two states of one gateway agree on when it was started, by its own clocks; nothing restarts so quickly."""
+"""Two states of one gateway agree on its start time to within this; no gateway restarts so quickly."""
 STOP_PATIENCE_NS: Final = 500_000_000
-"""A stop takes milliseconds. Whoever waits longer for its confirmation must hear so, and go to the power switch."""
+"""A stop takes milliseconds. If its confirmation takes longer, the person must go to the power switch."""
 REMARK_NS: Final = 15 * NS_PER_S
-"""What went well is read once; what went wrong stays until another key is pressed."""
+"""How long a remark on a success is shown; one on a failure stays until another key is pressed."""
 QUESTION_NS: Final = 10 * NS_PER_S
-"""A question that stood for longer is taken back: a stray y shall answer nothing."""
+"""An older question is withdrawn, so that a stray y answers nothing."""
 KEPT_EVENTS: Final = 200
 SOURCES: Final = 64
-"""Sources counted one by one, as in the gateway; whoever invents more names shares one line."""
+"""Sources counted separately, as in the gateway; all further ones share one line."""
 OTHERS: Final = "all others"
 NAMELESS: Final = "no name"
 
@@ -65,7 +65,7 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One event, or a remark of our own about the gateway (`kind` is then a word of ours)."""
+    """One event, or a remark of `watch` about the gateway (`kind` is then none of the gateway's)."""
 
     time: datetime
     kind: str
@@ -75,7 +75,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Per second, means over the window; None until two states tell."""
+    """Per second, means over the window; None until two states have been heard."""
 
     accepted: float | None = None
     rejected: float | None = None
@@ -98,7 +98,7 @@ class Model:
 
     state: GatewayState | None = None
     trouble: str = ""
-    """Why no connection comes about, as long as none does: a line for each host."""
+    """Why there is no connection: a line for each host."""
     remark: Remark | None = None
     rejected: Counter[str] = field(default_factory=Counter)
     """Commands rejected since we watch, by source, with those that the gateway left out of its events."""
@@ -107,7 +107,7 @@ class Model:
     lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_EVENTS))
     """Newest first."""
     stop_wanted_ns: int | None = None
-    """Since when an emergency stop is asked for that nobody has confirmed."""
+    """Since when an emergency stop is requested and not confirmed; None: there is none."""
     stop_tries: int = 0
     estop: int | None = None
     """The number of the latest emergency stop that we have heard of."""
@@ -340,7 +340,7 @@ def _started_s(state: GatewayState) -> float:
 
 
 def visible(text: str) -> str:
-    """What others wrote must not steer the terminal."""
+    """The text without control characters: a sender's text must not control the terminal."""
     return text if text.isprintable() else "".join(char if char.isprintable() else "�" for char in text)
 
 
