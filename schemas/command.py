@@ -8,7 +8,7 @@ MAX_PAYLOAD_BYTES: Final = 4096
 """A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is rejected unread."""
 
 MAX_SENT_MS: Final = 2**53
-"""285 000 years; beyond it a double has no whole milliseconds. What is larger is a clock in other units."""
+"""285 000 years; beyond it a double cannot hold whole milliseconds. A larger value is a clock in other units."""
 
 MAX_ESTOP: Final = 2**53
 """Larger whole numbers are not exact in every JSON reader."""

@@ -70,7 +70,7 @@ class Cause(StrEnum):
 
 
 class WatchdogState(StrEnum):
-    """A leg's watchdog: nothing to watch, watching, or it has stopped the leg."""
+    """A leg's watchdog: nothing runs, it is armed, or it has stopped the leg."""
 
     IDLE = "idle"
     ARMED = "armed"
@@ -78,7 +78,7 @@ class WatchdogState(StrEnum):
 
 
 OrText = Field(union_mode="left_to_right")
-"""For a value that later versions may add to: one that is not known here is read as text, never an error."""
+"""For a set of values that later versions may extend: an unknown one is read as text and is no error."""
 AnyReason = Annotated[Reason | str, OrText]
 AnyMode = Annotated[Mode | str, OrText]
 AnyKind = Annotated[Kind | str, OrText]
