@@ -1,4 +1,4 @@
-"""Reads certificates and keys from files; whatever is wrong with one is one sentence that says what to do."""
+"""Reads certificates and keys from files. Each error is one sentence that says what to do."""
 
 import stat
 from pathlib import Path
@@ -11,12 +11,12 @@ from gateway.errors import ConfigError
 
 
 def read_certificate(path: Path) -> x509.Certificate:
-    """The first certificate of a PEM file, which of a chain is its owner's."""
+    """The first certificate of a PEM file; in a chain that is the owner's."""
     return read_certificates(path)[0]
 
 
 def read_certificates(path: Path) -> list[x509.Certificate]:
-    """All certificates of a PEM file, at least one; ConfigError for what is missing, unreadable or not one."""
+    """All certificates of a PEM file, at least one; ConfigError if it is missing, unreadable or none."""
     data = read_file(path, "certificate")
     try:
         return x509.load_pem_x509_certificates(data)
@@ -27,7 +27,7 @@ def read_certificates(path: Path) -> list[x509.Certificate]:
 
 
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """A private key that is not encrypted; ConfigError for what is missing, unreadable or something else."""
+    """A private key that is not encrypted; ConfigError if the file is missing, unreadable or no such key."""
     data = read_file(path, "key")
     try:
         key = serialization.load_pem_private_key(data, password=None)

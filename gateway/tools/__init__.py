@@ -1,1 +1,1 @@
-"""Command-line tools beside the service."""
+"""The commands, one module each."""

@@ -281,7 +281,7 @@ def test_a_living_gateway_that_takes_no_stop_is_named_as_such() -> None:
     model = model_with_state(Model())
     model.stop_pressed(0)
     model.stop_unanswered()
-    assert "the gateway lives but does not take it" in " ".join(screen(model, NS_PER_MS).split())
+    assert "the gateway runs but does not take it" in " ".join(screen(model, NS_PER_MS).split())
     model.heard_state(state(10.1, Mode.ESTOPPED), 2 * NS_PER_MS, WALL)  # somebody else could
     assert model.stop_wanted_ns is None
     assert "ESTOPPED, as its state says" in screen(model, 2 * NS_PER_MS)

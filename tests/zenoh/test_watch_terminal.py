@@ -210,7 +210,7 @@ def test_a_gateway_that_dies_is_called_silent_and_comes_back_by_itself(tmp_path:
         gateway.child.kill()
         terminal.wait("SILENT for", "was ACTIVE", "No word from the gateway", "the gateway fell silent")
         with Gateway(tmp_path, {**PATIENT, **listen}) as again:
-            shown = terminal.wait("IDLE", "the gateway is heard again", "the gateway was started anew")
+            shown = terminal.wait("IDLE", "the gateway is heard again", "the gateway was started again")
             assert "SILENT for" not in shown
             with again.client() as client:
                 assert client.start_leg(5, 10, 20, 30).accepted
@@ -229,7 +229,7 @@ def test_a_stop_that_nobody_heard_is_sent_again_when_the_gateway_is_back(tmp_pat
         gateway.child.kill()
         terminal.wait("SILENT for")
         terminal.press("Space")
-        terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying on")
+        terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying again")
         with Gateway(tmp_path, sections):
             shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
             assert "NOT STOPPED" not in shown

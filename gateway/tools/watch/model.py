@@ -94,7 +94,7 @@ class _Sample:
 
 @dataclass(slots=True)
 class Model:
-    """Everything that is shown. Feed it with what was heard; ask it with the time."""
+    """Everything that is shown. `heard_…` methods take what arrives; the others take the time."""
 
     state: GatewayState | None = None
     trouble: str = ""
@@ -131,9 +131,9 @@ class Model:
         known = self.state
         back, self._back = self._back, False
         older = known is not None and state.uptime_s < known.uptime_s
-        if known is not None and (older or back):  # one that ended young may be outlived before the next is heard
+        if known is not None and (older or back):  # its uptime alone does not show a restart after a silence
             if abs(_started_s(state) - _started_s(known)) >= SAME_START_S:
-                self._note(wall, "restarted", "the gateway was started anew", bad=True)
+                self._note(wall, "restarted", "the gateway was started again", bad=True)
                 self._samples.clear()
             elif older:
                 return  # an answer that a published state has overtaken
@@ -141,7 +141,7 @@ class Model:
             self._forget_remark_of_stop()
         self.state, self._state_ns, self.estop = state, now_ns, state.estop
         if state.mode is Mode.ESTOPPED and self.stop_wanted_ns is not None and self.stop_tries:
-            # Our answer was lost, or somebody else could stop where we may not.
+            # The answer was lost, or somebody else engaged it where this laptop may not.
             self.stop_wanted_ns = None
             text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
             self.remark = Remark(Tone.NOTE, text, now_ns, of_stop=True)
@@ -149,7 +149,7 @@ class Model:
         self._samples.append(
             _Sample(state.uptime_s, commands.accepted, commands.rejected, commands.coalesced, state.spi.frames)
         )
-        # The oldest kept is the newest that is a whole window old, so that slow states give rates too.
+        # Keep one sample that is at least a window old, so that states that come slowly also give rates.
         while len(self._samples) > 2 and state.uptime_s - self._samples[1].uptime_s >= RATE_WINDOW_S:
             self._samples.popleft()
 
@@ -177,7 +177,7 @@ class Model:
             self.look(now_ns, wall)
 
     def heard_others(self, warning: str, wall: datetime) -> None:
-        """Not only the gateway answers; said once."""
+        """Other programs answer, too; each warning is shown once."""
         if warning not in self._warned:
             self._warned.add(warning)
             self._note(wall, "others_answer", warning, bad=True)
@@ -202,7 +202,7 @@ class Model:
         self._heard_ns, self._gone, self._told, self.trouble = now_ns, False, Presence.LIVE, ""
 
     def _forget_remark_of_stop(self) -> None:
-        """It must not say STOPPED over a robot that may move again."""
+        """Remove a remark that says STOPPED once the robot may move again."""
         if self.remark is not None and self.remark.of_stop:
             self.remark = None
 
@@ -212,7 +212,7 @@ class Model:
     # ---- what it means
 
     def presence(self, now_ns: int) -> Presence:
-        """Whether anybody is there."""
+        """Whether the gateway is there."""
         if self._heard_ns is None:
             return Presence.WAITING
         return Presence.SILENT if self._gone or now_ns - self._heard_ns > SILENT_AFTER_NS else Presence.LIVE
@@ -226,7 +226,7 @@ class Model:
         return float("inf") if self.state is None else (now_ns - self._state_ns) / NS_PER_MS
 
     def command_age_ms(self, leg: LegReport, now_ns: int) -> float | None:
-        """How long ago an accepted command named the leg: what the state said, and the time since it came."""
+        """The age of the leg's last accepted command: as the state said, plus the time since the state came."""
         return None if leg.age_ms is None else leg.age_ms + self.state_age_ms(now_ns)
 
     def running_legs(self) -> int:
@@ -252,7 +252,7 @@ class Model:
     # ---- emergency stop and reset
 
     def stop_pressed(self, now_ns: int) -> None:
-        """Somebody wants everything stopped. Wanted until it is confirmed, or until they ask for a reset."""
+        """The stop key was pressed. The stop is wanted until it is confirmed, or until a reset is requested."""
         self._asked_ns = None
         self.remark = None
         if self.stop_wanted_ns is None:
@@ -260,10 +260,10 @@ class Model:
             self.stop_tries = 0
 
     def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
-        """The gateway confirms what was asked at `asked_ns`, and says how much of it succeeded."""
+        """The gateway confirms the request of `asked_ns`, and says how many Stop frames it wrote."""
         self.estop = max(self.estop or 0, ack.estop or 0)
         if asked_ns < self._reset_ns:
-            return  # that stop has been left since; one pressed later waits for its own answer
+            return  # a reset has followed that stop; a later stop waits for its own answer
         told = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
         if self.stop_wanted_ns is None and told:
             return  # the second answer to one stop
@@ -282,21 +282,21 @@ class Model:
         self.stop_tries += 1
 
     def stop_alarm(self, now_ns: int) -> str | None:
-        """What must be shouted about a stop that nobody confirms; None where there is nothing to shout."""
+        """The alarm about a stop that nobody confirms, or None."""
         if self.stop_wanted_ns is None:
             return None
         if not self.stop_tries and now_ns - self.stop_wanted_ns < STOP_PATIENCE_NS:
             return None
         waited_s = (now_ns - self.stop_wanted_ns) / NS_PER_S
         why = (
-            "the gateway lives but does not take it (an observer's certificate may not stop)"
+            "the gateway runs but does not take it (an observer's certificate may not stop)"
             if self.presence(now_ns) is Presence.LIVE
-            else "trying on"
+            else "trying again"
         )
         return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"
 
     def reset_pressed(self, now_ns: int) -> None:
-        """Somebody wants to leave the emergency stop: that is asked back, if there is one."""
+        """The reset key was pressed: ask whether it is meant, if an emergency stop is engaged."""
         estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
         if self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None:
             self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
@@ -304,7 +304,7 @@ class Model:
         self._asked_ns = now_ns
 
     def asking(self, now_ns: int) -> bool:
-        """Whether the question of the reset stands."""
+        """Whether the question about the reset is on the screen."""
         return self._asked_ns is not None and now_ns - self._asked_ns < QUESTION_NS
 
     def reset_confirmed(self, now_ns: int) -> None:
@@ -345,5 +345,5 @@ def visible(text: str) -> str:
 
 
 def top_rejected(rejected: Mapping[str, int], count: int) -> list[tuple[str, int]]:
-    """The sources with most rejections, most first; equals by name, so that lines do not dance."""
+    """The sources with most rejections, most first; equal ones by name, so that lines keep their places."""
     return sorted(rejected.items(), key=lambda item: (-item[1], item[0]))[:count]
