@@ -65,7 +65,7 @@ def test_states_that_count_as_one_have_one_future(configuration: Configuration) 
 
 def test_parts_without_a_bug_keep_every_promise() -> None:
     """Else the bugs planted below might be found for the planting alone."""
-    check(ONE_SERVO, planted.with_parts())
+    check(SLOW, planted.with_parts())
 
 
 @pytest.mark.parametrize(

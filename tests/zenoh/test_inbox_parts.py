@@ -4,7 +4,6 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import closing
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -15,11 +14,8 @@ import zenoh
 from gateway.core.message import Received, Verb
 from gateway.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _may_stop, _received
 from gateway.edge.rings import RING_DEPTH, Ring
-from gateway.edge.session import open_session, service_config
-from gateway.settings import ZenohSettings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
-from tests.support.gateway_process import free_port
 from tests.zenoh.test_inbox_wakeups import Taker
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
@@ -52,13 +48,6 @@ class Held:
 
     async def close(self) -> None:
         await asyncio.to_thread(self.inbox.close)
-
-
-@pytest.fixture
-async def session() -> AsyncIterator[zenoh.Session]:
-    settings = ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))
-    with closing(open_session(service_config(settings))) as opened:
-        yield opened
 
 
 @pytest.fixture

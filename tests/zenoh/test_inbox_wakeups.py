@@ -6,7 +6,6 @@ In one process, so that the loop can be held just while messages come in: a sess
 import asyncio
 import itertools
 from collections.abc import AsyncIterator, Callable
-from contextlib import closing
 from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Any
@@ -16,10 +15,7 @@ import zenoh
 
 from gateway.core.message import Reply
 from gateway.edge.inbox import OTHER_DEPTH, Inbox
-from gateway.edge.session import open_session, service_config
-from gateway.settings import ZenohSettings
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP
-from tests.support.gateway_process import free_port
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
 PATIENCE_S = 5.0
@@ -53,13 +49,6 @@ class Taker:
         """Until all these keys have been taken; forgets them."""
         await self.wait_until(lambda: set(wanted) <= set(self.taken))
         self.taken.clear()
-
-
-@pytest.fixture
-async def session() -> AsyncIterator[zenoh.Session]:
-    settings = ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))
-    with closing(open_session(service_config(settings))) as opened:
-        yield opened
 
 
 @pytest.fixture
