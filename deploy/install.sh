@@ -201,8 +201,29 @@ write_configuration() {
 			put "$certs/$file" $ETC/zenoh/"$file" 0640 $NAME
 		fi
 	done
-	grep -q '^config *= *"/etc/hexapod-gateway/zenoh/gateway.json5"' $ETC/gateway.toml 2>/dev/null ||
-		hint="To use the certificates, in $ETC/gateway.toml under [zenoh]: config = \"$ETC/zenoh/gateway.json5\""
+	# The file that is there, or in a dry run the one that would be.
+	local setting='config = "/etc/hexapod-gateway/zenoh/gateway.json5"' present=$ETC/gateway.toml
+	[ -e "$present" ] || present=$said_framing
+	if ! grep -q "^$setting" "$present"; then
+		if grep -q "^# $setting\$" "$present" && ! grep -q '^[[:space:]]*config[[:space:]]*=' "$present"; then
+			say "use the certificates: $setting in $ETC/gateway.toml"
+			run use_certificates "$setting"
+			changed=yes
+		else
+			hint="To use the certificates, in $ETC/gateway.toml under [zenoh]: $setting"
+			return 0
+		fi
+	fi
+	next="where ca.key is: $NAME certs issue NAME --role operator --dir DIR --bundle NAME.zip
+Then on the laptop: $NAME check --zenoh-config NAME.json5"
+}
+
+# The setting goes in the place of the comment that names it; the file is for the service to read, and whole at any time.
+use_certificates() {
+	sed "s|^# $1\$|$1|" $ETC/gateway.toml >$ETC/gateway.toml.new
+	chown root:$NAME $ETC/gateway.toml.new
+	chmod 0640 $ETC/gateway.toml.new
+	mv $ETC/gateway.toml.new $ETC/gateway.toml
 }
 
 allow_spi() {
@@ -323,7 +344,12 @@ install_all() {
 	configured=$changed
 	allow_spi
 	start_service
-	[ -z "$hint" ] || say "$hint"
+	if [ -n "$hint" ]; then
+		say "$hint"
+	else
+		say "Next: sudo $NAME check"
+		[ -z "$next" ] || say "Then $next"
+	fi
 }
 
 uninstall_all() {
@@ -363,7 +389,7 @@ uninstall_all() {
 	say "SPI and the group spi stay as they are"
 }
 
-changed=no configured=no reboot=no hint='' unfinished='' sources='' said_framing='' said=no
+changed=no configured=no reboot=no hint='' next='' unfinished='' sources='' said_framing='' said=no
 trap clean_up EXIT
 cd / # the folder it was called from may be gone, or be one that a new user may not enter
 check_machine

@@ -29,7 +29,10 @@ app = typer.Typer(
 ConfigOption = Annotated[
     Path | None,
     typer.Option(
-        "--config", metavar="PATH", help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists."
+        "--config",
+        metavar="PATH",
+        readable=False,  # what cannot be read is said with a remedy
+        help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists.",
     ),
 ]
 ConnectOption = Annotated[
@@ -132,9 +135,10 @@ def check(
 
     With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there.
 
-    It changes nothing: no byte reaches the servos, and a running gateway is not disturbed.
+    It changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it looks with the
+    rights of the service's user.
 
-    Exit codes: 0 it can, 1 it cannot, 2 spi.framing is not set.
+    Exit codes: 0 it can, 1 it cannot, 2 spi.framing is not set, or the configuration may not be read.
     """
     from gateway.tools.check import check, check_laptop
 

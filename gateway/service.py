@@ -80,7 +80,7 @@ def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDev
     return lambda: controller
 
 
-def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = lambda: None) -> None:
+def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None] = lambda _: None) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     descriptors.ensure()
     realtime.prefer_process()
@@ -92,7 +92,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None] = l
         runner.run(_run(settings, simulated=simulated, on_ready=on_ready))
 
 
-async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], None]) -> None:
+async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]) -> None:
     loop = asyncio.get_running_loop()
     end = _End(loop)
     notifier = SystemdNotifier()
@@ -127,7 +127,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[], No
         )
         conductor.announce_start()
         notifier.ready("takes commands")
-        on_ready()
+        on_ready(config)
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
             asyncio.create_task(_beat(notifier, conductor, inbox, Strangers(session), end)),

@@ -71,6 +71,12 @@ def init(
         raise ConfigError(
             "name at least one host by which laptops reach the robot: --host robot.local --host 192.0.2.7"
         )
+    for name in names:
+        if ":" in name:  # an IPv6 address: parse_host lets no port through
+            raise ConfigError(
+                f"Zenoh dials no IPv6 address over TLS, so no laptop could reach {name}: give a name that stands for "
+                "it, such as robot.local, or an IPv4 address"
+            )
     _check_days(days)
     if not 1 <= port <= 65535:
         raise ConfigError(f"port {port} is not between 1 and 65535")

@@ -67,11 +67,11 @@ def init(
     """
     certs.init(directory, host, days=days, port=port, namespace=namespace)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")
-    typer.echo(
-        "Copy to the robot, into one folder, owned by the service's user: gateway.json5 gateway.pem gateway.key ca.pem"
-    )
-    typer.echo("Leave ca.key here, and keep a copy of it somewhere safe. In the robot's gateway.toml:")
-    typer.echo('  [zenoh]\n  config = "/etc/hexapod-gateway/zenoh/gateway.json5"')
+    files = " ".join(str(directory / name) for name in ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem"))
+    typer.echo("Leave ca.key here, and keep a copy of it somewhere safe. Next, to the robot and into its service:")
+    typer.echo(f"  ssh {host[0]} mkdir -p -m 700 robot-certs")
+    typer.echo(f"  scp {files} {host[0]}:robot-certs/")
+    typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
     typer.echo(
         f"Next, for each laptop: hexapod-gateway certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
     )

@@ -1,7 +1,12 @@
 """`run`: the service, and what it prints once it is ready."""
 
+from collections.abc import Sequence
+
+import zenoh
+
 from gateway import service
 from gateway.client import DEFAULT_ENDPOINT
+from gateway.edge.exposure import listen_endpoints
 from gateway.settings import Settings
 from gateway.tools.terminal import say, this_command
 
@@ -9,17 +14,21 @@ from gateway.tools.terminal import say, this_command
 def run(settings: Settings, *, simulated: bool) -> None:
     """Run the service and, once it is ready, say where it is and what to try next."""
 
-    def ready() -> None:
+    def ready(config: zenoh.Config) -> None:
         robot = "a simulated controller" if simulated else settings.spi.device
-        where = ", ".join(settings.zenoh.listen) or settings.zenoh.config
+        endpoints = listen_endpoints(config)
+        where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
-        command = f"{this_command()} send leg 3 start 90 45 120 --hold 5{_connect_option(settings)}"
-        say(f"Try, in a second terminal: {command}")
+        say(next_step(endpoints, this_command()))
 
     service.run(settings, simulated=simulated, on_ready=ready)
 
 
-def _connect_option(settings: Settings) -> str:
-    """What a client on this machine must add to reach this service."""
-    listen = settings.zenoh.listen
-    return f" --connect {listen[0]}" if listen and DEFAULT_ENDPOINT not in listen else ""
+def next_step(endpoints: Sequence[str], command: str) -> str:
+    """What to try, where the service listens on `endpoints`; `command` is how this program was called."""
+    plain = [endpoint for endpoint in endpoints if not endpoint.startswith(("tls/", "quic/"))]
+    if not plain:
+        made = "NAME.json5 is made by: hexapod-gateway certs issue NAME --role operator, where ca.key is"
+        return f"Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 ({made})"
+    connect = "" if DEFAULT_ENDPOINT in plain else f" --connect {plain[0]}"
+    return f"Try, in a second terminal: {command} send leg 3 start 90 45 120 --hold 5{connect}"

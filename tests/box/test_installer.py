@@ -209,13 +209,24 @@ def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
     certs.issue(tmp_path / "certs", "alice", "operator")
     folder = share(box, tmp_path / "certs")
     said = machine.install("--certs", folder)
-    assert said[-1].startswith(f"To use the certificates, in {CONFIGURATION} under [zenoh]: config = ")
+    setting = f'config = "/etc/{NAME}/zenoh/gateway.json5"'
+    assert f"use the certificates: {setting} in {CONFIGURATION}" in said
+    assert said[-3:] == [
+        f"Next: sudo {NAME} check",
+        f"Then where ca.key is: {NAME} certs issue NAME --role operator --dir DIR --bundle NAME.zip",
+        f"Then on the laptop: {NAME} check --zenoh-config NAME.json5",
+    ]
+    assert box.read(CONFIGURATION).splitlines().count(setting) == 1
+    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
     files = box.run("ls", "-l", f"/etc/{NAME}/zenoh").stdout
     assert "ca.key" not in files
     assert re.search(rf"^-rw-r----- 1 root {NAME} .* gateway.key$", files, re.MULTILINE), files
 
-    assert 'config = ""' in box.read(CONFIGURATION)
-    box.write(CONFIGURATION, f"spi.framing = 'plain'\n[zenoh]\n{said[-1].partition('[zenoh]: ')[2]}\n")
+    # A configuration that names another file stays, and so it is said.
+    box.write(CONFIGURATION, "spi.framing = 'plain'\n[zenoh]\nconfig = ''\n")
+    said = machine.install("--certs", folder)
+    assert said[-1] == f"To use the certificates, in {CONFIGURATION} under [zenoh]: {setting}"
+    box.write(CONFIGURATION, f"spi.framing = 'plain'\n[zenoh]\n{setting}\n")
     box.run("install", "-m", "0600", f"{folder}/gateway.key", f"/etc/{NAME}/zenoh/gateway.key")  # as by hand
     said = machine.install("--certs", folder)
     assert f"let {NAME} read all of /etc/{NAME}, and nobody else (root:{NAME})" in said

@@ -10,7 +10,7 @@ import pytest
 from gateway import certs
 from gateway.errors import ConfigError
 
-HOSTS = ["robot.local", "192.0.2.7", "2001:db8::7"]
+HOSTS = ["robot.local", "192.0.2.7"]
 NOW = dt.datetime.now(dt.UTC).replace(microsecond=0)
 DAY = dt.timedelta(days=1)
 MADE_BY_INIT = {"ca.key", "ca.pem", "gateway.key", "gateway.pem", "gateway.json5"}

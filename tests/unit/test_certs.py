@@ -15,6 +15,7 @@ from cryptography.x509.verification import PolicyBuilder, Store, VerificationErr
 from typer.testing import CliRunner
 
 from gateway import certs
+from gateway.certs.zenoh_files import endpoint
 from gateway.edge.config_file import certificate_files, load_client_config, load_config
 from gateway.errors import ConfigError
 from gateway.tools.certs import app
@@ -146,9 +147,12 @@ def test_a_laptop_dials_every_host_at_the_gateways_port(tmp_path: Path) -> None:
     assert json.loads(config.get_json("connect/endpoints")) == [
         "tls/robot.local:7555",
         "tls/192.0.2.7:7555",
-        "tls/[2001:db8::7]:7555",
     ]
     assert json.loads(config.get_json("mode")) == "client"
+
+
+def test_an_ipv6_address_of_an_older_folder_is_in_brackets() -> None:
+    assert endpoint("2001:db8::7", 7555) == "tls/[2001:db8::7]:7555"
 
 
 def test_the_gateways_zenoh_file(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

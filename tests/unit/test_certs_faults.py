@@ -157,6 +157,12 @@ def test_hosts_that_cannot_be(tmp_path: Path, host: str) -> None:
     assert names(tmp_path) == set()
 
 
+@pytest.mark.parametrize("host", ["::1", "[2001:DB8::7]"])
+def test_an_ipv6_address_that_no_laptop_could_dial(tmp_path: Path, host: str) -> None:
+    assert "Zenoh dials no IPv6 address over TLS" in fault(lambda: certs.init(tmp_path / "D", ["robot.local", host]))
+    assert names(tmp_path) == set()
+
+
 @pytest.mark.parametrize(
     ("text", "host"),
     [

@@ -1,6 +1,7 @@
 """The service as a process on the simulated controller: settings that only a process shows, start and end, mistakes."""
 
 import json
+import os
 import re
 import signal
 import socket
@@ -13,9 +14,11 @@ from typing import Any
 
 import pytest
 
+from gateway import certs
 from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Kind, Mode
+from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
 from tests.support.heard import events, states
 from tests.support.zenoh_actor import Remote
@@ -29,6 +32,21 @@ def test_it_says_that_it_is_ready_where_and_what_to_try(tmp_path: Path) -> None:
             "Try, in a second terminal: hexapod-gateway send leg 3 start 90 45 120 --hold 5 "
             f"--connect {gateway.endpoint}",
         ]
+
+
+def test_it_says_where_its_zenoh_file_makes_it_listen(tmp_path: Path) -> None:
+    """And what works there: no command without a certificate."""
+    port = free_port()
+    certs.init(tmp_path / "D", ["127.0.0.1"], port=port)
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": str(tmp_path / "D" / "gateway.json5")}})
+    child = Child([*COMMAND, "run", "--sim", "--config", str(config)], os.environ)
+    try:
+        child.wait_for_output("Try", timeout_s=20)
+        where, hint = child.stdout.splitlines()
+        assert where == f"{READY}: tls/[::]:{port} → a simulated controller (plain)"
+        assert hint.startswith("Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 (")
+    finally:
+        child.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])

@@ -4,6 +4,7 @@ It changes nothing: no byte reaches the robot, and a running gateway is not dist
 """
 
 import datetime as dt
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
@@ -15,7 +16,7 @@ from gateway import settings as settings_file
 from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
 from gateway.settings import FramingNotSetError, Settings
-from gateway.tools.check import device, laptop, machine, network
+from gateway.tools.check import device, laptop, machine, network, service_user
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -24,9 +25,15 @@ _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILUR
 def check(config: Path | None) -> int:
     """Print every check's line as it is known; the exit code: 0, or 1 after a failure.
 
-    Raises FramingNotSetError: what the machine can do matters only once it is known what the controller understands.
+    As root, each is looked at as the service's user.
+    Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
+    matters only once it is known what the controller understands.
     """
-    return _tell(run(config), "This machine can run the service", "This machine cannot run the service")
+
+    def look() -> int:
+        return _tell(run(config), "This machine can run the service", "This machine cannot run the service")
+
+    return service_user.run(look, machine.granted_rtprio())
 
 
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
@@ -53,6 +60,9 @@ def _tell(found: Iterable[Result], well: str, unwell: str) -> int:
 
 def run(config: Path | None) -> Iterator[Result]:
     """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once."""
+    path = config or settings_file.DEFAULT_PATH
+    if os.geteuid() not in (0, service_user.uid()) and _denied(path):
+        raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     try:
         settings: Settings | ConfigError = settings_file.load(config)
     except FramingNotSetError:
@@ -60,6 +70,9 @@ def run(config: Path | None) -> Iterator[Result]:
     except ConfigError as error:
         settings = error
     yield machine.python()
+    whose = service_user.who()
+    if whose is not None:
+        yield whose
     if isinstance(settings, ConfigError):
         yield from _unreadable(settings)
     else:
@@ -67,13 +80,26 @@ def run(config: Path | None) -> Iterator[Result]:
         yield from _of_settings(settings)
     yield machine.clock()
     yield machine.unit()
-    yield machine.realtime()
+    yield machine.running_realtime() or machine.realtime()
 
 
 def _unreadable(error: ConfigError) -> Iterator[Result]:
     for fault in str(error).splitlines():
-        yield failure("configuration", fault, "fix it there, and check again")
+        yield failure("configuration", fault, network.LET_READ if network.DENIED in fault else _FIX_IT)
     yield warning("the rest", "device, ports and certificates were not looked at", "fix the configuration first")
+
+
+def _denied(path: Path) -> bool:
+    try:
+        path.open("rb").close()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+_FIX_IT: Final = "fix it there, and check again"
 
 
 def _configuration(config: Path | None) -> Result:

@@ -21,7 +21,6 @@ MEASURED_HZ: Final = 2_500_000
 STOP_BITS: Final = 8 * ONE_LEG_LEN
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
-SERVICE_USER: Final = "hexapod-gateway"
 
 _NAME: Final = "SPI device"
 _HELD: Final = "is held by a running gateway"
@@ -39,7 +38,7 @@ def device(spi: SpiSettings) -> Result:
         if isinstance(error.__cause__, BlockingIOError):
             return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
         return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
-    return ok(_NAME, f"{path} opens, as {_user()}{_other_user()}")
+    return ok(_NAME, f"{path} opens, as {_user()}")
 
 
 def held(result: Result) -> bool:
@@ -147,14 +146,3 @@ def _group(gid: int) -> str:
         return grp.getgrgid(gid).gr_name
     except KeyError:
         return str(gid)
-
-
-def _other_user() -> str:
-    """A remark for root, who may open everything: the service is not root."""
-    try:
-        pwd.getpwnam(SERVICE_USER)
-    except KeyError:
-        return ""
-    if os.geteuid():
-        return ""
-    return f" (the service is {SERVICE_USER}: sudo -u {SERVICE_USER} hexapod-gateway check)"

@@ -87,6 +87,38 @@ def unit_result(properties: Mapping[str, str]) -> Result:
     return ok(name, "is enabled and active")
 
 
+def granted_rtprio(*, systemctl: str = "systemctl") -> int | None:
+    """The real-time priority that the unit allows the service; None where there is no unit."""
+    said = _show("LoadState,LimitRTPRIO", systemctl)
+    return int(said["LimitRTPRIO"]) if said.get("LoadState") == "loaded" and said["LimitRTPRIO"].isdigit() else None
+
+
+def running_realtime(*, systemctl: str = "systemctl") -> Result | None:
+    """What the kernel has granted the service that runs; None where none does."""
+    process = _show("MainPID", systemctl).get("MainPID", "0")
+    try:
+        threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
+        first = [os.sched_getparam(thread).sched_priority for thread in threads]
+    except OSError:
+        return None
+    if any(first):
+        return ok("real-time", f"priority {max(first)} is granted to the service that runs")
+    return warning(
+        "real-time",
+        "the service that runs was granted none: on a busy machine a Stop may be late",
+        "its journal says why; a kernel with CONFIG_RT_GROUP_SCHED may reject it",
+    )
+
+
+def _show(properties: str, systemctl: str) -> dict[str, str]:
+    command = [systemctl, "show", UNIT, f"--property={properties}"]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
+    except (OSError, subprocess.SubprocessError):
+        return {}
+    return dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
+
+
 def realtime(priority: int = LOOP_PRIORITY) -> Result:
     """Whether this process may be scheduled before others: on a busy machine that keeps a Stop from being late."""
     name = "real-time"

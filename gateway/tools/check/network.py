@@ -3,10 +3,11 @@
 import datetime as dt
 import errno
 import logging
+import os
 import re
 import socket
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,9 +20,15 @@ from gateway.edge.config_file import certificate_files
 from gateway.edge.session import service_config
 from gateway.errors import ConfigError, GatewayError
 from gateway.settings import ZenohSettings
+from gateway.tools.check import service_user
 from gateway.tools.check.result import Result, failure, ok, warning
 
 WARN_DAYS: Final = 30
+DENIED: Final = os.strerror(errno.EACCES)
+LET_READ: Final = (
+    "let the service read it, and nobody else: sudo chown -R root:hexapod-gateway /etc/hexapod-gateway; "
+    "sudo chmod -R u=rwX,g=rX,o= /etc/hexapod-gateway"
+)
 _ANSWER_S: Final = 1.0
 _LAST_PORT: Final = 65_535
 _LINKS: Final = {
@@ -40,7 +47,8 @@ def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, l
         try:
             config = service_config(settings)
         except ConfigError as error:
-            return None, [failure("Zenoh", line, "fix it there") for line in str(error).splitlines()]
+            lines = str(error).splitlines()
+            return None, [failure("Zenoh", line, LET_READ if DENIED in line else "fix it there") for line in lines]
     told = [warning("Zenoh", line, "docs/security.md says what each link needs") for line in warnings]
     return config, told or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
 
@@ -59,8 +67,10 @@ def port(endpoint: str, *, gateway_runs: bool = False) -> Result:
         return ok("port", f"{endpoint} was not tried: it names no port that could be")
     error = _listen(found["host"], int(found["port"]), _LINKS[found["link"]])
     taken = error is not None and error.errno == errno.EADDRINUSE
-    if taken and (answer := _gateway_at(found) or ("the gateway that runs here, it seems" if gateway_runs else "")):
+    if taken and (answer := _gateway_at(found) or _service_at(int(found["port"]), found["link"])):
         return ok("port", f"{endpoint} is in use by {answer}")
+    if taken and gateway_runs:
+        return ok("port", f"{endpoint} is in use by the gateway that runs here, it seems")
     return _verdict(endpoint, "zenoh.listen", error)
 
 
@@ -124,6 +134,27 @@ def _gateway_at(found: re.Match[str]) -> str:
     return f"a gateway that is {state.mode}" + (", on a simulated controller" if state.simulated else "")
 
 
+def _service_at(port: int, link: str) -> str:
+    """The service, where the socket that has the port is its user's; it would answer nobody without a certificate."""
+    service = service_user.uid()
+    return "the service" if service is not None and service in owners(port, _LINKS[link]) else ""
+
+
+_LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
+
+
+def owners(port: int, kind: socket.SocketKind, *, proc: Path = Path("/proc/net")) -> set[int]:
+    """The users (numbers) of the sockets that listen on a port, as the kernel tells everybody."""
+    found = set()
+    for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
+        with suppress(OSError):
+            for line in (proc / file).read_text().splitlines()[1:]:
+                _, local, _, state, _, _, _, uid, *_ = line.split()
+                if state in _LISTENS and int(local.rpartition(":")[2], 16) == port:
+                    found.add(int(uid))
+    return found
+
+
 def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
     """The certificates that the Zenoh file names, and for how long they are good."""
     name = "certificates"
@@ -132,7 +163,8 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
     try:
         found = [certs.describe(path) for path in certificate_files(Path(settings.config))]
     except ConfigError as error:
-        return [failure(name, str(error), "until then nobody can connect, and the service does not start")]
+        fix = LET_READ if DENIED in str(error) else "until then nobody can connect, and the service does not start"
+        return [failure(name, str(error), fix)]
     if not found:
         return [ok(name, f"{settings.config} names none")]
     return [_expiry(certificate, now) for certificate in found]
