@@ -130,16 +130,30 @@ def check(
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
+    move: Annotated[
+        bool,
+        typer.Option(
+            "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop it; with consent."
+        ),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="With --move: servo 11 at 90°, without asking.")] = False,
 ) -> None:
     """Say whether this machine can run the service, line by line, and how to fix what it lacks.
 
     With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there.
 
-    It changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it looks with the
-    rights of the service's user.
+    Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it
+    looks with the rights of the service's user.
 
-    Exit codes: 0 it can, 1 it cannot, 2 spi.framing is not set, or the configuration may not be read.
+    Exit codes: 0 it can (--move: it moved), 1 it cannot, 2 spi.framing is not set, the configuration may not be read,
+    or the robot is not at rest, 4 with --move: no gateway answers.
     """
+    if move:
+        from gateway.tools import reach
+        from gateway.tools.check.move import move as move_servo
+
+        connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
+        sys.exit(move_servo(connection, agreed=yes))
     from gateway.tools.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:

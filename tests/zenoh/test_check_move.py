@@ -1,0 +1,140 @@
+"""`check --move`: one servo, with consent, and stopped however it ends; seen in the frames that a gateway writes."""
+
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from gateway.client import Client
+from gateway.protocol.frames import OneServo, Op, ServoOp, decode
+from schemas.telemetry import Cause, FrameRecord, Mode
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import Heard, frames
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    # Patient, for a busy machine: no servo is stopped but by command.
+    settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}}
+    with Gateway(tmp_path_factory.mktemp("move"), settings) as running:
+        yield running
+
+
+@pytest.fixture
+def client(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client() as made:
+        yield made
+        assert made.stop().accepted
+
+
+def begin(gateway: Gateway, *answers: str, options: tuple[str, ...] = ()) -> Child:
+    child = Child([*COMMAND, "check", "--move", *options, "--connect", gateway.endpoint], os.environ)
+    for answer in answers:
+        child.tell(answer)
+    return child
+
+
+def end(child: Child) -> int:
+    code = child.wait()
+    child.close()
+    return code
+
+
+def servo_frames(heard: Heard[FrameRecord]) -> list[OneServo]:
+    """What was written for single servos by command, repeats of one target once."""
+    found = [decode(bytes.fromhex(record.bytes)) for record in heard.all if record.cause == Cause.COMMAND]
+    servo = [frame for frame in found if isinstance(frame, OneServo)]
+    return [frame for place, frame in enumerate(servo) if not place or servo[place - 1] != frame]
+
+
+def start_set_stop(servo_id: int, angle_deg: int, end_deg: int) -> list[OneServo]:
+    ops = [
+        ServoOp(Op.START, angle_deg * 100),
+        ServoOp(Op.SET, angle_deg * 100),
+        ServoOp(Op.SET, end_deg * 100),
+        ServoOp(Op.STOP),
+    ]
+    return [OneServo(servo_id, op) for op in ops]
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected"),
+    [
+        (("", "", "yes", "yes"), start_set_stop(11, 90, 95)),
+        (("32", "178", "yes", "yes"), start_set_stop(32, 178, 173)),
+    ],
+)
+def test_one_servo_is_started_moved_and_stopped(
+    gateway: Gateway, client: Client, answers: tuple[str, ...], expected: list[OneServo]
+) -> None:
+    heard = frames(client)
+    child = begin(gateway, *answers)
+    assert end(child) == 0, str(child)
+    assert servo_frames(heard) == expected
+    assert "will go to " in child.stdout
+    assert "is stopped." in child.stdout
+    assert client.state().mode is Mode.IDLE
+
+
+def test_a_no_leads_through_the_causes(gateway: Gateway, client: Client) -> None:
+    heard = frames(client)
+    child = begin(gateway, "no", options=("--yes",))
+    assert end(child) == 1, str(child)
+    assert servo_frames(heard) == start_set_stop(11, 90, 95), "and nothing by itself after that"
+    causes = [line.split()[1] for line in child.stdout.splitlines() if line[:1].isdigit()]
+    assert causes == ["Supply:", "Framing:", "Reset:", "Wiring:", "Chip", "The"]
+    assert "the gateway speaks plain" in child.stdout
+
+
+@pytest.mark.parametrize(
+    ("answers", "code"),
+    [
+        (("", "", "y"), 1),
+        (("", "", ""), 1),
+        (("11", "90", "no"), 1),
+        (("10",), 2),
+        (("", "181"), 2),
+        (("", "nan"), 2),
+        (("zwölf",), 2),
+    ],
+)
+def test_without_consent_nothing_moves(gateway: Gateway, client: Client, answers: tuple[str, ...], code: int) -> None:
+    heard = frames(client)
+    child = begin(gateway, *answers)
+    assert end(child) == code, str(child)
+    assert client.state().mode is Mode.IDLE
+    assert servo_frames(heard) == []
+
+
+@pytest.mark.parametrize("after", [Op.START, Op.SET])
+def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> None:
+    heard = frames(client)
+    child = begin(gateway, options=("--yes",))
+    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(11, ServoOp(after, 9000)))
+    child.send_signal(signal.SIGINT)
+    assert end(child) == 130, str(child)
+    assert servo_frames(heard)[-1] == OneServo(11, ServoOp(Op.STOP)), "by command, not by the watchdog"
+    assert "Servo 11 is stopped." in child.stdout
+    assert client.state().mode is Mode.IDLE
+
+
+def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gateway, client: Client) -> None:
+    heard = frames(client)
+    child = begin(gateway, options=("--yes",))
+    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(11, ServoOp(Op.SET, 9000)))
+    assert client.stop().accepted
+    assert end(child) == 1, str(child)
+    assert "rejected: servo_stopped" in child.stdout
+    assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
+
+
+def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway, client: Client) -> None:
+    client.estop()
+    heard = frames(client)
+    child = begin(gateway, options=("--yes",))
+    assert end(child) == 2, str(child)
+    assert "leave the emergency stop first" in child.stderr
+    assert servo_frames(heard) == []
+    assert client.reset().accepted
