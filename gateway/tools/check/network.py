@@ -78,7 +78,8 @@ def metrics_port(address: str, *, gateway_runs: bool) -> Result:
     """Whether the metrics page could listen on `address`."""
     host, _, number = address.rpartition(":")
     error = _listen(host, int(number), socket.SOCK_STREAM)
-    if error is not None and error.errno == errno.EADDRINUSE and gateway_runs:
+    taken = error is not None and error.errno == errno.EADDRINUSE
+    if taken and (gateway_runs or _service_at(int(number), "tcp")):
         return ok("port", f"{address} is in use by the gateway that runs here, it seems")
     return _verdict(address, "telemetry.metrics", error)
 
