@@ -21,6 +21,8 @@ class Verb(StrEnum):
     PUT = "put"
     DELETE = "delete"
     GET = "get"
+    LOST = "lost"
+    """It stands for puts that were lost before those that follow: a Stop may be among them."""
 
 
 class Received(NamedTuple):

@@ -23,7 +23,7 @@ from zenoh.handlers import Handler, RingChannel
 
 from gateway.core.message import Received, Reply, Verb
 from gateway.edge.replies import ReplySender
-from gateway.edge.rings import RING_DEPTH, Receive, Rings
+from gateway.edge.rings import PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.host.realtime import RECEIVER_PRIORITY, prefer_thread
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
@@ -130,13 +130,13 @@ class Inbox:
 
         receivers: dict[str, tuple[Receive[_Item], Receive[_Item]]] = {
             key: (
-                self._subscriber(session, key, RING_DEPTH).try_recv,
+                self._subscriber(session, key, PUT_DEPTH).try_recv,
                 self._queryable(session, key, RING_DEPTH).try_recv,
             )
             for key in COMMAND_KEYS
             if key != ESTOP
         }
-        self._rings = Rings[_Item](receivers, _may_stop)
+        self._rings = Rings[_Item](receivers, _words_of_stop)
         self._wakeups = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
@@ -167,7 +167,7 @@ class Inbox:
         for received in self._take_commands():
             while self._estops:
                 yield self._estops.popleft()
-            if received.target is not None:
+            if received.target is not None and received.verb is not Verb.LOST:
                 taken[received.key] = taken.get(received.key, 0) + 1
             yield received
         while self._estops:
@@ -262,7 +262,10 @@ class Inbox:
         keys = () if self._read_all else self._woken_keys.union(self._look_at)
         found: list[Received] = []
         with suppress(zenoh.ZError):  # while the inbox closes, the loop still turns and may find its rings gone
-            found = [_received(item, key, now_ns, self._replies) for key, item in self._rings.read(keys)]
+            found = [
+                _lost(key, now_ns) if item is None else _received(item, key, now_ns, self._replies)
+                for key, item in self._rings.read(keys)
+            ]
         found.extend(self._others)
         self._others.clear()
         return found
@@ -331,18 +334,19 @@ def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:
     return found
 
 
-def _may_stop(item: _Item) -> bool:
-    """Whether this may be a Stop: a quick look, which takes some others for one as well.
-
-    In JSON the word may be written with escapes, and each of them has a backslash.
-    """
+def _words_of_stop(item: _Item) -> bytes | None:
+    """In JSON a word may be written with escapes, and each of them has a backslash."""
     if isinstance(item, zenoh.Sample) and item.kind == zenoh.SampleKind.DELETE:
-        return True
+        return b""
     payload = item.payload
     if payload is None or len(payload) > MAX_PAYLOAD_BYTES:
-        return False  # it is rejected
-    data = payload.to_bytes()
-    return b"stop" in data or b"\\" in data
+        return None  # it is rejected
+    words = payload.to_bytes()
+    return words if b"stop" in words or b"\\" in words else None
+
+
+def _lost(key: str, now_ns: int) -> Received:
+    return Received(key, key, COMMAND_KEYS[key], Verb.LOST, b"", 0, "zenoh/bytes", None, now_ns)
 
 
 def _received(item: _Item, key: str, received_ns: int, answers: ReplySender) -> Received:

@@ -8,52 +8,64 @@ was found in one go is one instant, in which a Stop wins over a Start or Set of 
 A flood of several keys could go on like this for ever, so the passes are limited. If the last one leaves rings to be
 read, and a Stop may be among what was taken, then the instant stays open: what is read next still belongs to it. Mere
 setpoints close it all the same, since a servo that was stopped once could not be started again while they come.
+
+A ring keeps its newest messages, so a flood of one key pushes a Stop on the same key out of it. Therefore rings of puts
+are deeper than what is dealt with of one ring: of the older messages, those that may be Stops are taken as well. And
+where a ring was full, a Stop may have been lost, and the reader is told. (A get that is pushed out is never answered,
+which its sender notices.)
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, Generic, TypeVar
 
 from schemas.keys import COMMAND_KEYS, RESET, CommandKey, Target
 
 RING_DEPTH: Final = 8
-"""Messages per key and tick: enough for a start, a stop and some setpoints sent in one go; more would only be older."""
+"""Messages per ring and tick: enough for a start, a stop and some setpoints sent in one go; others are only older."""
+PUT_DEPTH: Final = 16
+"""How many puts of a key are kept. A stream of 50 a second fills the ring in 320 ms, later than the watchdog stops its
+leg. More costs time: each look into a ring waits for the thread that fills it, so that a flooded leg's frames grow old
+(see docs/design.md). And memory: while the loop is held, a message may keep the 64 KiB that Zenoh received it in."""
 PASSES: Final = 4
 """How often the rings are read for one instant at most. Without a flood the second pass finds nothing."""
 
 Item = TypeVar("Item")
 Receive = Callable[[], Item | None]
 """Takes a ring's oldest message; None: it is empty."""
+WordsOfStop = Callable[[Item], bytes | None]
+"""The words of a message that may be a Stop (it may take others for one, but misses none); None: it is not."""
 
 
 class Ring(Generic[Item]):
     """The messages of one key and kind (`put` and `delete`, or `get`), in the order in which they came."""
 
-    __slots__ = ("key", "others", "place", "receive")
+    __slots__ = ("depth", "key", "others", "place", "receive")
 
-    def __init__(self, key: str, place: int, receive: Receive[Item]) -> None:
+    def __init__(self, key: str, place: int, receive: Receive[Item], depth: int) -> None:
         self.key = key
         self.place = place
         """Where its commands stand among those of one instant."""
         self.receive = receive
+        self.depth = depth
         self.others: frozenset[Ring[Item]] = frozenset()
         """The rings that are read after something was taken from this one: an older message may be in them."""
 
     def rest(self, first: Item) -> list[Item]:
-        """`first`, and what came after it, at most a ring's depth: what comes meanwhile is left for the next time."""
+        """`first`, and what came after it, at most the ring's depth: what comes meanwhile is left for the next time."""
         found = [first]
-        while len(found) < RING_DEPTH and (item := self.receive()) is not None:
+        while len(found) < self.depth and (item := self.receive()) is not None:
             found.append(item)
         return found
 
 
 class Rings(Generic[Item]):
-    """All rings of commands; `receivers` has two for each key, `put` and `get`."""
+    """All rings of commands; `receivers` has two for each key, `put` (of PUT_DEPTH) and `get` (of RING_DEPTH)."""
 
-    def __init__(self, receivers: Mapping[str, tuple[Receive[Item], Receive[Item]]], may_stop: Callable[[Item], bool]):
-        self._may_stop = may_stop
+    def __init__(self, receivers: Mapping[str, tuple[Receive[Item], Receive[Item]]], words_of_stop: WordsOfStop[Item]):
+        self._words_of_stop = words_of_stop
         places = {key: place for place, key in enumerate(COMMAND_KEYS)}
         self._of = {
-            key: (Ring(key, 2 * places[key], put), Ring(key, 2 * places[key] + 1, get))
+            key: (Ring(key, 2 * places[key], put, PUT_DEPTH), Ring(key, 2 * places[key] + 1, get, RING_DEPTH))
             for key, (put, get) in receivers.items()
         }
         self._all = [ring for key in COMMAND_KEYS if key in self._of for ring in self._of[key]]
@@ -64,15 +76,16 @@ class Rings(Generic[Item]):
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
 
-    def read(self, keys: Collection[str] = ()) -> list[tuple[str, Item]]:
+    def read(self, keys: Collection[str] = ()) -> list[tuple[str, Item | None]]:
         """What waits in the rings of these keys (of all, if none is named) and of those that they concern.
 
-        `legs` first, then `leg`, then `servo`, then resets; of one ring in its order.
+        `legs` first, then `leg`, then `servo`, then resets; of one ring in its order. None: a Stop may
+        have been lost before what follows of this key.
         """
         due: Collection[Ring[Item]] = self._all
         if keys and not self.instant_open:
             due = [ring for key in keys for ring in self._of[key]]
-        taken: list[tuple[Ring[Item], list[Item]]] = []
+        taken: list[tuple[Ring[Item], Sequence[Item | None]]] = []
         for _ in range(PASSES):
             again: set[Ring[Item]] = set()
             for ring in due:
@@ -80,21 +93,39 @@ class Rings(Generic[Item]):
                     again.discard(ring)  # it is read now, after what made it due
                 first = ring.receive()
                 if first is not None:
-                    taken.append((ring, ring.rest(first)))
+                    found = ring.rest(first)
+                    taken.append((ring, found if len(found) <= RING_DEPTH else self._thinned(ring, found)))
                     again |= ring.others
             due = again
             if not due:
                 break
-        # A reset is no Stop, although its payload names the emergency stop.
-        self.instant_open = bool(due) and any(
-            self._may_stop(item) for ring, items in taken if ring.key != RESET for item in items
-        )
+        self.instant_open = bool(due) and self._may_have_stopped(taken)
         if len(taken) > 1:
             taken.sort(key=_place)
         return [(ring.key, item) for ring, items in taken for item in items]
 
+    def _may_have_stopped(self, taken: list[tuple[Ring[Item], Sequence[Item | None]]]) -> bool:
+        # A reset is no Stop, although its payload names the emergency stop.
+        items = (item for ring, items in taken if ring.key != RESET for item in items)
+        return any(item is None or self._words_of_stop(item) is not None for item in items)
 
-def _place(taken: tuple[Ring[Item], list[Item]]) -> int:
+    def _thinned(self, ring: Ring[Item], found: list[Item]) -> Sequence[Item | None]:
+        """The newest, and before them the older Stops, or None where some may have been lost."""
+        newest = found[-RING_DEPTH:]
+        if ring.key == RESET:
+            return newest
+        if len(found) == ring.depth:
+            return [None, *newest]
+        stops: dict[bytes, Item] = {}
+        for item in found[:-RING_DEPTH]:
+            words = self._words_of_stop(item)
+            if words is not None:
+                stops.pop(words, None)  # of the same, the last: a flood of Stops is not to be dealt with one by one
+                stops[words] = item
+        return [*stops.values(), *newest]
+
+
+def _place(taken: tuple[Ring[Item], Sequence[Item | None]]) -> int:
     return taken[0].place
 
 

@@ -26,7 +26,9 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.core.intake import Intent, Rejection, decode, stop_all_of, too_large
+from gateway.core.intake import Intent, Rejection
+from gateway.core.intents import MAX_KEY, intent_of
+from gateway.core.losses import DETAIL, Losses
 from gateway.core.message import Outbox, Received, Reply, Verb
 from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
@@ -38,7 +40,6 @@ from gateway.runtime.sources import Sources
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas import keys, telemetry
-from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
@@ -46,8 +47,6 @@ FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
 LAST_REOPEN_S: Final = 1.0
 """Half of what the contract allows: a busy machine may wake up late, and a Stop may be waiting."""
-MAX_KEY: Final = 100
-"""Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
 
 logger = logging.getLogger(__name__)
 
@@ -84,6 +83,7 @@ class Conductor:
         self._pending: dict[int, _PendingCommand] = {}
         self._numbers = itertools.count(1)
         self._sources = Sources()
+        self._losses, self._rejected = Losses(), 0  # the number of the last command that was rejected
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer: asyncio.TimerHandle | None = None
         self._reopen_timer: asyncio.TimerHandle | None = None
@@ -145,6 +145,8 @@ class Conductor:
         for received in self.take():
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
+        if self._losses.key:
+            self._stop_what_lost_stops_named(instant_ns)
         self._do_what_is_due(instant_ns)
         self._arm()
 
@@ -164,10 +166,15 @@ class Conductor:
         reply(self.state().model_dump_json().encode())
 
     def _receive(self, received: Received, instant_ns: int) -> None:
+        if self._losses.key and (received.key != self._losses.key or received.verb is Verb.GET):
+            self._stop_what_lost_stops_named(instant_ns)
         if received.key == keys.ESTOP:
             self._emergency_stop(received, instant_ns)
             return
-        intent = _intent(received)
+        if received.verb is Verb.LOST:
+            self._losses.note(received.key)
+            return
+        intent = intent_of(received)
         if isinstance(intent, Rejection):
             self._reject(received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail)
             return
@@ -182,6 +189,16 @@ class Conductor:
             self._step(Reset(number, source, received.key, intent.estop), instant_ns)
         else:
             self._step(Command(number, received.channel, intent.targets, source), instant_ns)
+            if self._losses.key and self._rejected != number:
+                self._losses.accepted(intent.targets)
+
+    def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
+        key, targets = self._losses.take()
+        stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
+        if stops:
+            self._reject(key, None, None, Reason.SERVO_STOPPED, DETAIL)
+            self._pending[number := next(self._numbers)] = _PendingCommand(key, None, None)
+            self._step(Command(number, f"put {key}", stops), instant_ns)
 
     def _too_old(self, intent: Intent, source: str | None, instant_ns: int) -> str | None:
         if self._staleness is None:
@@ -325,6 +342,7 @@ class Conductor:
             self._reply(order.reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
 
     def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
+        self._rejected = number
         order = self._pending.pop(number)
         self._reject(order.key, order.source, order.reply, reason, detail)
 
@@ -379,21 +397,3 @@ class Conductor:
             simulated=self._simulated,
             estop_source=self._sources.estop,
         )
-
-
-def _intent(received: Received) -> Intent | Rejection:
-    """What a message other than the emergency stop asks for."""
-    if received.target is None:
-        try:
-            keys.parse(received.expression)
-        except ValueError as error:
-            return Rejection(Reason.INVALID, str(error))
-        return Rejection(Reason.INVALID, f"{received.expression} names no command key")
-    if received.key == keys.RESET and received.expression != keys.RESET:
-        # A wildcard may name the reset among others; leaving the emergency stop must be meant.
-        return Rejection(Reason.INVALID, f"a reset is not taken from a wildcard; put it on {keys.RESET}")
-    if received.verb is Verb.DELETE:
-        return stop_all_of(received.target)
-    if received.size > MAX_PAYLOAD_BYTES:
-        return too_large(received.size)
-    return decode(received.target, received.payload, received.encoding)

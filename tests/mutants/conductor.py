@@ -16,7 +16,6 @@ CONDUCTOR = Subject(
     mutants=(
         Mutant("FIRST_REOPEN_S: Final = 0.02", "FIRST_REOPEN_S: Final = 0.2", "after a fault, no Stop for 200 ms"),
         Mutant("LAST_REOPEN_S: Final = 1.0", "LAST_REOPEN_S: Final = 5.0", "a device that is back is not looked for"),
-        Mutant("MAX_KEY: Final = 100", "MAX_KEY: Final = 100_000", "an event repeats what a stranger sent, at length"),
         Mutant(
             "        if fault is not None:\n            raise fault\n        self._arm()\n",
             "        self._arm()\n",
@@ -45,8 +44,8 @@ CONDUCTOR = Subject(
             "a deadline waits for a tick that takes long",
         ),
         Mutant(
-            "            self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it\n        self._do_what_is_due(instant_ns)\n",
-            "            self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it\n",
+            "        self._do_what_is_due(instant_ns)\n        self._arm()\n",
+            "        self._arm()\n",
             "no watchdog while nobody commands",
         ),
         Mutant(
@@ -276,6 +275,40 @@ CONDUCTOR = Subject(
             "a flood of rejected commands is a flood of events",
         ),
         Mutant(
+            "        if received.key == keys.ESTOP:\n",
+            "        if received.key == keys.ESTOP and received.verb is not Verb.DELETE:\n",
+            "a delete does not engage the emergency stop",
+        ),
+        Mutant(
+            "if self._losses.key and (received.key != self._losses.key or received.verb is Verb.GET):",
+            "if False:",
+            "a start by another way undoes a Stop that was lost",
+        ),
+        Mutant(
+            "        if self._losses.key:\n            self._stop_what",
+            "        if False:\n            self._stop_what",
+            "a Stop in a flood is lost",
+        ),
+        Mutant("self._losses.note(received.key)", "pass", "a Stop in a flood is lost"),
+        Mutant(
+            "            if self._losses.key and self._rejected != number:\n",
+            "            if self._losses.key:\n",
+            "a start that is rejected undoes a Stop that was lost",
+        ),
+        Mutant(
+            "            if self._losses.key and self._rejected != number:\n",
+            "            if False:\n",
+            "a flood of starts stops its leg",
+        ),
+    ),
+)
+
+INTENTS = Subject(
+    "gateway/core/intents.py",
+    tests=CONDUCTOR.tests,
+    mutants=(
+        Mutant("MAX_KEY: Final = 100", "MAX_KEY: Final = 100_000", "an event repeats what a stranger sent, at length"),
+        Mutant(
             "if received.key == keys.RESET and received.expression != keys.RESET:",
             "if False:",
             "a wildcard leaves the emergency stop",
@@ -290,10 +323,17 @@ CONDUCTOR = Subject(
             "",
             "a payload that was not read is called empty",
         ),
+    ),
+)
+
+LOSSES = Subject(
+    "gateway/core/losses.py",
+    tests=CONDUCTOR.tests,
+    mutants=(
+        Mutant("if op.op is Op.START}", "}", "a Set undoes a Stop that was lost"),
+        Mutant("if stop[0] not in started)", "if False)", "a start of one servo undoes the Stop of another"),
         Mutant(
-            "        if received.key == keys.ESTOP:\n",
-            "        if received.key == keys.ESTOP and received.verb is not Verb.DELETE:\n",
-            "a delete does not engage the emergency stop",
+            '        self.key, self._stops = "", ()\n', "", "a leg that was flooded once is stopped again and again"
         ),
     ),
 )

@@ -2,7 +2,7 @@
 
 from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
-from tests.mutants.conductor import CONDUCTOR
+from tests.mutants.conductor import CONDUCTOR, INTENTS, LOSSES
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
@@ -22,6 +22,8 @@ SUBJECTS: tuple[Subject, ...] = (
     INTAKE,
     STALENESS,
     CONDUCTOR,
+    INTENTS,
+    LOSSES,
     SUPERVISOR,
     LEGS,
     PACING,

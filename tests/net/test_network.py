@@ -182,7 +182,8 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
     flood.ask("flood 1 2 3")
     robot.forget()
     other.ask(f"sent {other.ask('sent')['sent'] + 2 * HZ}")
-    assert not robot.seen(is_stop(*LEGS))
+    # The flooded legs may stop: a Stop may have been among what was pushed out.
+    assert not robot.seen(is_stop(*LAST))
     check_undisturbed(other.ask("pause"))
     engaged = other.ask("estop")
     assert engaged["accepted"]

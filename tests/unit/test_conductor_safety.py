@@ -164,6 +164,59 @@ async def test_a_start_of_an_instant_that_is_still_open_does_not_come_after_its_
     assert robot.controller.energised == {31, 32, 33}
 
 
+# ---- messages that were lost in a flood of their key
+
+
+def lost(robot: Robot, key: str) -> None:
+    robot.put_later(key, verb=Verb.LOST)
+
+
+@pytest.mark.parametrize("left", [[], [leg("set", 1, 1, 1)], [b"{"], [leg("start", 200, 1, 1)]])
+@pytest.mark.parametrize("key", [LEG_3, keys.LEGS_COMMAND, keys.servo_command(32)])
+async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left: list[object]) -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_1, START)
+    robot.put(LEG_3, START)
+    lost(robot, key)
+    for payload in left:
+        robot.put_later(key, payload)
+    robot.conductor.tick()
+    named = {LEG_3: {31, 32, 33}, keys.LEGS_COMMAND: {11, 12, 13, 31, 32, 33}}.get(key, {32})
+    assert robot.controller.energised == {11, 12, 13, 31, 32, 33} - named
+    assert "a stop may be among those lost" in robot.events(Kind.COMMAND_REJECTED)[-1].detail
+    await asyncio.sleep(0.1)
+    robot.put(LEG_3, START)
+    robot.put_later(LEG_3, leg("set", 2, 2, 2))
+    robot.put(LEG_1, START)
+    assert robot.controller.energised == {11, 12, 13, 31, 32, 33}, "it may be started again"
+
+
+async def test_a_start_that_is_newer_than_what_was_lost_keeps_its_servos_running() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.transfers.clear()
+    lost(robot, LEG_3)
+    robot.put_later(LEG_3, START)
+    robot.put(LEG_3, leg("set", 80, 80, 80))
+    assert robot.controller.energised == {31, 32, 33}
+    assert not [frame for _, frame in robot.frames if frame.is_stop]
+    assert not robot.events(Kind.COMMAND_REJECTED)
+    lost(robot, LEG_3)
+    robot.put(LEG_3, {"servos": [servo("start", 1), servo("set", 1), servo("set", 1)]})
+    assert robot.controller.energised == {31}
+
+
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
+async def test_a_start_by_another_way_does_not_undo_a_stop_that_may_have_been_lost(verb: Verb) -> None:
+    """Nobody knows which of the two is older."""
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    lost(robot, LEG_3)
+    other = keys.servo_command(31) if verb is Verb.PUT else LEG_3
+    robot.put(other, servo("start", 1) if verb is Verb.PUT else START, verb=verb)
+    assert robot.controller.energised == set()
+
+
 # ---- faults
 
 

@@ -4,10 +4,10 @@ import asyncio
 
 import pytest
 
+from gateway.core.intents import MAX_KEY
 from gateway.core.message import Verb
 from gateway.errors import SpiError
 from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO
-from gateway.runtime.conductor import MAX_KEY
 from gateway.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from gateway.core.message import Received, Verb
-from gateway.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _may_stop, _received
+from gateway.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received, _words_of_stop
 from gateway.edge.rings import RING_DEPTH, Ring
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
@@ -263,7 +263,7 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
 
 def test_of_a_flooded_ring_no_more_than_its_depth_is_taken_at_once() -> None:
     flood = iter(range(1000))
-    assert len(Ring(LEG_1, 0, lambda: next(flood)).rest(-1)) == RING_DEPTH
+    assert len(Ring(LEG_1, 0, lambda: next(flood), RING_DEPTH).rest(-1)) == RING_DEPTH
 
 
 async def test_looking_again_ends(session: zenoh.Session) -> None:
@@ -317,7 +317,7 @@ async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) ->
             session.put(LEG_1, payload)
         session.delete(LEG_1)
         samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
-    assert [_may_stop(sample) for sample in samples] == [True, True, False, False, True]
+    assert [_words_of_stop(sample) is not None for sample in samples] == [True, True, False, False, True]
 
 
 async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.Session, held: Held) -> None:

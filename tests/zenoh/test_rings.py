@@ -14,7 +14,7 @@ import pytest
 from gateway.core.events import BusOpened, Command, Transmit
 from gateway.core.legs import Rules
 from gateway.core.supervisor import Supervisor
-from gateway.edge.rings import PASSES, RING_DEPTH, Rings
+from gateway.edge.rings import PASSES, PUT_DEPTH, RING_DEPTH, Rings
 from gateway.protocol.frames import STOP, Op, ServoOp, servo_ids_of
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, leg_command, servo_command
 
@@ -35,8 +35,8 @@ class Message(NamedTuple):
     servos: tuple[int, ...]
 
     @property
-    def may_stop(self) -> bool:
-        return self.op is STOP
+    def words_of_stop(self) -> bytes | None:
+        return str(self).encode() if self.op is STOP else None
 
 
 def message(way: tuple[str, str], op: ServoOp) -> Message:
@@ -55,7 +55,7 @@ class Deliveries:
     rings: dict[tuple[str, str], deque[Message]] = field(default_factory=dict)
 
     def receiver(self, key: str, verb: str) -> Callable[[], Message | None]:
-        ring = self.rings.setdefault((key, verb), deque(maxlen=RING_DEPTH))
+        ring = self.rings.setdefault((key, verb), deque(maxlen=PUT_DEPTH if verb == "put" else RING_DEPTH))
 
         def receive() -> Message | None:
             while self.due and self.due[0][0] <= self.reads:
@@ -77,7 +77,7 @@ class ReadRings:
     def __init__(self, deliveries: Deliveries, keys: Iterable[str] = KEYS) -> None:
         self.rings = Rings[Message](
             {key: (deliveries.receiver(key, "put"), deliveries.receiver(key, "get")) for key in keys},
-            lambda item: item.may_stop,
+            lambda item: item.words_of_stop,
         )
         self.supervisor = Supervisor(Rules(repeats=0, period_ns=1))
         self.supervisor.step(BusOpened(), 0)
@@ -91,6 +91,7 @@ class ReadRings:
         if not self.rings.instant_open:
             self._instant_ns = self._now_ns
         for key, item in self.rings.read(keys):
+            assert item is not None, "nothing was lost"
             command = Command(next(self._pending), f"{item.verb} {key}", tuple((each, item.op) for each in item.servos))
             for effect in self.supervisor.step(command, self._now_ns, self._instant_ns):
                 if isinstance(effect, Transmit):
@@ -222,3 +223,35 @@ def test_an_ordinary_command_looks_into_few_rings() -> None:
     robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
     robot.rings.read([LEG])
     assert deliveries.reads <= 12
+
+
+def thinned(waiting: list[tuple[ServoOp, int]], verb: str = "put") -> list[Message | None]:
+    """What is taken of one ring in which these operations wait, each of a servo."""
+    deliveries = Deliveries(deque((0, Message(LEG, verb, op, (servo_id,))) for op, servo_id in waiting))
+    return [item for _, item in ReadRings(deliveries).rings.read([LEG])]
+
+
+@pytest.mark.parametrize("before", [0, 1, PUT_DEPTH - RING_DEPTH - 3])
+def test_of_older_messages_the_stops_are_taken_before_the_newest(before: int) -> None:
+    older = [(START, 12)] * before + [(STOP, 11)] + [(START, 13)]
+    newest = [(START, number) for number in range(RING_DEPTH)]
+    taken = [(item.op, *item.servos) for item in thinned(older + newest) if item is not None]
+    assert taken == [(STOP, 11), *newest]
+
+
+def test_of_the_same_stops_the_last_is_taken() -> None:
+    stops = [(STOP, 11), (STOP, 12), (STOP, 11), (STOP, 11)]
+    taken = [(item.op, *item.servos) for item in thinned(stops + [(START, 13)] * RING_DEPTH) if item is not None]
+    assert taken[:2] == [(STOP, 12), (STOP, 11)]
+    assert len(taken) == 2 + RING_DEPTH
+
+
+@pytest.mark.parametrize("lost", [0, 1, 100])
+def test_a_full_ring_may_have_lost_a_stop(lost: int) -> None:
+    messages = thinned([(STOP, 11)] * lost + [(START, 13)] * PUT_DEPTH)
+    assert messages[0] is None
+    assert len(messages) == 1 + RING_DEPTH
+
+
+def test_a_get_that_is_lost_is_not_answered_and_stops_nothing() -> None:
+    assert None not in thinned([(START, 13)] * 100, "get")

@@ -1,0 +1,38 @@
+"""Which servos a lost Stop may have named: pure.
+
+A flood pushes older messages out of its key's ring, and a Stop may be among them. It would have stopped what its key
+names, until a Start on the same key came after it. So these servos are stopped, except those that one of the messages
+that were left starts.
+"""
+
+from typing import Final
+
+from gateway.core.intake import Rejection, Targets, stop_all_of
+from gateway.protocol.frames import Op
+from schemas.keys import COMMAND_KEYS
+
+DETAIL: Final = "more messages came than can be read; a stop may be among those lost, so it counts as received"
+
+
+class Losses:
+    """The key whose messages are being dealt with after some were lost (else ""), and the Stops that it needs."""
+
+    def __init__(self) -> None:
+        self.key = ""
+        self._stops: Targets = ()
+
+    def note(self, key: str) -> None:
+        """Messages that were put on `key` were lost, older than those that are dealt with next."""
+        stops = stop_all_of(COMMAND_KEYS[key])
+        self.key, self._stops = key, () if isinstance(stops, Rejection) else stops.targets
+
+    def accepted(self, targets: Targets) -> None:
+        """One of the next messages was carried out."""
+        started = {servo_id for servo_id, op in targets if op.op is Op.START}
+        self._stops = tuple(stop for stop in self._stops if stop[0] not in started)
+
+    def take(self) -> tuple[str, Targets]:
+        """The key, and what is still to be stopped, after the last of these messages; forgets it."""
+        found = self.key, self._stops
+        self.key, self._stops = "", ()
+        return found
