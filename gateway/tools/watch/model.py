@@ -291,7 +291,7 @@ class Model:
         why = (
             "the gateway runs but does not take it (an observer's certificate may not stop)"
             if self.presence(now_ns) is Presence.LIVE
-            else "trying again"
+            else "trying on"
         )
         return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"
 
