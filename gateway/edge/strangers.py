@@ -14,7 +14,7 @@ from zenoh.handlers import RingChannel
 from schemas.keys import ALIVE, COMMAND_KEYS, PUBLISHED, ROOT, leg_command, servo_command
 
 DEPTH: Final = 32
-"""Messages between two looks. Six legs at 50 Hz are thirty; to look at so many takes some 20 µs."""
+"""Messages between two looks. Six legs at 50 Hz are thirty; to look at so many takes 40 µs, at none 1.3 (measured)."""
 MISSPELT: Final = ("Hexapod/**", "HEXAPOD/**")
 """Spelt out, and no wildcard in their first part: that would have a router send what is none of ours."""
 OURS: Final = frozenset({*COMMAND_KEYS, *PUBLISHED, ALIVE})
