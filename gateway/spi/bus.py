@@ -244,7 +244,9 @@ class Bus:
         if self._device is None:
             raise SpiError("the SPI device is closed")
         self._zeros = 0
-        begun_ns = self._wait_for_gap()
+        begun_ns = self._clock()
+        if begun_ns < self._free_ns:
+            begun_ns = self._wait_for_gap()
         try:
             self._device.transfer(data)
         finally:
