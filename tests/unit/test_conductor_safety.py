@@ -185,9 +185,9 @@ async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left:
     assert robot.controller.energised == {11, 12, 13, 31, 32, 33} - named
     assert "a stop may be among those lost" in robot.events(Kind.COMMAND_REJECTED)[-1].detail
     await asyncio.sleep(0.1)
-    robot.put(LEG_3, START)
-    robot.put_later(LEG_3, leg("set", 2, 2, 2))
-    robot.put(LEG_1, START)
+    for servo_id in (11, 12, 13, 31, 32, 33):
+        robot.put(keys.servo_command(servo_id), servo("start", 5))
+        await asyncio.sleep(0.02)
     assert robot.controller.energised == {11, 12, 13, 31, 32, 33}, "it may be started again"
 
 
