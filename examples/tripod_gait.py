@@ -8,12 +8,10 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gateway.client import DEFAULT_ENDPOINT, Client, leg_payload
-from schemas.keys import LEGS_COMMAND
+from gateway.client import DEFAULT_ENDPOINT, Client, GatewayError, StoppedError, Stream
 
 GEOMETRY: dict[str, Any] = json.loads((Path(__file__).parent / "elkapod" / "geometry.json").read_text())
 COXA_M, FEMUR_M, TIBIA_M = (GEOMETRY["link_lengths_m"][link] for link in ("coxa", "femur", "tibia"))
@@ -69,34 +67,35 @@ def pose(seconds: float) -> dict[int, Angles]:
     }
 
 
-def payload(op: str, angles_deg: dict[int, Angles]) -> dict[str, Any]:
-    """A LegsCommand: all six legs in one message, accepted or rejected as a whole."""
-    return {"legs": {str(leg): leg_payload(op, angles) for leg, angles in angles_deg.items()}}
-
-
-def ticks(seconds: float) -> Iterator[float]:
-    """The times of the setpoints, waited for. A missed one is skipped, not made up."""
+def walk(stream: Stream, seconds: float, start_again: bool) -> None:
+    """Set all legs at each tick. What was stopped stays stopped, unless `--start-again` decided otherwise."""
     begun_s = time.monotonic()
     while (elapsed_s := time.monotonic() - begun_s) < seconds:
-        yield elapsed_s
-        time.sleep(1 / RATE_HZ - (time.monotonic() - begun_s) % (1 / RATE_HZ))
+        try:
+            stream.set(pose(elapsed_s))
+        except StoppedError as stopped:
+            if not start_again:
+                raise
+            print(f"starting again: {stopped}")
+            stream.start_again()
 
 
-def main(endpoint: str, seconds: float) -> None:
+def main(endpoint: str, seconds: float, start_again: bool) -> None:
     with Client(endpoint, source="tripod gait") as robot:
-        started = robot.ask(LEGS_COMMAND, payload("start", pose(0)))
-        if not started.accepted:
-            raise SystemExit(f"not started: {started.reason}: {started.detail}")
-        for elapsed_s in ticks(seconds):
-            robot.publish(LEGS_COMMAND, payload("set", pose(elapsed_s)))
-        robot.stop()
+        with robot.stream(RATE_HZ) as stream:
+            walk(stream, seconds, start_again)
         counts = robot.state().commands
-        print(f"walked for {seconds:g} s; {counts.accepted} commands accepted, {counts.rejected} rejected")
+        print(f"walked for {seconds:g} s, {stream.missed} ticks missed; ", end="")
+        print(f"{counts.accepted} commands accepted, {counts.rejected} rejected")
 
 
 if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT")
     arguments.add_argument("--seconds", type=float, default=10.0)
+    arguments.add_argument("--start-again", action="store_true", help="go on by itself when something stopped a leg")
     given = arguments.parse_args()
-    main(given.connect, given.seconds)
+    try:
+        main(given.connect, given.seconds, given.start_again)
+    except GatewayError as error:
+        raise SystemExit(str(error)) from None

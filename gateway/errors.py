@@ -1,5 +1,6 @@
 """The errors that end a command: each knows its exit code and says in one sentence what to do."""
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 
@@ -31,5 +32,28 @@ class UnreachedError(ZenohError):
     """No connection comes about."""
 
 
-class UnansweredError(ZenohError):
+class DisconnectedError(ZenohError):
+    """The link to the gateway is lost, or it does not answer."""
+
+
+class UnansweredError(DisconnectedError):
     """Nobody who may answer has answered."""
+
+
+class RejectedError(GatewayError):
+    """The gateway rejected a command: `reason` is its word for why, `detail` its sentence."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        """See docs/interface.md for the reasons."""
+        super().__init__(f"rejected: {reason}: {detail}")
+        self.reason = reason
+        self.detail = detail
+
+
+class StoppedError(GatewayError):
+    """What a program moved was stopped, by the watchdog, by somebody else or by a fault: `legs` names the legs."""
+
+    def __init__(self, detail: str, legs: Iterable[int]) -> None:
+        """Make it of a sentence and the legs' numbers."""
+        super().__init__(detail)
+        self.legs = tuple(sorted(legs))

@@ -12,7 +12,38 @@ True
 True
 """
 
+from typing import TYPE_CHECKING
+
 from gateway.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
 from gateway.client.payloads import leg_payload, legs_payload, servo_payload
+from gateway.client.stream import Stream
+from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError, ZenohError
 
-__all__ = ["DEFAULT_ENDPOINT", "Client", "leg_payload", "legs_payload", "servo_payload", "several_answer"]
+if TYPE_CHECKING:
+    from gateway.client.aio import AsyncClient, AsyncStream
+
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "AsyncClient",
+    "AsyncStream",
+    "Client",
+    "DisconnectedError",
+    "GatewayError",
+    "RejectedError",
+    "StoppedError",
+    "Stream",
+    "ZenohError",
+    "leg_payload",
+    "legs_payload",
+    "servo_payload",
+    "several_answer",
+]
+
+
+def __getattr__(name: str) -> object:
+    """AsyncClient and AsyncStream: loaded on use, since asyncio's import would delay `hexapod-gateway estop`."""
+    if name in ("AsyncClient", "AsyncStream"):
+        from gateway.client import aio  # noqa: PLC0415
+
+        return getattr(aio, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

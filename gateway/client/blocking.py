@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -12,25 +12,39 @@ import zenoh
 from pydantic import BaseModel, Field, ValidationError
 
 from gateway.client.ending import close_at_the_end
-from gateway.client.payloads import Angle, leg_payload, servo_payload
+from gateway.client.payloads import Angle, leg_payload, legs_payload, servo_payload
+from gateway.client.stream import Stream
 from gateway.edge.config_file import get, one_line
 from gateway.edge.hosts import Hosts
 from gateway.edge.question import JSON, Question
 from gateway.edge.session import client_config
-from gateway.errors import ConfigError, UnansweredError, ZenohError
+from gateway.errors import ConfigError, StoppedError, UnansweredError, ZenohError
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, GatewayState
+from schemas.telemetry import Ack, Event, GatewayState, Mode
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 R = TypeVar("R", bound=BaseModel)
+_POLL_S: Final = 0.1
 
 
 class Client:
-    """A connection to one gateway.
+    """A connection to one gateway. For any thread; close it, or use it in a `with`.
 
-    `ask` is acknowledged and waits for the answer; `publish` is fire and forget, for streams of setpoints. A running
-    leg must hear something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it.
+    Commands are acknowledged: the Ack says whether the frame has been written, or why not. A running leg must hear
+    something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it; `stream` is for that. All
+    raise DisconnectedError when no gateway answers in time, ValueError for a leg or servo that does not exist or a
+    wrong count of angles, TypeError for an angle that is no number.
+
+    >>> with Client(endpoint, source="an example") as robot:
+    ...     robot.wait_ready().mode
+    ...     robot.start_legs({1: (90, 45, 120), 4: (90, 45, 120)}).accepted
+    ...     robot.set_legs({1: (90, 46, 120), 5: (90, 46, 120)}).detail
+    ...     robot.stop().accepted
+    <Mode.IDLE: 'idle'>
+    True
+    'servo 51 does not run; start it before you set it'
+    True
     """
 
     def __init__(
@@ -60,6 +74,8 @@ class Client:
         self._answered: dict[str, Question[Any]] = {}
         self.session = self._hosts.open()
         """Lives until `close`: when its link breaks, it comes back by any of the hosts, with all that is declared."""
+        self.name = str(self.session.info.zid()) if source is None else source
+        """Who this is in events: `source`, or the session's Zenoh id (which only a stream's commands tell)."""
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
@@ -79,6 +95,34 @@ class Client:
         with suppress(zenoh.ZError):  # a frozen gateway did not say good-bye within ten seconds
             self.session.close()
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a link now. Zenoh notices one that died without a word only after its lease."""
+        try:
+            with self._open_session() as session:
+                return bool(session.info.transports())
+        except ZenohError:
+            return False
+
+    def wait_ready(self, timeout_s: float = 10.0) -> GatewayState:
+        """Wait until the gateway takes commands; its state then.
+
+        Raises DisconnectedError when nobody answers until then, StoppedError when it does and takes none (an emergency
+        stop, a bus fault).
+        """
+        end_s = time.monotonic() + timeout_s
+        while True:
+            state = self.state(max(0.01, end_s - time.monotonic()))
+            if state.mode in (Mode.IDLE, Mode.ACTIVE):
+                return state
+            if time.monotonic() + _POLL_S >= end_s:
+                raise StoppedError(f"the gateway takes no commands after {timeout_s:g} s: its mode is {state.mode}", ())
+            time.sleep(_POLL_S)
+
+    def stream(self, hz: float = 50) -> Stream:
+        """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`."""
+        return Stream(self, hz)
+
     # ---- commands, acknowledged
 
     def start_leg(self, leg: int, *angles_deg: Angle) -> Ack:
@@ -89,11 +133,19 @@ class Client:
         """Move a running leg's servos to these angles."""
         return self.ask(keys.leg_command(leg), leg_payload("set", angles_deg))
 
+    def start_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
+        """Energise several legs (1 to 6) at these angles, in one message: accepted or rejected as a whole."""
+        return self.ask(keys.LEGS_COMMAND, legs_payload("start", angles_deg))
+
+    def set_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
+        """Move several running legs to these angles, in one message: accepted or rejected as a whole."""
+        return self.ask(keys.LEGS_COMMAND, legs_payload("set", angles_deg))
+
     def stop(self, leg: int | None = None) -> Ack:
         """De-energise one leg, or all six."""
         if leg is not None:
             return self.ask(keys.leg_command(leg), leg_payload("stop"), again=True)
-        return self.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg_payload("stop") for number in LEGS}}, again=True)
+        return self.ask(keys.LEGS_COMMAND, legs_payload("stop", dict.fromkeys(LEGS, ())), again=True)
 
     def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         """Start, set or stop one servo (11 to 63)."""
@@ -115,7 +167,7 @@ class Client:
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
     ) -> Ack:
-        """Send one acknowledged command. Raises ZenohError when nobody answers in time.
+        """Send one acknowledged command. Raises DisconnectedError when nobody answers in time.
 
         `again`: where the link is lost meanwhile, or no answer comes, ask again until `timeout_s` is over, also by a
         session of its own through whichever host answers. Only for what may safely happen twice, a Stop: a reset or a
@@ -145,7 +197,7 @@ class Client:
     # ---- watching
 
     def state(self, timeout_s: float | None = None) -> GatewayState:
-        """The gateway's state now. Raises ZenohError when nobody answers in time (the client's own, if not given)."""
+        """The gateway's state now. Raises DisconnectedError when nobody answers in time (None: the client's own)."""
         return self._get(keys.STATE, None, GatewayState, again=True, timeout_s=timeout_s)
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":

@@ -5,22 +5,26 @@ import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import zenoh
 
 from gateway import client as client_module
-from gateway.client import Client, leg_payload
+from gateway.client import Client, aio, blocking, leg_payload, pace, payloads, stream
 from gateway.errors import ZenohError
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.support.gateway_process import Gateway, free_port
 
 
-def test_the_example_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("module", "examples"), [(client_module, 2), (blocking, 1), (stream, 2), (aio, 4), (pace, 5), (payloads, 1)]
+)
+def test_the_examples_run(tmp_path: Path, module: ModuleType, examples: int) -> None:
     with Gateway(tmp_path) as gateway:
-        failed, tried = doctest.testmod(client_module, extraglobs={"endpoint": gateway.endpoint})
-    assert (failed, tried) == (0, 2)
+        failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
+    assert (failed, tried) == (0, examples)
 
 
 def test_states_and_events_are_called_back(tmp_path: Path) -> None:

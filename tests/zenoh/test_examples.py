@@ -22,6 +22,13 @@ def gateway(tmp_path: Path) -> Iterator[Gateway]:
         yield running
 
 
+@pytest.fixture
+def patient(tmp_path: Path) -> Iterator[Gateway]:
+    """One that outlasts a moment in which this machine is busy."""
+    with Gateway(tmp_path, {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}}) as running:
+        yield running
+
+
 def run(name: str, gateway: Gateway, *arguments: str) -> str:
     """What an example printed; it must end well."""
     child = Child([sys.executable, str(EXAMPLES / name), "--connect", gateway.endpoint, *arguments], os.environ)
@@ -58,16 +65,32 @@ def test_the_first_program(gateway: Gateway) -> None:
         assert moved(heard).keys() == {31, 32, 33}
 
 
-def test_the_tripod_gait_moves_all_18_servos_and_nothing_is_rejected(gateway: Gateway) -> None:
-    with gateway.client() as client:
+def test_the_tripod_gait_moves_all_18_servos_and_nothing_is_rejected(patient: Gateway) -> None:
+    with patient.client() as client:
         heard = frames(client)
-        said = run("tripod_gait.py", gateway, "--seconds", "2")
+        said = run("tripod_gait.py", patient, "--seconds", "2")
         assert ", 0 rejected" in said
         angles = moved(heard)
         assert len(angles) == 18
         assert all(len(each) >= 5 for each in angles.values()), "every servo goes through many angles"
         first = [decode(bytes.fromhex(record.bytes)) for record in heard.all if record.cause is Cause.COMMAND][:6]
         assert [frame.leg for frame in first if isinstance(frame, OneLeg)] == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("start_again", [False, True])
+def test_going_on_after_somebody_elses_stop_is_a_decision(patient: Gateway, start_again: bool) -> None:
+    command = [sys.executable, str(EXAMPLES / "tripod_gait.py"), "--connect", patient.endpoint, "--seconds", "5"]
+    with patient.client() as client:
+        written = frames(client)
+        child = Child([*command, *["--start-again"] * start_again], os.environ)
+        written.wait(lambda record: record.cause is Cause.COMMAND, count=60, timeout_s=20)
+        client.stop(3)
+        said = "somebody else stopped leg 3; start_again() goes on"
+        assert child.wait() == (0 if start_again else 1), child.stderr
+        child.close()
+        assert (f"starting again: {said}" in child.stdout) == start_again
+        assert (said in child.stderr) != start_again
+        assert not any(servo.running for leg in client.state().legs for servo in leg.servos)
 
 
 def test_the_same_with_nothing_but_zenoh(gateway: Gateway) -> None:

@@ -21,13 +21,15 @@ README = (Path(__file__).parents[2] / "README.md").read_text()
 
 def test_the_python_example_runs(tmp_path: Path) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    with Gateway(tmp_path) as gateway:
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 2000}}) as gateway:  # this machine may be busy
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint)
         end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=30)
         assert "accepted=True" in end.stdout
+        assert "ticks missed" in end.stdout
         with gateway.client() as client:
             state = client.state()
-        assert state.commands.accepted == 101
+        # Leg 3; the setpoints, of which a busy gateway takes the newest; the Stop at their end.
+        assert 50 < state.commands.accepted <= 1 + 100 + 1
         assert state.commands.rejected == 0
 
 

@@ -1,0 +1,203 @@
+"""The asyncio client: the same names, on a loop that never waits; cancelled at any point, the robot is stopped."""
+
+import asyncio
+import inspect
+import subprocess
+import sys
+import threading
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.client import AsyncClient, AsyncStream, Client, DisconnectedError, StoppedError, Stream
+from gateway.client.aio import KEPT_EVENTS, MAX_QUESTIONS, _Threads
+from gateway.errors import ZenohError
+from schemas import keys
+from schemas.telemetry import Event, Kind, Mode
+from tests.support.gateway_process import Gateway, free_port
+
+POSE = (90, 45, 120)
+HZ = 50
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    # A busy machine may be silent for longer than 250 ms.
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 1000}}) as running:
+        yield running
+
+
+@pytest.fixture
+async def robot(gateway: Gateway) -> AsyncIterator[AsyncClient]:
+    async with AsyncClient(gateway.endpoint, source="async", timeout_s=5) as client:
+        yield client
+
+
+async def running(client: AsyncClient) -> list[int]:
+    return [leg.leg for leg in (await client.state()).legs if leg.servos[0].running]
+
+
+def public(kind: type) -> dict[str, list[str]]:
+    """Its methods and properties, with the names of what they take."""
+    return {
+        name: list(inspect.signature(member).parameters) if callable(member) else []
+        for name, member in vars(kind).items()
+        if not name.startswith("_")
+    }
+
+
+@pytest.mark.parametrize(("twin", "own"), [(AsyncClient, Client), (AsyncStream, Stream)])
+def test_both_have_the_same_names_and_arguments(twin: type, own: type) -> None:
+    steps = {"open", "close", "read", "check_open", "due_s", "must_ask", "send"} if own is Stream else set()
+    wanted = {name: taken for name, taken in public(own).items() if name not in steps}
+    assert {name: taken for name, taken in public(twin).items() if name in wanted} == wanted
+
+
+async def test_each_command_is_there(robot: AsyncClient) -> None:
+    assert robot.connected
+    assert (await robot.wait_ready()).mode == Mode.IDLE
+    assert (await robot.start_leg(3, *POSE)).accepted
+    assert (await robot.set_leg(3, *POSE)).accepted
+    assert (await robot.start_legs({1: POSE, 2: POSE})).accepted
+    assert (await robot.set_legs({1: POSE, 4: POSE})).reason == "servo_stopped"
+    assert (await robot.servo(51, "start", 9)).accepted
+    assert (await robot.servo(51, "stop")).accepted
+    assert (await robot.stop()).accepted
+    assert (await robot.estop()).stop_frames == 6
+    assert (await robot.reset()).accepted
+    assert len(await robot.answerers(keys.RESET)) == 1
+
+
+async def go_on(stream: AsyncStream) -> None:
+    async with asyncio.timeout(10):
+        while True:
+            await stream.set({1: POSE, 6: POSE})
+
+
+async def test_a_stream(robot: AsyncClient) -> None:
+    loop = asyncio.get_running_loop()
+    async with robot.stream(HZ) as stream:
+        begun_s = loop.time()
+        for _ in range(26):
+            await stream.set({1: POSE, 6: POSE})
+        assert loop.time() - begun_s >= 24 / HZ
+        assert await running(robot) == [1, 6]
+        await robot.stop(6)
+        with pytest.raises(StoppedError, match="leg 6"):
+            await go_on(stream)
+        stream.start_again()
+        await stream.set({6: POSE})
+        assert 6 in await running(robot)
+    assert await running(robot) == []
+
+
+async def test_a_task_that_is_cancelled_stops_its_robot(gateway: Gateway, robot: AsyncClient) -> None:
+    walking = asyncio.Event()
+
+    async def walk() -> None:
+        async with AsyncClient(gateway.endpoint, timeout_s=5) as own, own.stream(HZ) as stream:
+            while True:
+                await stream.set({1: POSE})
+                walking.set()
+
+    task = asyncio.create_task(walk())
+    await asyncio.wait_for(walking.wait(), 10)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert await running(robot) == []
+
+
+@pytest.mark.parametrize("turns", range(12))
+async def test_cancelled_anywhere_it_leaves_nothing_running(gateway: Gateway, robot: AsyncClient, turns: int) -> None:
+    """Also in the middle of a start, of the Stop at the end, and twice."""
+
+    async def walk() -> None:
+        async with AsyncClient(gateway.endpoint, timeout_s=5) as own, own.stream(HZ) as stream:
+            for _ in range(3):
+                await stream.set({1: POSE})
+
+    expirations = (await robot.state()).watchdog.expirations
+    task = asyncio.create_task(walk())
+    for _ in range(turns * 3):
+        await asyncio.wait([task], timeout=0.002)
+    task.cancel()
+    await asyncio.wait([task], timeout=0.001)
+    task.cancel()
+    await asyncio.wait([task], timeout=10)
+    assert task.done()
+    async with asyncio.timeout(10):
+        while await running(robot):
+            pass
+    assert (await robot.state()).watchdog.expirations == expirations, "the stream's own Stop has stopped it"
+
+
+async def test_events_are_kept_until_they_are_read(robot: AsyncClient) -> None:
+    found: list[Event] = []
+    events = robot.events()
+    await robot.state()  # the gateway knows of the subscription
+    assert (await robot.start_leg(3, *POSE)).accepted
+    async with asyncio.timeout(10):
+        async for event in events:
+            found.append(event)
+            if len(found) == 1:
+                await robot.estop()
+            else:
+                break
+    assert [event.kind for event in found] == [Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED]
+    for _ in range(KEPT_EVENTS + 5):
+        events.add(found[0])
+    await robot.close()
+    assert len([event async for event in events]) == KEPT_EVENTS
+
+
+async def test_a_stop_does_not_wait_behind_questions(robot: AsyncClient) -> None:
+    for _ in range(MAX_QUESTIONS):
+        await robot._turns.acquire()  # as if so many were being asked
+    question = asyncio.create_task(robot.state())
+    async with asyncio.timeout(10):
+        assert (await robot.estop()).accepted
+        assert (await robot.stop(3)).reason == "estopped"
+    assert not question.done()
+    robot._turns.release()
+    assert (await question).mode == Mode.ESTOPPED
+
+
+async def test_closing_waits_for_a_stop_that_is_under_way() -> None:
+    threads, done = _Threads(), threading.Event()
+    order: list[str] = []
+
+    def stop() -> None:
+        done.wait(10)
+        order.append("stopped")
+
+    stopping = asyncio.create_task(threads.run(stop, stops=True))
+    await asyncio.sleep(0)
+    stopping.cancel()
+    await asyncio.wait([stopping])
+    closing = asyncio.create_task(threads.run_last(lambda: order.append("closed")))
+    await asyncio.wait([closing], timeout=0.1)
+    done.set()
+    await closing
+    assert order == ["stopped", "closed"]
+
+
+async def test_errors_are_the_same(gateway: Gateway) -> None:
+    with pytest.raises(ZenohError, match="no gateway answers"):
+        async with AsyncClient(f"tcp/127.0.0.1:{free_port()}", timeout_s=0.3):
+            pass
+    client = AsyncClient(gateway.endpoint, timeout_s=1)
+    with pytest.raises(ZenohError, match="this client is not open"):
+        await client.state()
+    async with client:
+        gateway.child.kill()
+        with pytest.raises(DisconnectedError):
+            await client.start_leg(3, *POSE)
+    assert not client.connected
+
+
+def test_the_commands_load_no_asyncio_for_it() -> None:
+    """A `hexapod-gateway estop` has better use for the time."""
+    code = "import sys, gateway.client; assert 'asyncio' not in sys.modules; gateway.client.AsyncClient"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

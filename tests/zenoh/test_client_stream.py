@@ -1,0 +1,290 @@
+"""A gait's stream against a real gateway: what it sends, and how it ends."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
+from schemas.telemetry import Cause, Event, Kind, Mode
+from tests.support.cuttable import Link
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames, states
+
+HZ = 50
+POSE = (90, 45, 120)
+TIMEOUT_MS = 1000
+"""For setpoints every 20 ms, on a machine that may be busy for longer than the watchdog's 250."""
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"frames": True},
+        "limits.servos.61": {"max_deg": 100},
+        "watchdog": {"timeout_ms": TIMEOUT_MS},
+    }
+    with Gateway(tmp_path, settings) as running:
+        yield running
+
+
+@pytest.fixture
+def watcher(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="somebody else") as client:
+        yield client
+
+
+@pytest.fixture
+def robot(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source=None) as client:
+        yield client
+
+
+def go_on(stream: Stream, *legs: int, until: Callable[[], bool] = lambda: False) -> None:
+    """Set these legs until it raises, or that holds; for ten seconds at most."""
+    end_s = time.monotonic() + 10
+    while not until():
+        stream.set(dict.fromkeys(legs, POSE))
+        assert time.monotonic() < end_s, "nothing has ended it"
+
+
+def walk(robot: Client, then: Callable[[], object]) -> None:
+    """A stream of one leg, in which something happens."""
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        then()
+        go_on(stream, 1)
+
+
+def running(client: Client) -> list[int]:
+    return [leg.leg for leg in client.state().legs if leg.servos[0].running]
+
+
+def test_the_first_setpoint_of_a_leg_starts_it_and_the_end_stops_what_was_moved(robot: Client, watcher: Client) -> None:
+    assert watcher.start_leg(6, *POSE).accepted
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        assert 1 in running(watcher)
+        stream.set({1: POSE, 4: POSE})
+        assert {1, 4} <= set(running(watcher))
+        assert watcher.start_leg(6, *POSE).accepted
+    assert running(watcher) == [6]
+
+
+class Timed(Client):
+    """Notes when it publishes."""
+
+    sent_s: tuple[float, ...] = ()
+
+    def publish(self, key: str, payload: Mapping[str, Any]) -> None:
+        super().publish(key, payload)
+        self.sent_s += (time.monotonic(),)
+
+
+def test_it_keeps_its_pace(gateway: Gateway, watcher: Client) -> None:
+    """Every tick is a setpoint's or counted as missed, however busy this machine is."""
+    count = 100
+    written = frames(watcher)
+    with Timed(gateway.endpoint) as robot, robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        begun_s = time.monotonic()
+        for step in range(1, count + 1):
+            time.sleep(0.005)  # a program has something to compute
+            stream.set({1: (90, 45 + step / 10, 120)})
+        ticks = count + stream.missed
+        sent_s = robot.sent_s
+    assert len(sent_s) == count
+    # Sleeping for a period after each 5 ms of work would have taken half a second more.
+    assert sent_s[-1] - begun_s == pytest.approx(ticks / HZ, abs=0.15)
+    angles = [record for record in written.all if record.cause is Cause.COMMAND]
+    assert count / 2 < len(angles) <= count + 2
+    assert watcher.state().commands.rejected == 0
+
+
+def test_a_program_that_stalls_sends_nothing_and_is_told(gateway: Gateway, watcher: Client) -> None:
+    happened, reported, written = events(watcher), states(watcher), frames(watcher)
+    with Timed(gateway.endpoint) as robot, robot.stream(HZ) as stream:
+        go_on(stream, 1, 2, until=lambda: len(written.all) > 20)
+        sent_s = robot.sent_s
+        happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED, count=2)
+        before = watcher.state().commands
+        seen = len(reported.all)
+        reported.wait(lambda _: True, count=seen + 5)  # half a second
+        after = watcher.state()
+        assert robot.sent_s == sent_s
+        assert (after.commands.accepted, after.commands.rejected) == (before.accepted, before.rejected)
+        assert after.mode == Mode.IDLE
+        for _ in range(2):  # it does not go on by itself
+            with pytest.raises(StoppedError, match=r"not heard for 1000 ms.*start_again\(\) goes on") as error:
+                stream.set({1: POSE, 2: POSE})
+            assert set(error.value.legs) <= {1, 2}
+        assert watcher.state().commands.rejected == before.rejected
+        assert not running(watcher)
+        stream.start_again()
+        stream.set({2: POSE})
+        assert running(watcher) == [2]
+        for _ in range(10):
+            stream.set({2: POSE})
+
+
+def test_a_leg_that_is_left_out_is_stopped_and_not_repeated(robot: Client) -> None:
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE, 2: POSE})
+        with pytest.raises(StoppedError, match="leg 1 was not heard for 1000 ms") as error:
+            go_on(stream, 2)
+        assert error.value.legs == (1,)
+
+
+def test_another_ones_stop_ends_it(robot: Client, watcher: Client) -> None:
+    with robot.stream(HZ) as stream:
+        go_on(stream, 1, 2, until=lambda: running(watcher) == [1, 2])
+        watcher.stop(1)
+        with pytest.raises(StoppedError, match="somebody else stopped leg 1") as error:
+            go_on(stream, 1, 2)
+        assert error.value.legs == (1,)
+        assert watcher.start_leg(1, *POSE).accepted
+        with pytest.raises(StoppedError, match="somebody else stopped leg 1"):
+            stream.set({1: POSE, 2: POSE})  # that it runs again is not this program's decision
+
+
+def test_what_ended_before_the_start_is_over(robot: Client) -> None:
+    """Events and answers come on ways of their own, and an older event may come later."""
+    now = robot.state().time
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        told: dict[str, Any] = {
+            "kind": Kind.WATCHDOG_EXPIRED,
+            "source": None,
+            "key": None,
+            "reason": None,
+            "detail": "leg 1 is stopped",
+        }
+        stream._hear_event(Event(time=now, **told))
+        stream.set({1: POSE})
+        stream._hear_event(Event(time=now + timedelta(minutes=1), **told))
+        with pytest.raises(StoppedError, match="leg 1 is stopped"):
+            stream.set({1: POSE})
+
+
+def test_the_emergency_stop_ends_it_and_a_reset_alone_moves_nothing(robot: Client, watcher: Client) -> None:
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        number = watcher.estop().estop
+        with pytest.raises(StoppedError, match="emergency stop"):
+            go_on(stream, 1)
+        stream.start_again()
+        for _ in range(2):  # a start that was rejected is not tried again by itself
+            with pytest.raises(RejectedError, match="rejected: estopped: ") as rejected:
+                stream.set({1: POSE})
+        assert rejected.value.reason == "estopped"
+        assert watcher.reset(number).accepted
+        with pytest.raises(RejectedError, match="rejected: estopped: "):
+            stream.set({1: POSE})
+        assert not running(watcher)
+        stream.start_again()
+        stream.set({1: POSE})
+        assert running(watcher) == [1]
+
+
+def test_a_setpoint_that_was_rejected_is_told_and_the_stream_goes_on(robot: Client, watcher: Client) -> None:
+    with robot.stream(HZ) as stream, robot.stream(HZ) as other:
+        stream.set({6: POSE})
+        other.set({5: POSE})
+        stream.set({6: (150, 45, 120)})
+        with pytest.raises(RejectedError, match="servo 61 may go from 0 to 100 degrees") as error:
+            go_on(stream, 6)
+        assert error.value.reason == "joint_limit"
+        stream.set({6: POSE})
+        other.set({5: POSE})
+        assert running(watcher) == [5, 6]
+
+
+def test_a_killed_gateway_is_a_lost_link(gateway: Gateway, robot: Client) -> None:
+    with pytest.raises(DisconnectedError, match="link to the gateway is lost") as error:
+        walk(robot, gateway.child.kill)
+    assert "no gateway answered" in error.value.__notes__[0], "the Stop at the end could not be told"
+    assert not robot.connected
+
+
+def test_a_link_that_is_cut_without_a_word_is_noticed(gateway: Gateway, watcher: Client) -> None:
+    with Link(gateway.endpoint) as link, Client(link.endpoint, timeout_s=1) as robot:
+        with pytest.raises(DisconnectedError, match=r"does not answer|is lost"):
+            walk(robot, link.cut)
+        assert not running(watcher)
+        link.fix()
+
+
+def test_a_gateway_that_was_restarted_is_noticed(tmp_path: Path, gateway: Gateway, robot: Client) -> None:
+    listen = {"zenoh": {"listen": [gateway.endpoint]}}
+    with ExitStack() as gateways, robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        gateway.child.kill()
+        gateways.enter_context(Gateway(tmp_path, listen))
+        with pytest.raises((DisconnectedError, StoppedError)):
+            go_on(stream, 1)
+        assert robot.wait_ready().mode == Mode.IDLE
+        stream.start_again()
+        stream.set({1: POSE})
+        assert running(robot) == [1]
+
+
+def test_two_streams_do_not_end_each_other(robot: Client, watcher: Client) -> None:
+    happened = events(watcher)
+    with robot.stream(HZ) as stalled, robot.stream(HZ) as steady:
+        stalled.set({1: POSE})
+        steady.set({2: POSE})
+        go_on(steady, 2, until=lambda: any(event.kind == Kind.WATCHDOG_EXPIRED for event in happened.all))
+        for _ in range(5):
+            steady.set({2: POSE})
+        with pytest.raises(StoppedError, match="leg 1 was not heard"):
+            stalled.set({1: POSE})
+        assert running(watcher) == [2]
+
+
+def test_an_error_of_the_program_stops_the_robot(robot: Client, watcher: Client) -> None:
+    with pytest.raises(ZeroDivisionError):
+        walk(robot, lambda: 1 // 0)
+    assert not running(watcher)
+
+
+def test_what_is_no_setpoint_is_not_sent(robot: Client, watcher: Client) -> None:
+    with robot.stream(HZ) as stream:
+        for wrong in ({7: POSE}, {1: (90, 45)}, {1: (90, 45, 181)}, {1: (90, 45, float("nan"))}, {}):
+            with pytest.raises(ValueError, match=r"leg|degrees"):
+                stream.set(wrong)
+        with pytest.raises(TypeError):
+            stream.set({1: (True, 45, 90)})
+    with pytest.raises(RuntimeError, match="used in a `with`"):
+        stream.set({1: POSE})
+    assert watcher.state().commands.accepted == 0
+
+
+def test_a_rate_that_the_watchdog_would_not_live_with_is_said(robot: Client) -> None:
+    with pytest.raises(ValueError, match="the watchdog stops each leg"):
+        robot.stream(1).__enter__()
+    for hz in (0, -1, 1001):
+        with pytest.raises(ValueError, match="a stream's rate"):
+            robot.stream(hz)
+
+
+def test_several_legs_in_one_message(robot: Client, watcher: Client) -> None:
+    assert robot.start_legs({1: POSE, 5: POSE}).accepted
+    assert robot.set_legs({1: POSE, 5: POSE}).accepted
+    rejected = robot.set_legs({1: POSE, 2: POSE})
+    assert rejected.reason == "servo_stopped"
+    assert watcher.state().commands.accepted == 2
+    assert robot.stop().accepted
+
+
+def test_ready_is_waited_for(robot: Client, watcher: Client) -> None:
+    assert robot.connected
+    assert robot.wait_ready().mode == Mode.IDLE
+    watcher.estop()
+    with pytest.raises(StoppedError, match=r"takes no commands after 0\.3 s: its mode is estopped"):
+        robot.wait_ready(0.3)
+    watcher.reset()
+    assert robot.wait_ready().mode == Mode.IDLE
