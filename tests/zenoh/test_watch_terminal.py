@@ -267,7 +267,7 @@ def up_s(words: str) -> int:
 def test_it_waits_for_a_gateway_that_is_not_there_yet(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with watching(tmp_path, "--connect", endpoint, "--timeout", "0.3") as terminal:
-        terminal.wait("WAITING", endpoint, "no gateway answers on", "trying on")
+        terminal.wait("WAITING", endpoint, "no gateway answers on", "trying again")
         terminal.press("Space")
         terminal.wait("NOT STOPPED, NOBODY ANSWERED")
         with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}}):
