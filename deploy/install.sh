@@ -6,6 +6,8 @@
 #                                          follows the protocol's document); without it, a terminal is asked
 #   sudo deploy/install.sh --wheels DIR    without a network, from a folder that `make wheels` filled
 #   sudo deploy/install.sh --certs DIR     besides, bring the gateway's certificates (`hexapod-gateway certs init`)
+#   sudo deploy/install.sh --rollback      back to the release before this one
+#   sudo deploy/install.sh --force …       also while a servo runs (all legs stop)
 #   sudo deploy/install.sh --uninstall     stops the service and removes all but the configuration
 #        deploy/install.sh --dry-run …     says what it would do, in the same lines, and does nothing
 #   sudo PYTHON=/usr/bin/python3.12 deploy/install.sh …
@@ -36,11 +38,13 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no uninstall=no wheels='' certs='' framing=''
+dry=no uninstall=no rollback=no force=no before='' wheels='' certs='' framing=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
 	--uninstall) uninstall=yes ;;
+	--rollback) rollback=yes ;;
+	--force) force=yes ;;
 	--wheels | --certs)
 		[ $# -ge 2 ] || fail "$1 needs a folder"
 		[ -d "$2" ] || fail "$1: $2 is no folder"
@@ -283,13 +287,8 @@ switch_spi_on() {
 
 start_service() {
 	changed=no
+	switch_release
 	put "$HERE/systemd/$NAME.service" $UNIT 0644
-	if [ "$(readlink -f $OPT/venv)" != "$venv" ]; then
-		say "let $OPT/venv be $venv"
-		run ln -sfn "$venv" $OPT/venv.new
-		run mv -T $OPT/venv.new $OPT/venv
-		changed=yes
-	fi
 	if [ ! -e $COMMAND ]; then
 		say "let $COMMAND be $OPT/venv/bin/$NAME"
 		run ln -sfn $OPT/venv/bin/$NAME $COMMAND
@@ -302,7 +301,7 @@ start_service() {
 	if systemctl is-active --quiet $NAME; then
 		if [ "$changed$configured" != nono ]; then
 			say "restart the service: all legs stop"
-			run systemctl restart $NAME || fail "installed, but it does not start: journalctl -u $NAME says why"
+			restart_service
 		fi
 	elif [ "$reboot" = yes ]; then
 		say "not started: reboot, SPI comes with it, and so does the service"
@@ -313,9 +312,10 @@ start_service() {
 		say "not started: there is no /dev/spidev* here; once there is: systemctl start $NAME"
 	fi
 	keep_drop_ins
-	local old
+	local old kept=$before
+	[ "$before" != "$venv" ] || kept=$(readlink -e $OPT/previous || true)
 	for old in "$OPT"/venv-*; do
-		[ "$old" != "$venv" ] && [ -d "$old" ] || continue
+		[ "$old" != "$venv" ] && [ "$old" != "$kept" ] && [ -d "$old" ] || continue
 		say "remove $old, which nothing uses any more"
 		run rm -rf "$old"
 	done
@@ -393,4 +393,6 @@ changed=no configured=no reboot=no hint='' next='' unfinished='' sources='' said
 trap clean_up EXIT
 cd / # the folder it was called from may be gone, or be one that a new user may not enter
 check_machine
-if [ $uninstall = yes ]; then uninstall_all; else install_all; fi
+# shellcheck source=deploy/releases.sh
+. "$HERE/releases.sh"
+if [ $uninstall = yes ]; then uninstall_all; elif [ $rollback = yes ]; then rollback; else install_all; fi
