@@ -40,7 +40,7 @@ from schemas.keys import STATE
 from schemas.robot import LEGS
 
 END_S = 0.8
-"""What the end may take: the contract's second, less what the process needs to go."""
+"""What the end may take: the second of docs/interface.md, Behaviour 7, less what the process needs to go."""
 REPEATS_S = 0.3
 """Of that, what the repeats of the last Stops may take."""
 
@@ -160,7 +160,7 @@ class _End:
     """What ends the service: a signal, or a mistake of our own.
 
     After an exception that nobody expected, nobody knows what state is left; so the robot is stopped and the service
-    ends, to be started afresh by its manager.
+    ends, to be started afresh by systemd.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -241,7 +241,7 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
 
 
 async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: _End) -> None:
-    """Measure how late the loop is, look for `stop-servos`, and tell the manager that the loop turns and hears."""
+    """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears."""
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:

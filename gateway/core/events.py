@@ -22,7 +22,7 @@ class BusFailed:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A valid command: what each of these servos should do. `order` numbers it; `channel` is the way it came.
+    """A valid command: what each of these servos should do. `number` is its own; `channel` is the way it came.
 
     Commands of one channel are in order among themselves; of two channels in one instant nobody knows which is older.
     """

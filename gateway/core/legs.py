@@ -26,7 +26,7 @@ class Rules:
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     unnumbered_reset_ns: int = 2 * NS_PER_S
-    """How old the latest emergency stop must be for a reset that does not say which one it leaves (contract, 5)."""
+    """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
 
 
@@ -327,12 +327,12 @@ class Legs:
         return self._target_done(older.number)
 
     def _target_done(self, number: int) -> list[Effect]:
-        order = self._pending[number]
-        order.targets -= 1
-        if order.targets:
+        pending = self._pending[number]
+        pending.targets -= 1
+        if pending.targets:
             return []
         del self._pending[number]
-        return [Completed(number, order.coalesced)]
+        return [Completed(number, pending.coalesced)]
 
     def drop(self, servos: Iterable[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Forget what waits for these servos, and reject the commands that it came from, as a whole."""

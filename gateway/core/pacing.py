@@ -27,7 +27,7 @@ SPACING_SHARE: Final = 4
 
 
 class Waiting(NamedTuple):
-    """A servo's newest target, and the command (by its order number) that set it."""
+    """A servo's newest target, and the command (by its number) that set it."""
 
     op: ServoOp
     number: int

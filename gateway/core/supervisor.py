@@ -3,7 +3,7 @@
 No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
 are carried out by the service in their order. If writing a frame fails, the service says so with `BusFailed`.
 
-The rules, by number of the contract's *Behaviour*:
+The rules, by their numbers in docs/interface.md, *Behaviour*:
 
  1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
  2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is

@@ -5,7 +5,7 @@ would delay everything else by seconds. Here each key has a ring in Rust that ke
 waits on a subscriber that hears them all: the wakeup. It rings once, and again only when the loop has taken what the
 rings hold, so that work per tick is bounded, and a message that is overwritten costs nothing.
 
-The emergency stop has rings and waiting threads of its own, which no flood of other keys can touch.
+The emergency stop has rings and receiver threads of its own, which no flood of other keys can touch.
 """
 
 import asyncio
@@ -185,11 +185,11 @@ class Inbox:
 
     @property
     def hears(self) -> bool:
-        """Whether all waiting threads live; without them no command, and no emergency stop, would be noticed."""
+        """Whether all receiver threads live; without them no command, and no emergency stop, would be noticed."""
         return all(thread.is_alive() for thread in self._threads)
 
     def close(self) -> None:
-        """Undeclare everything, which ends the waiting threads, and join them. Blocks; not for the loop's thread."""
+        """Undeclare everything, which ends the receiver threads, and join them. Blocks; not for the loop's thread."""
         for declared in self._declared:
             with suppress(zenoh.ZError):
                 declared.undeclare()
@@ -208,7 +208,7 @@ class Inbox:
         self._declared.append(queryable)
         return queryable.handler
 
-    # ---- on the waiting threads
+    # ---- on the receiver threads
 
     def _estop(self, item: _Item, received_ns: int) -> Deal:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):

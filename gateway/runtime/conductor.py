@@ -44,9 +44,9 @@ from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
 FIRST_REOPEN_S: Final = 0.02
-"""Well within the 100 ms of the contract: until the device answers, no Stop can reach the robot."""
+"""Well within the 100 ms of docs/interface.md, Behaviour 6: until the device answers, no Stop reaches the robot."""
 LAST_REOPEN_S: Final = 1.0
-"""Half of what the contract allows: a busy machine may wake up late, and a Stop may be waiting."""
+"""Half of what Behaviour 6 allows: a busy machine may wake up late, and a Stop may be waiting."""
 
 logger = logging.getLogger(__name__)
 
@@ -337,14 +337,14 @@ class Conductor:
     def _accept(self, completed: Completed) -> None:
         self.metrics.accepted += 1
         self.metrics.coalesced += completed.coalesced
-        order = self._pending.pop(completed.number)
-        if order.reply is not None:
-            self._reply(order.reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
+        pending = self._pending.pop(completed.number)
+        if pending.reply is not None:
+            self._reply(pending.reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
 
     def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
         self._rejected = number
-        order = self._pending.pop(number)
-        self._reject(order.key, order.source, order.reply, reason, detail)
+        pending = self._pending.pop(number)
+        self._reject(pending.key, pending.source, pending.reply, reason, detail)
 
     def reject_unread(self, key: str, source: str | None, detail: str) -> None:
         """Tell of a message on a key that nothing reads."""
