@@ -304,7 +304,9 @@ LEGS = Subject(
         Mutant(
             "        self._pending[older.number].coalesced = True\n", "", "nobody is told that a target was replaced"
         ),
-        Mutant("        pending.targets -= 1\n", "        pending.targets -= 2\n", "a command is acknowledged too early"),
+        Mutant(
+            "        pending.targets -= 1\n", "        pending.targets -= 2\n", "a command is acknowledged too early"
+        ),
         Mutant(
             "        for servo in self.servos.values():  # what is rejected here must not take effect on another leg\n",
             "        for servo in servos:  # what is rejected here must not take effect on another leg\n",
