@@ -1,3 +1,3 @@
 """The gateway service and its tools."""
 
-__version__ = "1.1.0.dev0"
+__version__ = "1.1.0"

@@ -118,8 +118,12 @@ def test_with_an_age_limit_not_even_queued_starts_move_a_leg_and_another_laptop_
         robot.wait_for_event(lambda event: event.reason is Reason.STALE and event.source == lost.source)
         lost.ask("state")
         assert not robot.seen(is_from(lost))
-        assert robot.running == {1}
-        check_undisturbed(other.ask("pause"))
+        other.ask("pause")
+        # What the link kept back comes in one go. More than a ring holds counts as a Stop, whoever drives the leg now.
+        assert robot.running <= {1}
+        other.start(1)
+        robot.wait_for_commands(1)
+        assert not robot.seen(is_from(lost))
 
 
 def test_two_laptops_at_once_and_one_is_cut_off(
