@@ -37,8 +37,12 @@ link() {
 try_release() {
 	say "start $venv with a simulated controller"
 	[ "$dry" = no ] || return 0
-	"$venv/bin/python" -c "$TRIAL" "$venv/bin/$NAME" run --sim --config $ETC/gateway.toml ||
-		fail "$venv does not start (above is why); the service stays as it was"
+	# Twice: the free port that was found may have been taken before it was listened on.
+	local try
+	for try in 1 2; do
+		"$venv/bin/python" -c "$TRIAL" "$venv/bin/$NAME" run --sim --config $ETC/gateway.toml && return
+	done
+	fail "$venv does not start (above is why); the service stays as it was"
 }
 
 # Whoever upgrades a robot that stands on its legs lets it fall.
