@@ -67,10 +67,17 @@ clean:
 
 # ---- the virtual environment, in two sizes
 
+# One that an older Python made, or whose Python has gone, is made anew.
+ifneq ($(wildcard $(VENV)),)
+ifneq ($(shell $(BIN)/python -c 'import sys; print(sys.version_info >= (3, 11))' 2>/dev/null),True)
+.PHONY: $(VENV)/bin/python
+endif
+endif
+
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 		echo "$(PYTHON) is too old: 3.11 or later is needed; name one: make $(MAKECMDGOALS) PYTHON=python3.11"; exit 1; }
-	@$(PYTHON) -m venv $(VENV) || { \
+	@$(PYTHON) -m venv --clear $(VENV) || { \
 		rm -rf $(VENV); \
 		echo "Python's venv is missing; on Debian: apt-get install python3-venv"; exit 1; }
 

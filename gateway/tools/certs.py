@@ -73,7 +73,7 @@ def init(
     typer.echo(f"  scp {files} {host[0]}:robot-certs/")
     typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
     typer.echo(
-        f"Next, for each laptop: hexapod-gateway certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
+        f"Next, for each laptop: {this_command()} certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
     )
 
 
@@ -158,7 +158,7 @@ def robot(
     typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")
     typer.echo(f"Copy to each robot, as to {first}: {first}.json5 {first}.pem {first}.key ca.pem. In its gateway.toml:")
     typer.echo(f'  [zenoh]\n  listen = []\n  config = "/etc/hexapod-gateway/zenoh/{first}.json5"')
-    typer.echo(f"For its people: hexapod-gateway certs issue NAME --role operator --robot {first} --dir {directory}")
+    typer.echo(f"For its people: {this_command()} certs issue NAME --role operator --robot {first} --dir {directory}")
 
 
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")

@@ -13,7 +13,7 @@ from typing import Final
 from gateway.client import Client
 from gateway.errors import ConfigError, ZenohError
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say
+from gateway.tools.terminal import hint, say, this_command
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Mode
 
@@ -116,8 +116,8 @@ def _accepted(ack: Ack) -> bool:
 def _at_rest(state: GatewayState) -> None:
     if state.mode != Mode.IDLE:
         remedy = {
-            Mode.ACTIVE: "a servo runs; stop it first (hexapod-gateway send stop)",
-            Mode.ESTOPPED: "leave the emergency stop first (hexapod-gateway reset)",
+            Mode.ACTIVE: f"a servo runs; stop it first ({this_command()} send stop)",
+            Mode.ESTOPPED: f"leave the emergency stop first ({this_command()} reset)",
         }.get(Mode(state.mode) if state.mode in set(Mode) else Mode.STARTING, "wait until it is idle")
         raise ConfigError(f"the gateway is {state.mode}, and nothing is moved: {remedy}")
 

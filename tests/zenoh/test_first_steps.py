@@ -1,0 +1,60 @@
+"""The lines that a newcomer or a technician copies from the terminal, run as they are printed."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.support.gateway_process import COMMAND
+
+REPOSITORY = Path(__file__).parents[2]
+INSTALLER = REPOSITORY / "deploy" / "install.sh"
+
+SSH = """#!/bin/sh
+cd "$ROBOT" && shift && exec sh -c "$*"
+"""
+SCP = """#!/bin/sh
+for last; do :; done
+for file; do [ "$file" = "$last" ] || cp "$file" "$ROBOT/${last#*:}" || exit; done
+"""
+"""An ssh and an scp whose robot is a folder."""
+
+
+def script(path: Path, text: str) -> None:
+    path.write_text(text)
+    path.chmod(0o755)
+
+
+def test_the_copy_lines_of_certs_init_bring_what_the_installer_asks_for(tmp_path: Path) -> None:
+    robot, bin_folder = tmp_path / "robot", tmp_path / "bin"
+    robot.mkdir()
+    bin_folder.mkdir()
+    script(bin_folder / "ssh", SSH)
+    script(bin_folder / "scp", SCP)
+    made = subprocess.run(
+        [*COMMAND, "certs", "init", "--dir", str(tmp_path / "certs"), "--host", "robot.local"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    lines = [line for line in made.splitlines() if line.startswith("  ")]
+    environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "ROBOT": str(robot)}
+    subprocess.run(["sh", "-e", "-c", "\n".join(lines)], env=environment, check=True)
+    wanted = next(line for line in INSTALLER.read_text().splitlines() if line.startswith("CERTIFICATES="))
+    assert {path.name for path in (robot / "robot-certs").iterdir()} == set(wanted.split('"')[1].split())
+    assert (robot / "robot-certs").stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("answer", ["echo False", "exit 127"], ids=["too old", "its Python has gone"])
+def test_an_unfit_virtual_environment_is_made_anew(tmp_path: Path, answer: str) -> None:
+    (tmp_path / "Makefile").write_text((REPOSITORY / "Makefile").read_text())
+    (tmp_path / "pyproject.toml").touch()
+    unfit = tmp_path / ".venv" / "bin" / "python"
+    unfit.parent.mkdir(parents=True)
+    script(unfit, f"#!/bin/sh\n{answer}\n")
+    (tmp_path / ".venv" / "run").touch()
+    subprocess.run(["make", ".venv/bin/python"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run([unfit, "-c", "import sys; assert sys.version_info >= (3, 11)"], check=True)
+    planned = subprocess.run(["make", "-n", ".venv/run"], cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert "pip install" in planned.stdout
