@@ -20,6 +20,7 @@ ROOMS: Final = (
     ("runtime", "client"),
     ("service",),
     ("tools",),
+    ("console",),
     ("cli",),
     ("__main__",),
 )

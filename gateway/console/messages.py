@@ -1,0 +1,220 @@
+"""What the page and the console say to each other over the WebSocket, as JSON text; `type` tells which message it is.
+
+What comes from a page is strict and closed, and a command's payload is what `schemas` takes on the same key. Whatever
+else it sends ends its WebSocket with code 1008 and the reason. What goes to a page is open: it ignores fields and
+messages that it does not know.
+
+A page opens with `Alive` and repeats it each second: so the console learns the page's clock before the first command,
+and rejects what was delayed on its way. A page that has the lease renews it itself; nothing else does.
+"""
+
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
+
+from schemas import keys
+from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
+from schemas.telemetry import Ack, Event, GatewayState, Report
+
+MAX_BYTES: Final = 8192
+"""Of a message from a page: a payload that the gateway takes (4096), and what is around it."""
+MAX_ID: Final = 2**53
+
+Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; the answer repeats it")]
+Role = Literal["operator", "observer"]
+LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
+
+_BY_THE_CONSOLE: Final = frozenset({"source", "sent_ms", "lease"})
+_PAYLOADS: Final[dict[keys.Target, tuple[type[BaseModel], ...]]] = {
+    keys.Target.LEG: (LegCommand,),
+    keys.Target.SERVO: (MoveCommand, StopCommand),
+    keys.Target.LEGS: (LegsCommand,),
+}
+
+
+def _shape(payload: Any) -> str:
+    """Which payload it may be."""
+    if isinstance(payload, dict):
+        if "legs" in payload:
+            return "legs"
+        if "op" in payload:
+            return "stop" if payload["op"] == "stop" else "move"
+    return "leg"
+
+
+Payload = Annotated[
+    Annotated[LegCommand, Tag("leg")]
+    | Annotated[LegsCommand, Tag("legs")]
+    | Annotated[MoveCommand, Tag("move")]
+    | Annotated[StopCommand, Tag("stop")],
+    Discriminator(_shape),
+]
+
+
+# ---- from the page
+
+
+class Alive(Closed):
+    """Sent when the page opens, and each second: its monotonic clock (`performance.now()`)."""
+
+    type: Literal["alive"]
+    now_ms: SentMs
+
+
+class Command(Closed):
+    """A command for one leg, one servo or several legs: with `id` it is acknowledged (`AckMessage`), else only put.
+
+    `sent_ms` is the page's clock as in `Alive`. Who commands, and the lease, the console adds.
+    """
+
+    type: Literal["command"]
+    key: Annotated[str, Field(max_length=32)]
+    payload: Payload
+    sent_ms: SentMs
+    id: Id | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        target = keys.parse(self.key).target
+        if not isinstance(self.payload, _PAYLOADS.get(target, ())):
+            raise ValueError(f"the payload does not belong to {self.key}")
+        own = self.payload.model_fields_set & _BY_THE_CONSOLE
+        if own:
+            raise ValueError(f"the console itself sets {', '.join(sorted(own))}")
+        return self
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether it starts and sets nothing: then it may be sent again, and waits for nobody."""
+        match self.payload:
+            case LegsCommand(legs=legs):
+                moves = [setpoint for leg in legs.values() for setpoint in leg.servos]
+            case LegCommand(servos=servos):
+                moves = list(servos)
+            case single:
+                moves = [single]
+        return all(move.op == "stop" for move in moves)
+
+
+class StopAll(Closed):
+    """The emergency stop, now; answered by `Stopping` until it is confirmed."""
+
+    type: Literal["stop_all"]
+    id: Id
+
+
+class Reset(Closed):
+    """Leave the emergency stop of that number: the one that the page shows, as its user agreed."""
+
+    type: Literal["reset"]
+    id: Id
+    estop: EstopNumber
+    sent_ms: SentMs
+
+
+class Lease(Closed):
+    """Get, keep or give up the right to drive, for this WebSocket; `to` hands it over with `release`."""
+
+    type: Literal["lease"]
+    id: Id
+    do: LeaseVerb
+    to: Source | None = None
+
+    @model_validator(mode="after")
+    def _only_release_has_a_receiver(self) -> Self:
+        if self.to is not None and self.do != "release":
+            raise ValueError(f"{self.do} has no `to`")
+        return self
+
+
+FROM_PAGE: Final[TypeAdapter[Alive | Command | StopAll | Reset | Lease]] = TypeAdapter(
+    Annotated[Alive | Command | StopAll | Reset | Lease, Field(discriminator="type")]
+)
+
+
+# ---- to the page
+
+
+class Hello(Report):
+    """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
+
+    `geometry` is the robot's, as in its file.
+    """
+
+    type: Literal["hello"] = "hello"
+    role: Role
+    person: str
+    source: str
+    version: str
+    geometry: dict[str, Any]
+
+
+class StateMessage(Report):
+    """The gateway's newest state, and how long ago the console heard it; older ones may have been left out."""
+
+    type: Literal["state"] = "state"
+    age_ms: float
+    state: GatewayState
+
+
+class LinkMessage(Report):
+    """The console's link to the gateway. `connected`: state comes; `silent`: a link, but nobody is heard on it.
+
+    `gone`: no gateway. `detail` says why, a line for each host; empty while connected.
+    """
+
+    type: Literal["link"] = "link"
+    status: Literal["connected", "silent", "gone"]
+    detail: str = ""
+
+
+class EventMessage(Report):
+    """One event; after `Hello` come the newest that the console has heard. `left_out`: events not sent before it."""
+
+    type: Literal["event"] = "event"
+    event: Event
+    left_out: int = 0
+
+
+class AckMessage(Report):
+    """The answer to a command or reset. `ack` is null where none came, and `error` says why."""
+
+    type: Literal["ack"] = "ack"
+    id: int
+    took_ms: float
+    ack: Ack | None = None
+    error: str | None = None
+
+
+class Stopping(Report):
+    """How far a `StopAll` has come: sent at once, after each attempt that stays unanswered, and when it is confirmed.
+
+    While `answered` is false the console goes on asking.
+    """
+
+    type: Literal["stop"] = "stop"
+    id: int
+    asked_ms_ago: float
+    answered: bool
+    attempts: int
+    stop_frames: int | None = None
+    latency_us: float | None = None
+    estop: int | None = None
+    error: str | None = None
+
+
+class LeaseMessage(Report):
+    """Whether this WebSocket has the lease: the answer to `Lease` (with its `id`), or said when it is lost.
+
+    Who holds it otherwise stands in the state. A page renews at a third of `ttl_ms`.
+    """
+
+    type: Literal["lease"] = "lease"
+    mine: bool
+    id: int | None = None
+    accepted: bool | None = None
+    reason: str | None = None
+    detail: str | None = None
+    holder: str | None = None
+    verified: bool | None = None
+    ttl_ms: float | None = None
