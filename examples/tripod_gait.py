@@ -1,19 +1,19 @@
 """A tripod gait: 18 servos at 50 Hz. Three feet stand and push the body forward while three swing ahead.
 
 Foot paths are made in the body's frame (x forward, y left, z up, metres), turned into joint angles by inverse
-kinematics, and into servo degrees by the robot's own conventions. All numbers stand in elkapod/geometry.json.
+kinematics, and into servo degrees by the robot's own conventions. All numbers stand in gateway/geometry/elkapod.json.
 """
 
 import argparse
 import json
 import math
 import time
-from pathlib import Path
 from typing import Any
 
 from gateway.client import DEFAULT_ENDPOINT, Client, GatewayError, StoppedError, Stream
+from gateway.geometry import ELKAPOD
 
-GEOMETRY: dict[str, Any] = json.loads((Path(__file__).parent / "elkapod" / "geometry.json").read_text())
+GEOMETRY: dict[str, Any] = json.loads(ELKAPOD.read_text())
 COXA_M, FEMUR_M, TIBIA_M = (GEOMETRY["link_lengths_m"][link] for link in ("coxa", "femur", "tibia"))
 SHOULDER_M = GEOMETRY["chain"][0]["origin_xyz_m"][2]  # the second joint's height above the leg's mount
 

@@ -10,7 +10,7 @@ GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
     ("errors", "limits"),
-    ("protocol",),
+    ("protocol", "geometry"),
     ("core",),
     ("settings",),
     ("host",),

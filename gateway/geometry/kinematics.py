@@ -1,0 +1,107 @@
+"""Forward kinematics: where each part of each leg is, for given joint angles. Pure.
+
+Frames are named `base`, and for each leg `leg_1_coxa`, `leg_1_femur`, `leg_1_tibia` and `leg_1_foot`; the URDF's links
+have the same names. A frame's x points along its part.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Final, NamedTuple
+
+from gateway.geometry.model import Geometry
+from schemas.robot import JOINTS, LEGS
+
+BASE: Final = "base"
+LINKS: Final = ("coxa", "femur", "tibia")
+"""What the joints 1, 2 and 3 of a leg move."""
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+"""x, y, z, w."""
+
+
+class Transform(NamedTuple):
+    """Where a frame is in its parent's, in metres and as a unit quaternion (x, y, z, w)."""
+
+    parent: str
+    child: str
+    translation_m: Vector
+    rotation: Quaternion
+
+
+def joint_name(servo_id: int) -> str:
+    """`joint_32`: the joint that servo 32 moves, in joint states and in the URDF."""
+    return f"joint_{servo_id}"
+
+
+def link_name(leg: int, link: str) -> str:
+    """`leg_3_femur`."""
+    return f"leg_{leg}_{link}"
+
+
+def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[Transform]:
+    """Each frame in its parent's, from the body outward; a joint that is not in `joints_rad` stands at 0."""
+    for leg in LEGS:
+        mount = geometry.leg_mounts[leg]
+        at_m, turned = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))
+        parent = BASE
+        for number, joint, link in zip(JOINTS, geometry.joints, LINKS, strict=True):
+            moved = about(joint.axis, joints_rad.get(10 * leg + number, 0.0))
+            origin_m = plus(at_m, rotated(turned, joint.origin_xyz_m))
+            rotation = times(times(turned, from_rpy(joint.origin_rpy_rad)), moved)
+            child = link_name(leg, link)
+            yield Transform(parent, child, origin_m, rotation)
+            parent, at_m, turned = child, _ORIGIN, _UNTURNED
+        yield Transform(parent, link_name(leg, "foot"), geometry.foot.origin_xyz_m, _UNTURNED)
+
+
+def foot_m(geometry: Geometry, leg: int, joints_rad: Mapping[int, float]) -> Vector:
+    """Where a leg's foot is, in the body's frame."""
+    at_m, turned = _ORIGIN, _UNTURNED
+    for step in transforms(geometry, joints_rad):
+        if step.child.startswith(f"leg_{leg}_"):
+            at_m = plus(at_m, rotated(turned, step.translation_m))
+            turned = times(turned, step.rotation)
+    return at_m
+
+
+# ---- vectors and rotations
+
+_ORIGIN: Final[Vector] = (0.0, 0.0, 0.0)
+_UNTURNED: Final[Quaternion] = (0.0, 0.0, 0.0, 1.0)
+
+
+def plus(first: Vector, second: Vector) -> Vector:
+    """The sum of two vectors."""
+    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
+
+
+def times(first: Quaternion, second: Quaternion) -> Quaternion:
+    """The rotation that is `second` in the frame that `first` has turned."""
+    x1, y1, z1, w1 = first
+    x2, y2, z2, w2 = second
+    return (
+        w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+        w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+        w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+    )
+
+
+def rotated(rotation: Quaternion, vector: Vector) -> Vector:
+    """`vector` after the rotation."""
+    x, y, z, w = rotation
+    turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
+    return turned[:3]
+
+
+def about(axis: Vector, angle_rad: float) -> Quaternion:
+    """The rotation by an angle about an axis of length 1."""
+    sine = math.sin(angle_rad / 2)
+    return axis[0] * sine, axis[1] * sine, axis[2] * sine, math.cos(angle_rad / 2)
+
+
+def from_rpy(rpy_rad: Vector) -> Quaternion:
+    """Roll, pitch and yaw as in a URDF: about the parent's x, then its y, then its z."""
+    roll, pitch, yaw = rpy_rad
+    return times(times(about((0, 0, 1), yaw), about((0, 1, 0), pitch)), about((1, 0, 0), roll))

@@ -1,0 +1,147 @@
+"""A geometry file, checked: mounts and joints in metres and radians, servos in degrees."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from gateway.errors import ConfigError
+from schemas.robot import LEGS, SERVO_IDS
+
+ELKAPOD: Final = Path(__file__).with_name("elkapod.json")
+"""The robot that is taken where no other file is named."""
+
+MAX_FILE_BYTES: Final = 1_000_000
+"""The robot's own file has 4000. A recording that was named by mistake is not read whole."""
+
+MAX_M: Final = 100.0
+"""Longer than any robot: such a number is in other units."""
+
+Metres = Annotated[float, Field(ge=-MAX_M, le=MAX_M, allow_inf_nan=False)]
+Radians = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, allow_inf_nan=False)]
+Vector = tuple[Metres, Metres, Metres]
+
+
+class Part(BaseModel):
+    """Frozen; other fields of the file, such as remarks, are ignored."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class Mount(Part):
+    """Where a leg begins, in the body's frame: x forward, y left, z up. The leg's own x points outward."""
+
+    xyz_m: Vector
+    yaw_rad: Radians
+
+
+class Joint(Part):
+    """A joint in the frame of the joint before it (the first: of the mount)."""
+
+    origin_xyz_m: Vector
+    origin_rpy_rad: tuple[Radians, Radians, Radians]
+    axis: tuple[float, float, float]
+    limits_rad: tuple[Radians, Radians]
+
+    @field_validator("axis")
+    @classmethod
+    def _points_somewhere(cls, axis: tuple[float, float, float]) -> tuple[float, float, float]:
+        length = math.hypot(*axis)
+        if not 0.99 < length < 1.01:
+            raise ValueError("an axis has the length 1, such as [0, 0, 1]")
+        return axis
+
+
+class Foot(Part):
+    """Where a leg touches the ground, in the frame of its third joint."""
+
+    origin_xyz_m: Vector
+
+
+class Servo(Part):
+    """How a servo's angle follows from its joint's: `zero_deg` where the joint's angle is 0, and which way it turns."""
+
+    zero_deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+    direction: Literal[1, -1]
+
+    def joint_rad(self, servo_deg: float) -> float:
+        """The joint's angle, where the servo stands at `servo_deg`."""
+        return math.radians(servo_deg - self.zero_deg) * self.direction
+
+    def servo_deg(self, joint_rad: float) -> float:
+        """Degrees of the servo, where the joint's angle is `joint_rad`; 0 to 180 only where the servo reaches it."""
+        return self.zero_deg + self.direction * math.degrees(joint_rad)
+
+
+class Geometry(Part):
+    """One robot: six legs with the same chain of three joints and a foot."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w. -]+$")] = "hexapod"
+    leg_mounts: dict[int, Mount]
+    chain: tuple[Joint, Joint, Joint, Foot]
+    servos: dict[int, Servo]
+
+    @field_validator("leg_mounts")
+    @classmethod
+    def _six_legs(cls, mounts: dict[int, Mount]) -> dict[int, Mount]:
+        if sorted(mounts) != list(LEGS):
+            raise ValueError(f"there are six legs, 1 to 6; here are {_list(mounts)}")
+        return mounts
+
+    @field_validator("servos")
+    @classmethod
+    def _all_servos(cls, servos: dict[int, Servo]) -> dict[int, Servo]:
+        missing, unknown = set(SERVO_IDS) - servos.keys(), servos.keys() - set(SERVO_IDS)
+        if missing or unknown:
+            raise ValueError(
+                f"there are 18 servos, 11 to 63; missing: {_list(missing)}; no servo has the id: {_list(unknown)}"
+            )
+        return servos
+
+    @property
+    def joints(self) -> tuple[Joint, Joint, Joint]:
+        """The three joints of a leg, from the body outward."""
+        first, second, third, _ = self.chain
+        return first, second, third
+
+    @property
+    def foot(self) -> Foot:
+        """The end of each leg."""
+        return self.chain[3]
+
+    def joint_rad(self, servo_id: int, servo_deg: float) -> float:
+        """The angle of a servo's joint in radians, where the servo stands at `servo_deg`."""
+        return self.servos[servo_id].joint_rad(servo_deg)
+
+
+def load(path: Path | None = None) -> Geometry:
+    """The geometry in `path`; without one, the Elkapod's. Raises ConfigError with a line for each fault."""
+    found = path or ELKAPOD
+    try:
+        with found.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{found}: cannot be read ({error.strerror}); name a geometry file (JSON)") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise ConfigError(f"{found}: has more than {MAX_FILE_BYTES} bytes, so it is no geometry file")
+    try:
+        values = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{found}: is no JSON: {error}") from error
+    try:
+        return Geometry.model_validate(values)
+    except ValidationError as error:
+        faults = [
+            f"{found}: {'.'.join(map(str, fault['loc'])) or 'the file'}: {fault['msg'].removeprefix('Value error, ')}"
+            for fault in error.errors(include_url=False)
+        ]
+        raise ConfigError("\n".join(faults[:_MAX_FAULTS])) from error
+
+
+_MAX_FAULTS: Final = 10
+
+
+def _list(numbers: dict[int, Mount] | set[int]) -> str:
+    return ", ".join(map(str, sorted(numbers)[:_MAX_FAULTS])) or "none"

@@ -1,0 +1,92 @@
+"""The robot as a URDF: links and joints of the geometry, drawn with boxes and spheres."""
+
+import math
+from typing import Final
+from xml.etree import ElementTree as Xml
+
+from gateway.geometry.kinematics import BASE, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
+from gateway.geometry.model import Geometry
+from schemas.robot import JOINTS, LEGS
+
+_LIMB_M: Final = 0.025
+_FOOT_M: Final = 0.012
+_BODY_HEIGHT_M: Final = 0.05
+_EFFORT_NM: Final = 1.0
+_SPEED_RAD_S: Final = 7.0
+"""A URDF demands both; nothing here reads them."""
+_COLOURS: Final = {
+    "body": "0.25 0.27 0.30 1",
+    "coxa": "0.55 0.57 0.60 1",
+    "femur": "0.20 0.45 0.70 1",
+    "tibia": "0.85 0.60 0.20 1",
+    "foot": "0.15 0.15 0.15 1",
+}
+
+
+def urdf(geometry: Geometry) -> str:
+    """The text of the URDF. Its joints are named as in joint states, its links as the frames of `transforms`."""
+    robot = Xml.Element("robot", name=geometry.name)
+    for name, rgba in _COLOURS.items():
+        Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=rgba)
+    xs, ys, zs = zip(*(mount.xyz_m for mount in geometry.leg_mounts.values()), strict=True)
+    middle_m = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2, (max(zs) + min(zs)) / 2
+    body = _visual(_link(robot, BASE), "body", middle_m)
+    size_m = max(max(xs) - min(xs), _LIMB_M), max(max(ys) - min(ys), _LIMB_M), _BODY_HEIGHT_M
+    Xml.SubElement(body, "box", size=_numbers(*size_m))
+    for leg in LEGS:
+        _leg(robot, geometry, leg)
+    Xml.indent(robot)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode") + "\n"
+
+
+def _leg(robot: Xml.Element, geometry: Geometry, leg: int) -> None:
+    mount = geometry.leg_mounts[leg]
+    _, *ends = [part.origin_xyz_m for part in geometry.chain]
+    parent = BASE
+    for number, joint, link, end_m in zip(JOINTS, geometry.joints, LINKS, ends, strict=True):
+        name = link_name(leg, link)
+        _limb(_link(robot, name), link, end_m)
+        element = Xml.SubElement(robot, "joint", name=joint_name(10 * leg + number), type="revolute")
+        xyz_m, rpy_rad = joint.origin_xyz_m, joint.origin_rpy_rad
+        if parent == BASE:
+            xyz_m = plus(mount.xyz_m, rotated(from_rpy((0.0, 0.0, mount.yaw_rad)), xyz_m))
+            rpy_rad = rpy_rad[0], rpy_rad[1], rpy_rad[2] + mount.yaw_rad  # yaw comes last, about the parent's z
+        _place(element, xyz_m, rpy_rad, parent, name)
+        Xml.SubElement(element, "axis", xyz=_numbers(*joint.axis))
+        low, high = map(str, joint.limits_rad)
+        Xml.SubElement(element, "limit", lower=low, upper=high, effort=str(_EFFORT_NM), velocity=str(_SPEED_RAD_S))
+        parent = name
+    foot = link_name(leg, "foot")
+    Xml.SubElement(_visual(_link(robot, foot), "foot", (0.0, 0.0, 0.0)), "sphere", radius=str(_FOOT_M))
+    element = Xml.SubElement(robot, "joint", name=f"{foot}_joint", type="fixed")
+    _place(element, geometry.foot.origin_xyz_m, (0.0, 0.0, 0.0), parent, foot)
+
+
+def _limb(link: Xml.Element, material: str, end_m: Vector) -> None:
+    """A box from a frame's origin to the next joint, or to the foot."""
+    length_m = math.hypot(*end_m)
+    rpy_rad = 0.0, -math.atan2(end_m[2], math.hypot(end_m[0], end_m[1])), math.atan2(end_m[1], end_m[0])
+    middle_m = end_m[0] / 2, end_m[1] / 2, end_m[2] / 2
+    box = _visual(link, material, middle_m, rpy_rad)
+    Xml.SubElement(box, "box", size=_numbers(max(length_m, _LIMB_M), _LIMB_M, _LIMB_M))
+
+
+def _link(robot: Xml.Element, name: str) -> Xml.Element:
+    return Xml.SubElement(robot, "link", name=name)
+
+
+def _visual(link: Xml.Element, material: str, xyz_m: Vector, rpy_rad: Vector = (0.0, 0.0, 0.0)) -> Xml.Element:
+    visual = Xml.SubElement(link, "visual")
+    Xml.SubElement(visual, "origin", xyz=_numbers(*xyz_m), rpy=_numbers(*rpy_rad))
+    Xml.SubElement(visual, "material", name=material)
+    return Xml.SubElement(visual, "geometry")
+
+
+def _place(joint: Xml.Element, xyz_m: Vector, rpy_rad: Vector, parent: str, child: str) -> None:
+    Xml.SubElement(joint, "origin", xyz=_numbers(*xyz_m), rpy=_numbers(*rpy_rad))
+    Xml.SubElement(joint, "parent", link=parent)
+    Xml.SubElement(joint, "child", link=child)
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
