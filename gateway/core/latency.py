@@ -35,7 +35,8 @@ class Latency:
         self.recent_us.append(latency_us)
         self.buckets[bisect_left(BOUNDS_US, latency_us)] += 1
         self.sum_us += latency_us
-        self.max_us = latency_us if self.max_us is None else max(self.max_us, latency_us)
+        if self.max_us is None or latency_us > self.max_us:
+            self.max_us = latency_us
 
     def p50_p99_us(self) -> tuple[float, float] | tuple[None, None]:
         """Percentiles of the last latencies; None before the first."""

@@ -86,6 +86,7 @@ class Conductor:
         self._losses, self._rejected = Losses(), 0  # the number of the last command that was rejected
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer: asyncio.TimerHandle | None = None
+        self._timer_ns = 0  # when it comes
         self._reopen_timer: asyncio.TimerHandle | None = None
         self._reopen_s = FIRST_REOPEN_S
         self._in_fault = False
@@ -133,6 +134,7 @@ class Conductor:
         for timer in (self._timer, self._reopen_timer):
             if timer is not None:
                 timer.cancel()
+        self._timer = None
         self._preamble.cancel()
         self.bus.close()
 
@@ -321,12 +323,11 @@ class Conductor:
             if self.supervisor.mode is Mode.STOPPING:
                 self.done.set()
             return
-        due_s = due_ns / 1e9
-        if self._timer is not None and not self._timer.cancelled() and self._timer.when() <= due_s:
-            return
         if self._timer is not None:
+            if self._timer_ns <= due_ns:
+                return
             self._timer.cancel()
-        self._timer = self._loop.call_at(due_s, self._woken)
+        self._timer, self._timer_ns = self._loop.call_at(due_ns / 1e9, self._woken), due_ns
 
     def _woken(self) -> None:
         self._timer = None

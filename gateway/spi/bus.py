@@ -15,7 +15,7 @@ A first Stop waits for none of that, unless a transfer has just failed.
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from typing import Final
 
 from gateway.core.latency import Latency
@@ -40,9 +40,6 @@ ZERO_NS: Final = 150_000
 """A zero's transfer (50 µs) and a timer's lateness."""
 EARLY_SHARE: Final = 8
 """In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
-
-_AT_ONCE: Final = nullcontext()
-"""Instead of the bus lock, when a frame is one transfer, which nothing can interrupt."""
 
 
 class Bus:
@@ -104,11 +101,11 @@ class Bus:
         Raises SpiError; the device stays open, for the next frame may be a Stop.
         """
         try:
-            with self._bus_lock():
-                if self.announces:
+            if self.announces:
+                with self._bus_lock():
                     self._write_announced(frame, first_repeat=first_repeat)
-                else:
-                    self._transfer(frame.to_bytes())
+            else:  # one transfer, which nothing can interrupt
+                self._transfer(frame.to_bytes())
         except SpiError:
             self.errors += 1
             raise
@@ -151,11 +148,8 @@ class Bus:
         self._synchronised = self.resync_due = False
         self._zeros = 0
 
-    def _bus_lock(self) -> AbstractContextManager[None]:
-        return self._device_lock() if self.announces else _AT_ONCE
-
     @contextmanager
-    def _device_lock(self) -> Iterator[None]:
+    def _bus_lock(self) -> Iterator[None]:
         if self._device is None:
             raise SpiError("the SPI device is closed")
         with self._device.lock():

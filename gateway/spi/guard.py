@@ -103,14 +103,15 @@ class GuardedDevice:
 
 def _is_frame(data: bytes) -> bool:
     """Whether these are a legal frame's bytes. Four times faster than `decode`, which says why not."""
-    if data[:2] == _ONE_LEG and len(data) == ONE_LEG_LEN:
+    size = len(data)
+    if data[:2] == _ONE_LEG and size == ONE_LEG_LEN:
         ids = (data[2], data[6], data[10])
         known = ids in _IDS_OF_LEGS
     else:
-        known = data[:2] == _ONE_SERVO and len(data) == ONE_SERVO_LEN and data[2] in SERVO_IDS
+        known = data[:2] == _ONE_SERVO and size == ONE_SERVO_LEN and data[2] in SERVO_IDS
     if not known:
         return False
-    for index in range(3, len(data), 4):
+    for index in range(3, size, 4):
         op, whole_deg, hundredths = data[index : index + 3]
         if op in _MOVES:
             legal = hundredths <= 99 and whole_deg <= (179 if hundredths else 180)

@@ -65,8 +65,8 @@ BUS = Subject(
         ),
         Mutant("        self.frames += 1\n", "        self.frames += 2\n", "frames are counted wrongly"),
         Mutant(
-            "                    self._transfer(frame.to_bytes())\n        except SpiError:\n            self.errors += 1\n",
-            "                    self._transfer(frame.to_bytes())\n        except SpiError:\n",
+            "                self._transfer(frame.to_bytes())\n        except SpiError:\n            self.errors += 1\n",
+            "                self._transfer(frame.to_bytes())\n        except SpiError:\n",
             "failed frames are not counted",
         ),
         Mutant(
@@ -102,8 +102,8 @@ BUS = Subject(
             "a device opened again gets no preamble",
         ),
         Mutant(
-            "return self._device_lock() if self.announces else _AT_ONCE",
-            "return _AT_ONCE",
+            "                with self._bus_lock():\n                    self._write_announced(",
+            "                if True:\n                    self._write_announced(",
             "another program's frame comes between announcement and body",
         ),
         Mutant(
@@ -320,9 +320,7 @@ GUARD = Subject(
             equivalent="only slower: whatever is a frame is decoded and written the same way",
         ),
         Mutant("        if data != canonical:\n", "        if False:\n", "a Stop with an angle passes"),
-        Mutant(
-            "if data[:2] == _ONE_LEG and len(data) == ONE_LEG_LEN:", "if data[:2] == _ONE_LEG:", "half a frame passes"
-        ),
+        Mutant("if data[:2] == _ONE_LEG and size == ONE_LEG_LEN:", "if data[:2] == _ONE_LEG:", "half a frame passes"),
         Mutant(
             "known = ids in _IDS_OF_LEGS",
             "known = all(servo_id in SERVO_IDS for servo_id in ids)",
@@ -332,25 +330,23 @@ GUARD = Subject(
             "known = ids in _IDS_OF_LEGS", "known = True", "an id beyond the controller's table writes into its memory"
         ),
         Mutant(
-            "and len(data) == ONE_SERVO_LEN and data[2] in SERVO_IDS",
+            "and size == ONE_SERVO_LEN and data[2] in SERVO_IDS",
             "and len(data) == ONE_SERVO_LEN",
             "an id beyond the controller's table writes into its memory",
         ),
-        Mutant(
-            "and len(data) == ONE_SERVO_LEN and data[2] in SERVO_IDS", "and data[2] in SERVO_IDS", "half a frame passes"
-        ),
+        Mutant("and size == ONE_SERVO_LEN and data[2] in SERVO_IDS", "and data[2] in SERVO_IDS", "half a frame passes"),
         Mutant(
             "    if not known:\n        return False\n",
             "",
             "an id beyond the controller's table writes into its memory",
         ),
         Mutant(
-            "for index in range(3, len(data), 4):",
+            "for index in range(3, size, 4):",
             "for index in range(3, len(data) - 4, 4):",
             "the last joint's angle is not looked at",
         ),
         Mutant(
-            "for index in range(3, len(data), 4):",
+            "for index in range(3, size, 4):",
             "for index in range(7, len(data), 4):",
             "the first joint's angle is not looked at",
         ),

@@ -250,12 +250,16 @@ CONDUCTOR = Subject(
             "the end does not wait for the repeats",
         ),
         Mutant(
-            "and self._timer.when() <= due_s:",
-            "and False:",
+            "            if self._timer_ns <= due_ns:\n",
+            "            if False:\n",
             "each command makes a new timer",
             equivalent="only slower: the timer that is left alone comes early, and looks",
         ),
-        Mutant("and self._timer.when() <= due_s:", "and True:", "a deadline that comes before the timer is overslept"),
+        Mutant(
+            "            if self._timer_ns <= due_ns:\n",
+            "            if True:\n",
+            "a deadline that comes before the timer is overslept",
+        ),
         Mutant("        self.metrics.accepted += 1\n", "", "accepted commands are not counted"),
         Mutant("        self.metrics.coalesced += completed.coalesced\n", "", "replaced commands are not counted"),
         Mutant(
