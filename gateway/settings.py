@@ -107,6 +107,15 @@ class WatchdogSettings(Section):
     repeat_interval_ms: Annotated[float, Finite, Field(ge=1, le=1000)] = 20.0
 
 
+class LeaseSettings(Section):
+    """Who is driving: whether anybody must hold the lease, how long it lasts unrenewed, and whether it can be taken."""
+
+    required: bool = False
+    # Clients renew at a third of it; less than 200 would not outlast a hiccup of a wireless network.
+    ttl_ms: Annotated[float, Finite, Field(ge=200, le=10_000)] = 1000.0
+    takeover: Literal["stop", "never"] = "stop"
+
+
 class TelemetrySettings(Section):
     """What the gateway publishes."""
 
@@ -137,6 +146,7 @@ class Settings(Section):
     spi: SpiSettings = SpiSettings()
     limits: LimitSettings = LimitSettings()
     watchdog: WatchdogSettings = WatchdogSettings()
+    lease: LeaseSettings = LeaseSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     log: LogSettings = LogSettings()
 

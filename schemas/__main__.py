@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
 
 FOLDER = Path(__file__).with_name("json")
@@ -18,8 +19,9 @@ def documents() -> dict[str, str]:
     commands: dict[str, TypeAdapter[Any]] = {
         "ServoCommand": SERVO_COMMAND,
         **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand)},
+        "LeaseRequest": LEASE_REQUEST,
     }
-    reports = {model.__name__: TypeAdapter(model) for model in (Ack, GatewayState, Event, FrameRecord)}
+    reports = {model.__name__: TypeAdapter(model) for model in (Ack, LeaseAck, GatewayState, Event, FrameRecord)}
     made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
     return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}
 

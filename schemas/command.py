@@ -27,6 +27,17 @@ SentMs = Annotated[
     ),
 ]
 
+LeaseToken = Annotated[
+    str,
+    Field(
+        min_length=32,
+        max_length=32,
+        pattern="^[0-9a-f]{32}$",
+        description="32 hex digits: the token of the lease, from the answer that gave it",
+    ),
+]
+"""A secret: it stands in no report, log line or repr."""
+
 EstopNumber = Annotated[
     int, Field(ge=0, le=MAX_ESTOP, description="the number of the latest emergency stop, from the state or its Ack")
 ]
@@ -35,14 +46,15 @@ EstopNumber = Annotated[
 class Closed(BaseModel):
     """Strict and frozen, and rejects fields it does not know."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", hide_input_in_errors=True)
 
 
 class Sender(Closed):
-    """The optional fields at the top level of a command: who sent it, and when by its own clock."""
+    """The optional fields at the top level of a command: who sent it, when by its own clock, and the lease's token."""
 
     source: Source | None = None
     sent_ms: SentMs | None = None
+    lease: Annotated[LeaseToken | None, Field(repr=False)] = None
 
 
 class AnySender(BaseModel):
@@ -96,7 +108,9 @@ class StopCommand(Stop, Sender):
 
 
 ServoCommand = Annotated[MoveCommand | StopCommand, Field(discriminator="op")]
-SERVO_COMMAND: Final[TypeAdapter[MoveCommand | StopCommand]] = TypeAdapter(ServoCommand)
+SERVO_COMMAND: Final[TypeAdapter[MoveCommand | StopCommand]] = TypeAdapter(
+    ServoCommand, config=ConfigDict(hide_input_in_errors=True)
+)
 
 
 class ResetCommand(Sender):

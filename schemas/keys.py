@@ -14,6 +14,8 @@ ALL_COMMANDS: Final = f"{ROOT}/**/cmd"
 LEGS_COMMAND: Final = f"{ROOT}/legs/cmd"
 ESTOP: Final = f"{ROOT}/estop/cmd"
 RESET: Final = f"{ROOT}/reset/cmd"
+LEASE: Final = f"{ROOT}/lease/cmd"
+"""Who is driving. It takes `get` only, and commands nothing that moves, so it is none of COMMAND_KEYS."""
 STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
@@ -80,6 +82,8 @@ def parse(key: str) -> CommandKey:
             raise ValueError(
                 f"servo {_short(number)} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
             )
+        case [_, "lease", "cmd"]:
+            raise ValueError(f"{LEASE} takes get only: its answer is for one alone")
         case _:
             raise ValueError(f"{_short(key)} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")
 

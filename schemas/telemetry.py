@@ -30,6 +30,10 @@ class Reason(StrEnum):
     ESTOPPED = "estopped"
     BUS_FAULT = "bus_fault"
     STOPPING = "stopping"
+    NOT_HOLDER = "not_holder"
+    NO_LEASE = "no_lease"
+    LEASE_HELD = "lease_held"
+    LEASE_DENIED = "lease_denied"
 
 
 class Mode(StrEnum):
@@ -56,6 +60,11 @@ class Kind(StrEnum):
     STOPPING = "stopping"
     STOPPED_OUTSIDE = "stopped_outside"
     SOURCE_CHANGED = "source_changed"
+    LEASE_ACQUIRED = "lease_acquired"
+    LEASE_RELEASED = "lease_released"
+    LEASE_EXPIRED = "lease_expired"
+    LEASE_TAKEN = "lease_taken"
+    LEASE_ASKED = "lease_asked"
 
 
 class Cause(StrEnum):
@@ -156,6 +165,16 @@ class WatchdogReport(Report):
     stop_latency_us: StopLatency
 
 
+class LeaseReport(Report):
+    """Who is driving. While the lease is handed over, `holder` is who may acquire it, and `held_s` is null."""
+
+    holder: str | None = None
+    verified: bool = False
+    held_s: float | None = None
+    expires_in_ms: float | None = None
+    asked_by: str | None = None
+
+
 class GatewayState(Report):
     """The payload of `hexapod/state`."""
 
@@ -171,6 +190,7 @@ class GatewayState(Report):
     watchdog: WatchdogReport
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
     estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
+    lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
 
 
 class Event(Report):

@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, PUBLISHED
+from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, LEASE, PUBLISHED
 
 WIDTH: Final = 120
 
@@ -39,7 +39,7 @@ TRAFFIC: Final = (
         ("declare_subscriber", "declare_queryable"),
         (ALL_COMMANDS,),
         operators_only=True,
-        robots_keys=tuple(COMMAND_KEYS),
+        robots_keys=(*COMMAND_KEYS, LEASE),
     ),
     Traffic("watching", True, ("declare_subscriber",), PUBLISHED),
     Traffic("telemetry", False, ("put",), PUBLISHED),

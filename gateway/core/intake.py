@@ -42,6 +42,11 @@ class Intent(NamedTuple):
     sent_ms: float | None = None
     estop: int | None = None
     """Of a reset: the number of the emergency stop that it leaves."""
+    lease: str | None = None
+    """The token of the sender's lease."""
+
+    def __repr__(self) -> str:
+        return f"Intent({self.targets}, source={self.source!r})"  # the token is a secret
 
     @property
     def only_stops(self) -> bool:
@@ -110,13 +115,13 @@ def too_large(size: int) -> Rejection:
 
 def _read_servo(servo_id: int, payload: bytes) -> Intent:
     command = SERVO_COMMAND.validate_json(payload)
-    return Intent(((servo_id, _op(command)),), command.source, command.sent_ms)
+    return Intent(((servo_id, _op(command)),), command.source, command.sent_ms, None, command.lease)
 
 
 def _read_leg(leg: int, payload: bytes) -> Intent:
     command = LegCommand.model_validate_json(payload)
     targets = tuple(zip(servo_ids_of(leg), map(_op, command.servos), strict=True))
-    return Intent(targets, command.source, command.sent_ms)
+    return Intent(targets, command.source, command.sent_ms, None, command.lease)
 
 
 def _read_legs(_: int, payload: bytes) -> Intent:
@@ -127,12 +132,12 @@ def _read_legs(_: int, payload: bytes) -> Intent:
         if str(leg) in command.legs
         for servo_id, setpoint in zip(servo_ids_of(leg), command.legs[str(leg)].servos, strict=True)  # type: ignore[index]
     )
-    return Intent(targets, command.source, command.sent_ms)
+    return Intent(targets, command.source, command.sent_ms, None, command.lease)
 
 
 def _read_reset(_: int, payload: bytes) -> Intent:
     command = ResetCommand.model_validate_json(payload or b"{}")
-    return Intent((), command.source, command.sent_ms, command.estop)
+    return Intent((), command.source, command.sent_ms, command.estop, command.lease)
 
 
 _READERS: Final = {
@@ -147,8 +152,8 @@ def _op(setpoint: Move | Stop) -> ServoOp:
     return ServoOp(_OPS[setpoint.op], centidegrees(setpoint.angle_deg)) if isinstance(setpoint, Move) else STOP
 
 
-_MAX_COLONS: Final = 3 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
-"""A LegsCommand with all its fields (legs, source, sent_ms; for a leg its number, servos and three times op and
+_MAX_COLONS: Final = 4 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
+"""A LegsCommand with all its fields (legs, source, sent_ms, lease; for a leg its number, servos and three times op and
 angle_deg), and a source that is nothing but colons.
 
 A payload with more is rejected before pydantic reads it: pydantic lists every wrong field, and a payload full of them
@@ -169,6 +174,7 @@ def _fields(target: Target, intent: Intent) -> int:
     moves = len([op for _, op in intent.targets if op is not STOP])
     around = {Target.LEG: 1, Target.LEGS: 1 + 2 * len(intent.targets) // len(JOINTS)}.get(target, 0)
     optional = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
+    optional += intent.lease is not None
     return len(intent.targets) + moves + around + optional
 
 
@@ -202,6 +208,8 @@ def _reject_doubles(pairs: list[tuple[str, object]]) -> None:
 _MAX_ECHO: Final = 40
 """Characters of the sender's own value, or name, that a rejection repeats."""
 _MAX_ECHO_BITS: Final = 128
+_SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
+"""What may be a lease's token, in a field where it does not belong."""
 _PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
 
@@ -223,6 +231,8 @@ def _sentence(fault: dict[str, Any]) -> str:
     loc = fault["loc"]
     where = _path(loc)
     field = loc[-1] if loc else None
+    if where == "lease" and fault["type"] != "missing":
+        return "lease must be 32 hex digits, a to f in lower case"  # what was sent may be most of a secret
     match fault["type"]:
         case "missing":
             return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if isinstance(field, int) else "")
@@ -285,13 +295,13 @@ def _join(path: str, name: str) -> str:
 
 def _name(name: str) -> str:
     """A short, plain name as it is; any other quoted."""
-    return name if _PLAIN_NAME.fullmatch(name) else _echo(name)
+    return name if _PLAIN_NAME.fullmatch(name) and not _SECRET.search(name) else _echo(name)
 
 
 def _echo(value: object) -> str:
-    """The value as JSON in ASCII, on one line, cut to `_MAX_ECHO` characters."""
+    """The value as JSON in ASCII, on one line, without tokens, and cut to `_MAX_ECHO` characters."""
     if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
         # Thousands of digits take long to write out.
         return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
-    text = json.dumps(value)
+    text = _SECRET.sub("(hex digits)", json.dumps(value))
     return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

@@ -24,16 +24,22 @@ INTAKE = Subject(
             "a reset that was delayed on its way passes for a Stop",
         ),
         Mutant(
-            "return Intent((), command.source, command.sent_ms, command.estop)",
+            "return Intent((), command.source, command.sent_ms, command.estop, command.lease)",
             "return Intent((), command.source, command.sent_ms)",
             "no reset says which emergency stop it leaves",
         ),
         Mutant(
-            "return Intent((), command.source, command.sent_ms, command.estop)",
-            "return Intent((), command.source, None, command.estop)",
+            "return Intent((), command.source, command.sent_ms, command.estop, command.lease)",
+            "return Intent((), command.source, None, command.estop, command.lease)",
             "a reset that was delayed on its way leaves the emergency stop",
         ),
         Mutant("+ (intent.estop is not None)", "+ 1", "a reset may give a name twice"),
+        Mutant("optional += intent.lease is not None", "optional += 1", "a name given twice passes where no lease is"),
+        Mutant(
+            '_SECRET.sub("(hex digits)", json.dumps(value))', "json.dumps(value)", "an event shows a misplaced token"
+        ),
+        Mutant('if where == "lease" and', 'if where == "leash" and', "an event shows most of a token"),
+        Mutant("and not _SECRET.search(name)", "", "an event shows a token that stands where a name should"),
         Mutant(
             "if key.target is Target.ESTOP:\n        return Intent()",
             "if key.target is Target.ESTOP and not payload:\n        return Intent()",
@@ -79,22 +85,22 @@ INTAKE = Subject(
             "a wildcard delete leaves the emergency stop",
         ),
         Mutant(
-            "Intent(((servo_id, _op(command)),), command.source, command.sent_ms)",
+            "Intent(((servo_id, _op(command)),), command.source, command.sent_ms, None, command.lease)",
             "Intent(((servo_id, _op(command)),), command.source)",
             "a delayed command for a servo is never noticed",
         ),
         Mutant(
-            "Intent(((servo_id, _op(command)),), command.source, command.sent_ms)",
+            "Intent(((servo_id, _op(command)),), command.source, command.sent_ms, None, command.lease)",
             "Intent(((servo_id, _op(command)),), None, command.sent_ms)",
             "nobody knows who commanded",
         ),
         Mutant(
-            "    return Intent(targets, command.source, command.sent_ms)\n\n\ndef _read_legs",
+            "    return Intent(targets, command.source, command.sent_ms, None, command.lease)\n\n\ndef _read_legs",
             "    return Intent(targets, command.source)\n\n\ndef _read_legs",
             "a delayed command for a leg is never noticed",
         ),
         Mutant(
-            "    return Intent(targets, command.source, command.sent_ms)\n\n\ndef _read_reset",
+            "    return Intent(targets, command.source, command.sent_ms, None, command.lease)\n\n\ndef _read_reset",
             "    return Intent(targets, command.source)\n\n\ndef _read_reset",
             "a delayed command for several legs is never noticed",
         ),
@@ -122,7 +128,7 @@ INTAKE = Subject(
             '"start": Op.START, "set": Op.SET}', '"start": Op.SET, "set": Op.START}', "set energises, start does not"
         ),
         Mutant("(2 + 2 * len(JOINTS)) + 64\n", "(2 + 2 * len(JOINTS)) + 6\n", "a source with colons is rejected"),
-        Mutant("3 + len(LEGS) * (2 +", "0 + len(LEGS) * (2 +", "the fullest legal command is rejected"),
+        Mutant("4 + len(LEGS) * (2 +", "0 + len(LEGS) * (2 +", "the fullest legal command is rejected"),
         Mutant(
             """    try:
         from_json(payload)
@@ -154,7 +160,7 @@ INTAKE = Subject(
         Mutant(
             'r"[\\w./-]{1,40}", re.ASCII', 'r"[\\w./-]{1,40}"', "letters that look like others are shown as they are"
         ),
-        Mutant("text = json.dumps(value)\n", "text = str(value)\n", "line breaks and escapes reach the log"),
+        Mutant("json.dumps(value))\n", "str(value))\n", "line breaks and escapes reach the log"),
         Mutant("len(faults) > 1 else", "len(faults) > 2 else", "of two faults the sender hears of one"),
         Mutant(
             "(and {len(faults) - 1} more)", "(and {len(faults)} more)", "the sender looks for a fault that is not there"

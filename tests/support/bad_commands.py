@@ -9,6 +9,7 @@ from schemas.keys import CommandKey
 from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, STOP
 
 OP_RULE = 'it must be "start", "set" or "stop"'
+LEASE_RULE = "lease must be 32 hex digits, a to f in lower case"
 GIVEN_TWICE = "is given twice in one object; which one counts is not clear"
 
 
@@ -141,7 +142,16 @@ RESET_FAULTS: list[tuple[object, str]] = [
     ('{"estop": 1.5}', "estop is 1.5; it must be a whole number"),
     ('{"estop": 1e999}', "estop is Infinity; it must be a whole number"),
     ({"estop": 1, "source": ""}, "source must have 1 to 64 characters"),
-    ({"lease": "0" * 32}, "lease is not known here"),
+    ({"estop": 1, "lease": "0" * 31}, LEASE_RULE),
+    ({"estop": 1, "lease": "0" * 33}, LEASE_RULE),
+    ({"estop": 1, "lease": "F" * 32}, LEASE_RULE),
+    ({"estop": 1, "lease": "0" * 31 + "\n"}, LEASE_RULE),
+    ({"estop": 1, "lease": 7}, LEASE_RULE),
+    ({"lesae": "ab" * 16}, "lesae is not known here"),
+    ({"ab" * 16: 1}, '"(hex digits)" is not known here'),
+    ([{"lease": "ab" * 16}], 'the payload is [{"lease": "(hex digits)"}]; it must be an object'),
+    ({"estop": "ab" * 16}, 'estop is "(hex digits)"; it must be a whole number'),
+    (f'{{"lease": "{"ab" * 16}", "lease": "{"cd" * 16}"}}', f"lease {GIVEN_TWICE}"),
     ('{"estop": 1, "estop": 2}', f"estop {GIVEN_TWICE}"),
 ]
 FAULTS: list[tuple[CommandKey, object, str]] = [

@@ -47,6 +47,19 @@ def test_a_servo() -> None:
     assert decode(SERVO_32, payload, JSON) == Intent(((32, ServoOp(Op.SET, 90_29)),), "laptop", 12.5)
 
 
+@pytest.mark.parametrize(
+    ("key", "command"),
+    [(SERVO_32, STOP), (SERVO_32, START_90), (LEG_3, LEG), (LEGS_KEY, {"legs": {"1": LEG}}), (RESET_KEY, {})],
+    ids=str,
+)
+def test_the_token_of_a_lease_which_no_repr_shows(key: CommandKey, command: dict[str, Any]) -> None:
+    token = "0123456789abcdef" * 2
+    answer = decode(key, as_json(command | {"lease": token}), JSON)
+    assert isinstance(answer, Intent)
+    assert answer.lease == token
+    assert token not in repr(answer)
+
+
 def test_a_leg() -> None:
     assert decode(LEG_3, as_json(LEG), JSON) == Intent(
         ((31, ServoOp(Op.START, 90_00)), (32, STOP_OP), (33, ServoOp(Op.SET, 45_25)))
@@ -316,6 +329,7 @@ def test_a_start_with_all_fields_is_not_taken_for_too_many() -> None:
     """The fullest legal command: six legs, three moves each, a source of nothing but colons."""
     leg = {"servos": [START_90] * 3}
     full = {"legs": {str(number): leg for number in range(1, 7)}, "source": ":" * 64, "sent_ms": 1}
+    full["lease"] = "0" * 32
     answer = decode(LEGS_KEY, as_json(full), JSON)
     assert isinstance(answer, Intent)
     assert len(answer.targets) == 18

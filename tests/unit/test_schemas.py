@@ -14,6 +14,7 @@ from schemas import telemetry
 from schemas.__main__ import documents
 from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
+from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
 from tests.support.bad_commands import FAULTS
@@ -26,6 +27,7 @@ COMMANDS: dict[str, TypeAdapter[Any]] = {
     "LegCommand": TypeAdapter(LegCommand),
     "LegsCommand": TypeAdapter(LegsCommand),
     "ResetCommand": TypeAdapter(ResetCommand),
+    "LeaseRequest": LEASE_REQUEST,
 }
 NAMES = {
     Target.SERVO: "ServoCommand",
@@ -142,6 +144,7 @@ def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
     """In the widest way that is usual: indented, and every character of the source an escape."""
     leg = {"servos": [{"op": "start", "angle_deg": 179.99}] * 3}
     full = {"legs": {str(number): leg for number in LEGS}, "source": "😀" * 64, "sent_ms": 2.0**53}
+    full["lease"] = "0" * 32
     text = json.dumps(full, indent=2)
     assert model_takes("LegsCommand", text.encode())
     assert len(text) < MAX_PAYLOAD_BYTES
@@ -190,6 +193,9 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
               reason=st.none() | reasons, detail=texts),
     st.builds(FrameRecord, time=st.just(NOW), monotonic_ns=st.integers(0), bytes=st.binary().map(bytes.hex),
               cause=st.sampled_from(Cause)),
+    st.builds(LeaseAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
+              nonce=st.none() | texts, lease=st.none() | texts, holder=st.none() | texts, ttl_ms=st.none() | floats,
+              verified=st.none() | st.booleans()),
     st.just(state()),
 )  # fmt: skip
 
@@ -207,6 +213,22 @@ def test_an_ack_leaves_out_what_it_does_not_say() -> None:
     assert json.loads(rejected.model_dump_json()) == {"accepted": False, "reason": "stale", "detail": "late"}
     stopped = Ack(accepted=True, stop_frames=6, latency_us=0.0)
     assert json.loads(stopped.model_dump_json()) == {"accepted": True, "stop_frames": 6, "latency_us": 0.0}
+
+
+def test_what_carries_a_token_does_not_show_it() -> None:
+    token = "0123456789abcdef" * 2
+    shown = [
+        LeaseAck(accepted=True, lease=token),
+        LEASE_REQUEST.validate_python({"do": "renew", "lease": token}),
+        LEASE_REQUEST.validate_python({"do": "release", "lease": token, "to": "bert"}),
+        LegCommand.model_validate({"servos": ({"op": "stop"},) * 3, "lease": token}),
+    ]
+    for model in shown:
+        assert token not in repr(model)
+        assert token not in str(model)
+    with pytest.raises(ValidationError) as raised:
+        LEASE_REQUEST.validate_python({"do": "renew", "lease": token, "more": token})
+    assert token not in str(raised.value)
 
 
 def test_an_event_has_all_its_fields_and_an_rfc_3339_time() -> None:
@@ -229,17 +251,18 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 
 @pytest.mark.parametrize(("enumeration", "words"), [
-    (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping"),
+    (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping "
+     "not_holder no_lease lease_held lease_denied"),
     (Mode, "starting idle active estopped bus_fault stopping"),
     (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
-     "stopped_outside source_changed"),
+     "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked"),
     (Cause, "command watchdog estop startup shutdown repeat"),
 ])  # fmt: skip
 def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:
     assert [str(word) for word in enumeration] == words.split()
 
 
-REPORTS = ("Ack", "GatewayState", "Event", "FrameRecord")
+REPORTS = ("Ack", "LeaseAck", "GatewayState", "Event", "FrameRecord")
 
 
 def every_object(schema: object) -> list[dict[str, Any]]:

@@ -40,6 +40,10 @@ timeout_ms = 250.0
 scope = "leg"
 repeats = 3
 repeat_interval_ms = 20.0
+[lease]
+required = false
+ttl_ms = 1000
+takeover = "stop"
 [telemetry]
 state_hz = 10.0
 frames = false
@@ -118,6 +122,10 @@ timeout_ms = 20
 scope = "robot"
 repeats = 0
 repeat_interval_ms = 1
+[lease]
+required = true
+ttl_ms = 200
+takeover = "never"
 [telemetry]
 state_hz = 0
 frames = true
@@ -208,6 +216,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "watchdog.timeout_ms": (20, 10_000),
     "watchdog.repeats": (0, 100),
     "watchdog.repeat_interval_ms": (1, 1000),
+    "lease.ttl_ms": (200, 10_000),
     "telemetry.state_hz": (0, 1000),
 }
 
