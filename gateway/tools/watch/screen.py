@@ -1,22 +1,19 @@
 """The terminal of `watch`: keys on the calling thread, drawing on another."""
 
-import contextlib
 import os
 import select
-import signal
 import sys
-import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import datetime
-from types import FrameType
 from typing import Final
 
 from rich.console import Console
 from rich.live import Live
 
 from gateway.client import Client
+from gateway.tools.keys import keys_at_once, wake_on_signals
 from gateway.tools.watch.link import Link
 from gateway.tools.watch.model import Model
 from gateway.tools.watch.view import picture
@@ -55,7 +52,7 @@ class Watch:
 
     def run(self) -> None:
         """Show it until q, a signal or a fault, and let go within a second."""
-        with _keys_at_once(sys.stdin.fileno()), _wake_on_signals() as (woken, wake):
+        with keys_at_once(sys.stdin.fileno()), wake_on_signals() as (woken, wake):
             self._wake = wake
             self._link.start()
             self._drawer.start()
@@ -123,36 +120,3 @@ class Watch:
                 self._live.update(text, refresh=True)  # waits for the terminal, and so without the lock
                 self._ended.wait(LEAST_FRAME_S)
                 self._news.wait(FRAME_S - LEAST_FRAME_S)
-
-
-@contextlib.contextmanager
-def _keys_at_once(terminal: int) -> Iterator[None]:
-    """Keys come one by one and unseen, Ctrl-C as a key, and Ctrl-S stops nothing; afterwards all is as before."""
-    before = termios.tcgetattr(terminal)
-    during = termios.tcgetattr(terminal)
-    during[0] &= ~(termios.IXON | termios.IXOFF)
-    during[3] &= ~(termios.ICANON | termios.ECHO | termios.ISIG)
-    during[6][termios.VMIN], during[6][termios.VTIME] = 1, 0
-    termios.tcsetattr(terminal, termios.TCSANOW, during)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(terminal, termios.TCSANOW, before)
-
-
-@contextlib.contextmanager
-def _wake_on_signals() -> Iterator[tuple[int, int]]:
-    """A descriptor that becomes readable when a signal asks for the end, and the one to write to for the same."""
-    readable, writable = os.pipe()
-
-    def wake(_number: int, _frame: FrameType | None) -> None:
-        os.write(writable, b".")
-
-    before = {number: signal.signal(number, wake) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
-    try:
-        yield readable, writable
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        os.close(readable)
-        os.close(writable)
