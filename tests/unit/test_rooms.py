@@ -13,6 +13,7 @@ ROOMS: Final = (
     ("protocol", "geometry"),
     ("core",),
     ("settings",),
+    ("recordings",),
     ("host",),
     ("spi",),
     ("certs",),
