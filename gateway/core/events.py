@@ -1,26 +1,25 @@
 """The supervisor's vocabulary: what happens to it (events), and what it wants done (effects)."""
 
-from dataclasses import dataclass
-
+from gateway.core.value import value
 from gateway.protocol.frames import Frame, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
 
 # ---- events
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class BusOpened:
     """The device has been opened and its preamble written."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class BusFailed:
     """A transfer failed, or the device could not be opened again."""
 
     detail: str
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Command:
     """A valid command: what each of these servos should do. `number` is its own; `channel` is the way it came.
 
@@ -34,7 +33,7 @@ class Command:
     """For people: it decides nothing that is sent."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class EmergencyStop:
     """Somebody wants everything stopped."""
 
@@ -42,7 +41,7 @@ class EmergencyStop:
     key: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Reset:
     """Somebody wants to leave the emergency stop with number `estop`; None: they did not say which one."""
 
@@ -52,19 +51,19 @@ class Reset:
     estop: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class StoppedOutside:
     """`stop-servos` is stopping all servos past us; or has ended (not `at_work`), and none of its Stops is to come."""
 
     at_work: bool
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class TimePassed:
     """Nothing but time; send it when `due_ns` has come."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class ShutDown:
     """The service ends."""
 
@@ -74,7 +73,7 @@ Event = BusOpened | BusFailed | Command | EmergencyStop | Reset | StoppedOutside
 # ---- effects, to be carried out in their order
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Transmit:
     """Write this frame now. `deadline_ns` is when a watchdog's Stop was due."""
 
@@ -83,7 +82,7 @@ class Transmit:
     deadline_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Completed:
     """The command is done: its frames are written, or a newer command replaced what waited of it (`coalesced`)."""
 
@@ -91,7 +90,7 @@ class Completed:
     coalesced: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Rejected:
     """The command takes no effect (any more)."""
 
@@ -100,7 +99,7 @@ class Rejected:
     detail: str
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Announce:
     """Something happened that people want to know."""
 

@@ -3,13 +3,13 @@
 import json
 import math
 import re
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from gateway.protocol.frames import STOP, Op, ServoOp, centidegrees, servo_ids_of
+from gateway.core.value import value
+from gateway.protocol.frames import STOP, Op, ServoOp, servo_ids_of
 from schemas.command import (
     MAX_ESTOP,
     MAX_PAYLOAD_BYTES,
@@ -31,10 +31,14 @@ ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
 
 Targets = tuple[tuple[int, ServoOp], ...]
 _OPS: Final = {"start": Op.START, "set": Op.SET}
+_IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
+_LEG_COMMAND: Final = LegCommand.__pydantic_validator__
+"""Called at once, without the wrapper around it: it reads each setpoint of a gait."""
 _SERVO_OPS: Final = ("start", "set", "stop")
 
 
-class Intent(NamedTuple):
+@value
+class Intent:
     """What a valid command asks for: an operation for each servo that it names (none for a reset)."""
 
     targets: Targets = ()
@@ -54,7 +58,7 @@ class Intent(NamedTuple):
         return bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Rejection:
     """Why a command is rejected, and a sentence that helps whoever sent it."""
 
@@ -115,23 +119,20 @@ def too_large(size: int) -> Rejection:
 
 def _read_servo(servo_id: int, payload: bytes) -> Intent:
     command = SERVO_COMMAND.validate_json(payload)
-    return Intent(((servo_id, _op(command)),), command.source, command.sent_ms, None, command.lease)
+    return Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)
 
 
 def _read_leg(leg: int, payload: bytes) -> Intent:
-    command = LegCommand.model_validate_json(payload)
-    targets = tuple(zip(servo_ids_of(leg), map(_op, command.servos), strict=True))
-    return Intent(targets, command.source, command.sent_ms, None, command.lease)
+    command: LegCommand = _LEG_COMMAND.validate_json(payload)
+    return Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source, command.sent_ms, None, command.lease)
 
 
 def _read_legs(_: int, payload: bytes) -> Intent:
     command = LegsCommand.model_validate_json(payload)
-    targets = tuple(
-        (servo_id, _op(setpoint))
-        for leg in LEGS
-        if str(leg) in command.legs
-        for servo_id, setpoint in zip(servo_ids_of(leg), command.legs[str(leg)].servos, strict=True)  # type: ignore[index]
-    )
+    targets: Targets = ()
+    for leg, servo_ids in _IDS_OF_LEG.items():
+        if str(leg) in command.legs:
+            targets += _targets(servo_ids, command.legs[str(leg)].servos)  # type: ignore[index]
     return Intent(targets, command.source, command.sent_ms, None, command.lease)
 
 
@@ -148,8 +149,14 @@ _READERS: Final = {
 }
 
 
-def _op(setpoint: Move | Stop) -> ServoOp:
-    return ServoOp(_OPS[setpoint.op], centidegrees(setpoint.angle_deg)) if isinstance(setpoint, Move) else STOP
+def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
+    """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
+    return tuple(
+        [
+            (servo_id, STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100)))
+            for servo_id, setpoint in zip(servo_ids, setpoints, strict=True)
+        ]
+    )
 
 
 _MAX_COLONS: Final = 4 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
@@ -171,11 +178,15 @@ def _too_many_fields(payload: bytes) -> Rejection:
 
 def _fields(target: Target, intent: Intent) -> int:
     """How many fields a payload with this content has at least."""
-    moves = len([op for _, op in intent.targets if op is not STOP])
-    around = {Target.LEG: 1, Target.LEGS: 1 + 2 * len(intent.targets) // len(JOINTS)}.get(target, 0)
-    optional = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
-    optional += intent.lease is not None
-    return len(intent.targets) + moves + around + optional
+    fields = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
+    fields += intent.lease is not None
+    for _, op in intent.targets:
+        fields += 1 if op is STOP else 2
+    if target is Target.LEG:
+        fields += 1
+    elif target is Target.LEGS:
+        fields += 1 + 2 * len(intent.targets) // len(JOINTS)
+    return fields
 
 
 class _GivenTwiceError(Exception):

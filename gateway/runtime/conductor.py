@@ -7,7 +7,7 @@ import asyncio
 import itertools
 import logging
 from collections.abc import Callable, Iterable
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway import __version__
 from gateway.core.events import (
@@ -51,12 +51,8 @@ LAST_REOPEN_S: Final = 1.0
 logger = logging.getLogger(__name__)
 
 
-class _PendingCommand(NamedTuple):
-    """A command that the supervisor knows by its number, as far as it must be answered."""
-
-    key: str
-    source: str | None
-    reply: Reply | None
+_Sender = tuple[str, str | None, Reply | None]
+"""Of a command that the supervisor knows by its number: its key, its source, and how it is answered."""
 
 
 class Conductor:
@@ -80,7 +76,7 @@ class Conductor:
         self._clock = clock
         self._simulated = simulated
         self._started_ns = self._instant_ns = clock()
-        self._pending: dict[int, _PendingCommand] = {}
+        self._pending: dict[int, _Sender] = {}
         self._numbers = itertools.count(1)
         self._sources = Sources()
         self._losses, self._rejected = Losses(), 0  # the number of the last command that was rejected
@@ -186,7 +182,7 @@ class Conductor:
             self._reject(received.key, source, received.reply, Reason.STALE, too_old)
             return
         number = next(self._numbers)
-        self._pending[number] = _PendingCommand(received.key, source, received.reply)
+        self._pending[number] = received.key, source, received.reply
         if received.key == keys.RESET:
             self._step(Reset(number, source, received.key, intent.estop), instant_ns)
         else:
@@ -199,7 +195,7 @@ class Conductor:
         stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
             self._reject(key, None, None, Reason.SERVO_STOPPED, DETAIL)
-            self._pending[number := next(self._numbers)] = _PendingCommand(key, None, None)
+            self._pending[number := next(self._numbers)] = key, None, None
             self._step(Command(number, f"put {key}", stops), instant_ns)
 
     def _too_old(self, intent: Intent, source: str | None, instant_ns: int) -> str | None:
@@ -207,7 +203,7 @@ class Conductor:
             return None
         too_old = self._staleness.too_old(source, intent.sent_ms, self._clock(), instant_ns)
         # A Stop is taken however old it is: to stop once too often harms nobody.
-        return None if intent.only_stops else too_old
+        return None if too_old is None or intent.only_stops else too_old
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # Nothing of the payload is looked at before the Stops: whatever it is, somebody wants the robot to stop.
@@ -338,14 +334,14 @@ class Conductor:
     def _accept(self, completed: Completed) -> None:
         self.metrics.accepted += 1
         self.metrics.coalesced += completed.coalesced
-        pending = self._pending.pop(completed.number)
-        if pending.reply is not None:
-            self._reply(pending.reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
+        _, _, reply = self._pending.pop(completed.number)
+        if reply is not None:
+            self._reply(reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
 
     def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
         self._rejected = number
-        pending = self._pending.pop(number)
-        self._reject(pending.key, pending.source, pending.reply, reason, detail)
+        key, source, reply = self._pending.pop(number)
+        self._reject(key, source, reply, reason, detail)
 
     def reject_unread(self, key: str, source: str | None, detail: str) -> None:
         """Tell of a message on a key that nothing reads."""

@@ -7,6 +7,7 @@ import random
 import shutil
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,14 +102,14 @@ GOOD = as_json({"op": "start", "angle_deg": 90})
 GOOD_ANSWER = Intent(((32, frames.ServoOp(frames.Op.START, 90_00)),))
 BAD_ANSWERS: list[object] = [
     None,
-    GOOD_ANSWER._replace(targets=()),
-    GOOD_ANSWER._replace(targets=((31, GOOD_ANSWER.targets[0][1]),)),
-    GOOD_ANSWER._replace(targets=((32, frames.ServoOp(frames.Op.SET, 90_00)),)),
-    GOOD_ANSWER._replace(targets=((32, frames.ServoOp(frames.Op.START, 90_01)),)),
-    GOOD_ANSWER._replace(targets=((32, frames.STOP),)),
-    GOOD_ANSWER._replace(source=""),
-    GOOD_ANSWER._replace(sent_ms=-1.0),
-    GOOD_ANSWER._replace(sent_ms=float("inf")),
+    replace(GOOD_ANSWER, targets=()),
+    replace(GOOD_ANSWER, targets=((31, GOOD_ANSWER.targets[0][1]),)),
+    replace(GOOD_ANSWER, targets=((32, frames.ServoOp(frames.Op.SET, 90_00)),)),
+    replace(GOOD_ANSWER, targets=((32, frames.ServoOp(frames.Op.START, 90_01)),)),
+    replace(GOOD_ANSWER, targets=((32, frames.STOP),)),
+    replace(GOOD_ANSWER, source=""),
+    replace(GOOD_ANSWER, sent_ms=-1.0),
+    replace(GOOD_ANSWER, sent_ms=float("inf")),
     Rejection(Reason.INVALID, ""),
     Rejection(Reason.INVALID, "two\nlines"),
     Rejection(Reason.INVALID, "\x1b[2J"),
@@ -134,7 +135,7 @@ RESET_ANSWER = Intent((), "anna", 5.0, 3)
 def test_a_reset_that_is_read_in_another_way_is_a_finding(change: dict[str, Any]) -> None:
     assert check_intake(RESET_KEY, RESET_PAYLOAD, RESET_ANSWER) == "intent"
     with pytest.raises(AssertionError):
-        check_intake(RESET_KEY, RESET_PAYLOAD, RESET_ANSWER._replace(**change))
+        check_intake(RESET_KEY, RESET_PAYLOAD, replace(RESET_ANSWER, **change))
 
 
 class _Wrong:

@@ -112,11 +112,15 @@ CONDUCTOR = Subject(
             "all keys count as in order: a start overtakes a Stop",
         ),
         Mutant(
-            "return None if intent.only_stops else too_old",
+            "return None if too_old is None or intent.only_stops else too_old",
             "return too_old",
             "a Stop that was delayed on its way is rejected",
         ),
-        Mutant("return None if intent.only_stops else too_old", "return None", "limits.max_age_ms is ignored"),
+        Mutant(
+            "return None if too_old is None or intent.only_stops else too_old",
+            "return None",
+            "limits.max_age_ms is ignored",
+        ),
         Mutant(
             "        if self.supervisor.mode is Mode.BUS_FAULT:\n            self._reopen()\n        stop_frames",
             "        stop_frames",

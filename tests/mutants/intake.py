@@ -34,7 +34,7 @@ INTAKE = Subject(
             "a reset that was delayed on its way leaves the emergency stop",
         ),
         Mutant("+ (intent.estop is not None)", "+ 1", "a reset may give a name twice"),
-        Mutant("optional += intent.lease is not None", "optional += 1", "a name given twice passes where no lease is"),
+        Mutant("fields += intent.lease is not None", "fields += 1", "a name given twice passes where no lease is"),
         Mutant(
             '_SECRET.sub("(hex digits)", json.dumps(value))', "json.dumps(value)", "an event shows a misplaced token"
         ),
@@ -85,18 +85,18 @@ INTAKE = Subject(
             "a wildcard delete leaves the emergency stop",
         ),
         Mutant(
-            "Intent(((servo_id, _op(command)),), command.source, command.sent_ms, None, command.lease)",
-            "Intent(((servo_id, _op(command)),), command.source)",
+            "Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)",
+            "Intent(_targets((servo_id,), (command,)), command.source)",
             "a delayed command for a servo is never noticed",
         ),
         Mutant(
-            "Intent(((servo_id, _op(command)),), command.source, command.sent_ms, None, command.lease)",
-            "Intent(((servo_id, _op(command)),), None, command.sent_ms)",
+            "Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)",
+            "Intent(_targets((servo_id,), (command,)), None, command.sent_ms)",
             "nobody knows who commanded",
         ),
         Mutant(
-            "    return Intent(targets, command.source, command.sent_ms, None, command.lease)\n\n\ndef _read_legs",
-            "    return Intent(targets, command.source)\n\n\ndef _read_legs",
+            "Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source, command.sent_ms, None, command.lease)",
+            "Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source)",
             "a delayed command for a leg is never noticed",
         ),
         Mutant(
@@ -105,23 +105,23 @@ INTAKE = Subject(
             "a delayed command for several legs is never noticed",
         ),
         Mutant(
-            "        for leg in LEGS\n        if str(leg) in command.legs\n",
-            "        for leg in LEGS[:-1]\n        if str(leg) in command.legs\n",
+            "        if str(leg) in command.legs:\n",
+            "        if str(leg) in command.legs and leg != LEGS[-1]:\n",
             "leg 6 is never commanded with others, nor stopped",
         ),
         Mutant(
-            "ServoOp(_OPS[setpoint.op], centidegrees(setpoint.angle_deg))",
-            "ServoOp(Op.SET, centidegrees(setpoint.angle_deg))",
+            "ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))",
+            "ServoOp(Op.SET, round(setpoint.angle_deg * 100))",
             "a start is a set",
         ),
         Mutant(
-            "ServoOp(_OPS[setpoint.op], centidegrees(setpoint.angle_deg))",
-            "ServoOp(Op.START, centidegrees(setpoint.angle_deg))",
+            "ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))",
+            "ServoOp(Op.START, round(setpoint.angle_deg * 100))",
             "a set energises a servo that somebody stopped",
         ),
         Mutant(
-            "centidegrees(setpoint.angle_deg)) if isinstance",
-            "int(setpoint.angle_deg * 100)) if isinstance",
+            "round(setpoint.angle_deg * 100))",
+            "int(setpoint.angle_deg * 100))",
             "angles are cut, not rounded",
         ),
         Mutant(
@@ -138,14 +138,18 @@ INTAKE = Subject(
             "",
             "what is no JSON is told that it has too many fields",
         ),
-        Mutant("if op is not STOP])", "])", "a doubled name beside a Stop is not looked for"),
-        Mutant("{Target.LEG: 1, Target.LEGS:", "{Target.LEG: 2, Target.LEGS:", "a leg's servos may be given twice"),
+        Mutant("fields += 1 if op is STOP else 2", "fields += 2", "a doubled name beside a Stop is not looked for"),
+        Mutant(
+            "    if target is Target.LEG:\n        fields += 1\n",
+            "    if target is Target.LEG:\n        fields += 2\n",
+            "a leg's servos may be given twice",
+        ),
         Mutant(
             "1 + 2 * len(intent.targets) // len(JOINTS)",
             "2 + 2 * len(intent.targets) // len(JOINTS)",
             "one of several legs may be given twice",
         ),
-        Mutant("(intent.source is not None) + (", "1 + (", "a name given twice passes where no source is"),
+        Mutant("= (intent.source is not None) + (", "= 1 + (", "a name given twice passes where no source is"),
         Mutant("+ (intent.sent_ms is not None)", "+ 1", "a name given twice passes where no sent_ms is"),
         Mutant("        if name in seen:\n", "        if False:\n", "names may be given twice"),
         Mutant("object_pairs_hook=_reject_doubles", "object_hook=lambda found: None", "names may be given twice"),
