@@ -175,6 +175,59 @@ def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 
 @app.command()
+def console(
+    listen: Annotated[
+        str, typer.Option("--listen", metavar="HOST:PORT", help="Where browsers reach it.")
+    ] = "127.0.0.1:8080",
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+    cert: Annotated[
+        Path | None, typer.Option("--cert", metavar="PATH", help="Its TLS certificate (PEM); `certs console` makes it.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option("--key", metavar="PATH", help="The certificate's private key.")] = None,
+    role: Annotated[
+        str, typer.Option("--role", metavar="ROLE", help="operator, or observer: pages that only look.")
+    ] = "operator",
+    geometry: Annotated[
+        Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")
+    ] = None,
+    open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
+    link: Annotated[
+        bool, typer.Option("--link", help="Print a link for another browser, into the console that runs at --listen.")
+    ] = False,
+    revoke: Annotated[
+        bool, typer.Option("--revoke", help="End all sessions and links of this user's consoles (root: the service's).")
+    ] = False,
+) -> None:
+    """Serve a web page that shows the robot and drives it; STOP ALL is one tap.
+
+    It is one more client of the gateway, and waits for one that is not there yet. A link works once; a session ends
+    after 12 hours. Beyond this machine it serves only with TLS (--cert and --key).
+
+    Exit codes: 0 stopped on request, 2 an argument, a file or the configuration is wrong, 4 Zenoh cannot be opened
+    (--link: no console answers), 5 the address is taken.
+    """
+    from gateway.console import command
+
+    if revoke or link:
+        sys.exit(command.revoke() if revoke else command.link(listen))
+    sys.exit(
+        command.console(
+            listen=listen,
+            connect=connect,
+            zenoh_config=zenoh_config,
+            timeout_s=timeout,
+            cert=cert,
+            key=key,
+            role=role,
+            geometry=geometry,
+            open_browser=open_browser,
+        )
+    )
+
+
+@app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
 ) -> None:

@@ -57,3 +57,9 @@ class StoppedError(GatewayError):
         """Make it of a sentence and the legs' numbers."""
         super().__init__(detail)
         self.legs = tuple(sorted(legs))
+
+
+class AddressTakenError(GatewayError):
+    """Another program listens there."""
+
+    exit_code = 5

@@ -8,7 +8,7 @@ A page opens with `Alive` and repeats it each second: so the console learns the 
 and rejects what was delayed on its way. A page that has the lease renews it itself; nothing else does.
 """
 
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
 
@@ -22,6 +22,7 @@ MAX_ID: Final = 2**53
 
 Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; the answer repeats it")]
 Role = Literal["operator", "observer"]
+ROLES: Final[tuple[Role, ...]] = get_args(Role)
 LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
 
 _BY_THE_CONSOLE: Final = frozenset({"source", "sent_ms", "lease"})

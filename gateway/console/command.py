@@ -1,0 +1,77 @@
+"""The command's three uses: serve the page, make a link for another browser, end all sessions."""
+
+import importlib.util
+import socket
+from pathlib import Path
+from typing import Final
+
+from gateway.console import register
+from gateway.console.messages import ROLES
+from gateway.console.register import Register
+from gateway.console.site import address_of, site
+from gateway.errors import ConfigError, UnreachedError
+from gateway.tools.terminal import say
+
+NEEDS: Final = ("starlette", "uvicorn", "websockets", "segno")
+LOOK_S: Final = 1.0
+
+
+def console(
+    *,
+    listen: str,
+    connect: str | None,
+    zenoh_config: Path | None,
+    timeout_s: float,
+    cert: Path | None,
+    key: Path | None,
+    role: str,
+    geometry: Path | None,
+    open_browser: bool,
+) -> int:
+    """Serve the page; the exit code. Raises GatewayError."""
+    _need_extra()
+    if role not in ROLES:
+        raise ConfigError(f"--role {role}: a page is for an operator (drives and watches) or an observer (only looks)")
+    from gateway.console.serve import Options, serve  # noqa: PLC0415 (does not load without them)
+
+    return serve(
+        Options(
+            site=site(listen, cert, key),
+            connect=connect,
+            zenoh_config=zenoh_config,
+            timeout_s=timeout_s,
+            role=role,
+            geometry=geometry,
+            open_browser=open_browser,
+        )
+    )
+
+
+def link(listen: str) -> int:
+    """Print a link into the console that runs at that address, for another browser. Raises GatewayError."""
+    _need_extra()
+    from gateway.console.serve import show  # noqa: PLC0415 (the same)
+
+    address, port = address_of(listen)
+    made = Register(register.folder(), port).new_link("operator")
+    try:
+        socket.create_connection((address, port), LOOK_S).close()
+    except OSError as error:
+        raise UnreachedError(
+            f"no console answers at {listen}: {error.strerror or error}; start it, and ask again"
+        ) from error
+    show(made)
+    return 0
+
+
+def revoke() -> int:
+    """End all sessions of this user's consoles, or as root of the service's. Raises GatewayError."""
+    ended = register.revoke_all(register.folder())
+    say(f"{ended} session{'' if ended == 1 else 's'} ended; no link that was printed works any more")
+    return 0
+
+
+def _need_extra() -> None:
+    missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ConfigError(f"the console needs {', '.join(missing)}: pip install 'hexapod-gateway[console]'")

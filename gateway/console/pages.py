@@ -1,0 +1,231 @@
+"""The pages that are open, and what one of them may do.
+
+Setpoints go through as they come, once. Nothing here repeats one: where a page falls silent, the gateway's watchdog
+stops the legs. A page's commands carry the time by its own clock, so that what waited on the way, in a frozen browser
+or in this process, is rejected here or by the gateway.
+"""
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from gateway.console.link import GatewayLink
+from gateway.console.messages import (
+    FROM_PAGE,
+    AckMessage,
+    Alive,
+    Command,
+    EventMessage,
+    Lease,
+    LeaseMessage,
+    LinkMessage,
+    Reset,
+    Role,
+    StopAll,
+    Stopping,
+)
+from gateway.console.outgoing import Outgoing
+from gateway.console.stops import Stops
+from gateway.core.staleness import Staleness
+from gateway.errors import GatewayError
+from schemas import keys
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
+
+MAX_AGE_MS: Final = 500.0
+"""The gateway's default (`limits.max_age_ms`). It cannot know how long a page's first command took; its pings tell."""
+MESSAGES_A_SECOND: Final = 300.0
+"""A page that drives each leg by a message of its own sends 120 setpoints a second."""
+MAX_QUESTIONS: Final = 16
+"""Of one page, under way at once."""
+KEPT_EVENTS: Final = 50
+"""What a page that opens gets of the past."""
+
+
+class EndError(Exception):
+    """Ends a page's WebSocket; the text is the reason."""
+
+
+class Pages:
+    """All open pages; what the gateway says goes to each of them."""
+
+    def __init__(self) -> None:
+        self._pages: set[Page] = set()
+        self._opened = 0
+        self._state: Callable[[], str] | None = None
+        self._link = LinkMessage(status="gone")
+        self._events: deque[EventMessage] = deque(maxlen=KEPT_EVENTS)
+
+    def __len__(self) -> int:
+        return len(self._pages)
+
+    def add(self, page: "Page") -> None:
+        """It hears everything from now on, beginning with what is known."""
+        self._pages.add(page)
+        page.outgoing.put(self._link)
+        for event in self._events:
+            page.outgoing.put(event)
+        if self._state is not None:
+            page.outgoing.put_state(self._state)
+
+    def remove(self, page: "Page") -> None:
+        """It is closed."""
+        self._pages.discard(page)
+
+    def next_number(self) -> int:
+        """Of a page: no two have the same, so that the gateway takes no page's clock for another's."""
+        self._opened += 1
+        return self._opened
+
+    def heard_state(self, state: GatewayState, heard_ns: int) -> None:
+        """See `gateway.console.link.Listener`."""
+        self._state = partial(_state_text, state.model_dump_json(), heard_ns)
+        for page in self._pages:
+            page.outgoing.put_state(self._state)
+
+    def heard_event(self, event: Event, left_out: int) -> None:
+        """See `gateway.console.link.Listener`."""
+        self._events.append(EventMessage(event=event, left_out=left_out))
+        self._tell(self._events[-1])
+
+    def heard_link(self, link: LinkMessage) -> None:
+        """See `gateway.console.link.Listener`."""
+        self._link = link
+        self._tell(link)
+
+    def _tell(self, message: EventMessage | LinkMessage) -> None:
+        for page in self._pages:
+            page.outgoing.put(message)
+
+
+def _state_text(state: str, heard_ns: int) -> str:
+    """A StateMessage: the state's JSON is made once for all pages, its age when it is sent."""
+    return f'{{"type":"state","age_ms":{(time.monotonic_ns() - heard_ns) / 1e6:.1f},"state":{state}}}'
+
+
+class Page:
+    """One page's WebSocket: takes its messages, and answers into `outgoing`."""
+
+    def __init__(self, number: int, person: str, role: Role, link: GatewayLink, stops: Stops) -> None:
+        self.source = f"{person[:40]} (page {number})"
+        self.outgoing = Outgoing()
+        self._role = role
+        self._link = link
+        self._stops = stops
+        self._staleness = Staleness(MAX_AGE_MS)
+        self._questions: set[asyncio.Task[None]] = set()
+        self._tokens = MESSAGES_A_SECOND
+        self._counted_s = time.monotonic()
+
+    def tell(self, message: Stopping) -> None:
+        """How far its stop has come."""
+        self.outgoing.put(message)
+
+    def take(self, text: str) -> None:
+        """One message of the page's. Raises EndError for what no page of ours sends."""
+        self._count()
+        try:
+            message = FROM_PAGE.validate_json(text)
+        except ValidationError as error:
+            raise EndError(_first_fault(error)) from error
+        if isinstance(message, Alive):
+            self._is_late(message.now_ms)
+        elif self._role != "operator":
+            raise EndError("this page only looks")
+        else:
+            self._do(message)
+
+    def close(self) -> None:
+        """The WebSocket is closed. A stop that it asked for goes on."""
+
+    def _do(self, message: Command | StopAll | Reset | Lease) -> None:
+        match message:
+            case StopAll():
+                self._stops.press(self, message.id)
+            case Command():
+                self._command(message)
+            case Reset():
+                late = self._is_late(message.sent_ms)
+                if late is None:
+                    self._ask(message.id, keys.RESET, self._signed({"estop": message.estop}, message.sent_ms))
+                else:
+                    self._reject(message.id, keys.RESET, late)
+            case Lease():
+                self.outgoing.put(
+                    LeaseMessage(mine=False, id=message.id, accepted=False, detail="this console cannot do that yet")
+                )
+
+    def _command(self, message: Command) -> None:
+        payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
+        late = self._is_late(message.sent_ms)
+        if message.only_stops:  # however old; and sent again until it is answered
+            self._ask(message.id, message.key, {**payload, "sent_ms": None}, again=True)
+        elif late is not None:
+            self._reject(message.id, message.key, late)
+        elif message.id is not None:
+            self._ask(message.id, message.key, payload)
+        else:
+            with suppress(GatewayError):  # the page hears of the link
+                self._link.publish(message.key, payload)
+
+    def _signed(self, payload: dict[str, Any], sent_ms: float) -> dict[str, Any]:
+        return {**payload, "source": self.source, "sent_ms": sent_ms}
+
+    def _is_late(self, sent_ms: float) -> str | None:
+        now_ns = time.monotonic_ns()
+        return self._staleness.too_old(None, sent_ms, now_ns, now_ns)
+
+    def _reject(self, message_id: int | None, key: str, detail: str) -> None:
+        if message_id is not None:
+            ack = Ack(accepted=False, reason=Reason.STALE, detail=detail)
+            self.outgoing.put(AckMessage(id=message_id, took_ms=0.0, ack=ack))
+        else:
+            self.outgoing.put(EventMessage(event=_rejection(self.source, key, detail)))
+
+    def _ask(self, message_id: int | None, key: str, payload: dict[str, Any], *, again: bool = False) -> None:
+        if len(self._questions) >= MAX_QUESTIONS:
+            raise EndError(f"{MAX_QUESTIONS} commands of this page wait for their acknowledgement")
+        question = asyncio.create_task(self._answer(message_id, key, payload, again=again))
+        self._questions.add(question)
+        question.add_done_callback(self._questions.discard)
+
+    async def _answer(self, message_id: int | None, key: str, payload: dict[str, Any], *, again: bool) -> None:
+        began_s = time.monotonic()
+        ack, error = None, None
+        try:
+            ack = await self._link.ask(key, payload, again=again)
+        except GatewayError as failed:
+            error = str(failed)
+        if message_id is not None:
+            took_ms = (time.monotonic() - began_s) * 1000
+            self.outgoing.put(AckMessage(id=message_id, took_ms=took_ms, ack=ack, error=error))
+
+    def _count(self) -> None:
+        now_s = time.monotonic()
+        self._tokens = min(MESSAGES_A_SECOND, self._tokens + (now_s - self._counted_s) * MESSAGES_A_SECOND) - 1
+        self._counted_s = now_s
+        if self._tokens < 0:
+            raise EndError(f"more than {MESSAGES_A_SECOND:g} messages a second")
+
+
+def _rejection(source: str, key: str, detail: str) -> Event:
+    return Event(
+        time=datetime.now(UTC),
+        kind=Kind.COMMAND_REJECTED,
+        source=source,
+        key=key,
+        reason=Reason.STALE,
+        detail=detail,
+    )
+
+
+def _first_fault(error: ValidationError) -> str:
+    fault = error.errors(include_url=False, include_input=False)[0]
+    where = ".".join(str(part) for part in fault["loc"])
+    return f"{where}: {fault['msg']}" if where else fault["msg"]

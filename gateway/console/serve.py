@@ -1,0 +1,186 @@
+"""`hexapod-gateway console`: takes its address, says the link, and serves until it is ended."""
+
+import asyncio
+import errno
+import getpass
+import os
+import signal
+import socket
+import threading
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import segno
+import uvicorn
+
+from gateway import certs
+from gateway.client import DEFAULT_ENDPOINT
+from gateway.console import register
+from gateway.console.app import Console
+from gateway.console.link import GatewayLink
+from gateway.console.messages import MAX_BYTES, Role
+from gateway.console.pages import Pages
+from gateway.console.register import LINK_ELSEWHERE_S, LINK_S, Register
+from gateway.console.site import DEFAULT_PORT, Site
+from gateway.edge.config_file import get
+from gateway.edge.session import client_config
+from gateway.errors import AddressTakenError, ConfigError
+from gateway.geometry import load
+from gateway.tools.terminal import hint, say, this_command
+
+BACKLOG: Final = 64
+MAX_CONNECTIONS: Final = 256
+"""Pages, and the files that they load; more of them get 503."""
+DEAD_MS: Final = 15_000
+"""A connection that takes nothing for so long is given up: a page that is frozen, or whose machine is gone."""
+END_S: Final = 1
+
+
+@dataclass(frozen=True)
+class Options:
+    """The command's."""
+
+    site: Site
+    connect: str | None
+    zenoh_config: Path | None
+    timeout_s: float
+    role: Role
+    geometry: Path | None
+    open_browser: bool
+
+
+def serve(options: Options) -> int:
+    """Serve until SIGTERM or Ctrl-C; the exit code. Raises ConfigError, AddressTakenError, ZenohError."""
+    connect = options.connect
+    if connect is None and options.zenoh_config is None:
+        connect = DEFAULT_ENDPOINT
+    person, role = _identity(connect, options.zenoh_config)
+    geometry = load(options.geometry).model_dump(mode="json")
+    with _listening(options.site) as listening:
+        found = Register(register.folder(), options.site.port)
+        found.begin(options.site.url, LINK_S if options.site.certificate is None else LINK_ELSEWHERE_S)
+        link = found.new_link(options.role)
+        return asyncio.run(_run(options, listening, found, link, connect, person, _least(role, options.role), geometry))
+
+
+def show(link: str) -> None:
+    """Print a link; for a browser on another machine with its QR code."""
+    say(f"The console is at {link}")
+    if link.startswith("https:"):
+        say(f"The link works once, within {LINK_ELSEWHERE_S // 60} minutes.")
+        if os.isatty(1):
+            segno.make(link, error="l").terminal(compact=True)
+
+
+async def _run(
+    options: Options,
+    listening: socket.socket,
+    found: Register,
+    link: str,
+    connect: str | None,
+    person: str,
+    role: Role,
+    geometry: Any,
+) -> int:
+    pages = Pages()
+    gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, pages)
+    console = Console(options.site, found, gateway, pages, person=person, role=role, geometry=geometry)
+    server = _Server(
+        uvicorn.Config(
+            console.app(),
+            ws="websockets-sansio",
+            http="h11",
+            lifespan="off",
+            log_config=None,
+            log_level="error",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            ws_max_size=MAX_BYTES,
+            ws_per_message_deflate=False,  # a page in a LAN needs no compression, a Pi needs its processor
+            limit_concurrency=MAX_CONNECTIONS,
+            timeout_graceful_shutdown=END_S,
+            ssl_certfile=options.site.certificate,
+            ssl_keyfile=options.site.key,
+        )
+    )
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, server.end)
+    watching = asyncio.create_task(gateway.run())
+    watching.add_done_callback(lambda _: server.end())
+    show(link)
+    where = "" if options.site.port == DEFAULT_PORT else f" --listen {options.site.address}:{options.site.port}"
+    say(f"For another browser: {this_command()} console --link{where}")
+    if options.open_browser:
+        threading.Thread(target=partial(_open, link), daemon=True).start()
+    await server.serve(sockets=[listening])
+    failed = None if watching.cancelled() or not watching.done() else watching.exception()
+    watching.cancel()
+    await gateway.close()
+    if failed is not None:
+        raise failed
+    return 0
+
+
+class _Server(uvicorn.Server):
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Not uvicorn's: it raises the signal again, and the exit code would be the signal's."""
+        yield
+
+    def end(self) -> None:
+        """Stop serving."""
+        self.force_exit = self.should_exit
+        self.should_exit = True
+
+
+@contextmanager
+def _listening(site: Site) -> Iterator[socket.socket]:
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(
+            site.address, site.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+    except OSError as error:
+        raise ConfigError(f"--listen: {site.address} is no address of this machine: {error.strerror}") from error
+    with socket.socket(family, kind) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            listening.bind(address)
+            listening.listen(BACKLOG)
+        except OSError as error:
+            where = f"{site.address}:{site.port}"
+            if error.errno == errno.EADDRINUSE:
+                raise AddressTakenError(
+                    f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
+                ) from error
+            raise ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine") from error
+        yield listening
+
+
+def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role]:
+    """Whose console it is and what it may do at most: by its certificate; without one, the user's name."""
+    config = client_config(connect, zenoh_config)
+    certificate = get(config, "transport/link/tls/connect_certificate")
+    if certificate:
+        holder = certs.describe(Path(certificate))
+        return holder.name, "operator" if holder.role.partition(".")[0] == "operator" else "observer"
+    with suppress(OSError, KeyError):
+        return getpass.getuser(), "operator"
+    return "console", "operator"
+
+
+def _least(first: Role, second: Role) -> Role:
+    return "operator" if first == second == "operator" else "observer"
+
+
+def _open(link: str) -> None:
+    if not webbrowser.open(link):
+        hint("no browser could be opened here; open the address above")

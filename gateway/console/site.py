@@ -1,0 +1,124 @@
+"""Where the console listens, and which Host and Origin headers belong to it.
+
+A page of another origin must not reach the robot with the cookie of somebody who is signed in, and neither must a
+foreign name that somebody points at this machine (DNS rebinding). So both headers are compared with what the console
+listens on; nothing is taken from them.
+"""
+
+import ipaddress
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+from gateway.certs import read_certificate
+from gateway.certs.authority import hosts_of
+from gateway.errors import ConfigError
+
+DEFAULT_PORT: Final = 8080
+_DEFAULT_PORTS: Final = {"http": 80, "https": 443}
+
+
+@dataclass(frozen=True)
+class Site:
+    """One listening address. `hosts`: the names under which browsers reach it, the first in links."""
+
+    address: str
+    port: int
+    hosts: tuple[str, ...]
+    certificate: Path | None = None
+    key: Path | None = None
+
+    @property
+    def scheme(self) -> str:
+        """`https` with a certificate."""
+        return "http" if self.certificate is None else "https"
+
+    @property
+    def url(self) -> str:
+        """Its address in a browser, without a path."""
+        return f"{self.scheme}://{self._authority(self.hosts[0])}"
+
+    @property
+    def cookie(self) -> str:
+        """The session cookie's name. It has the port in it, for cookies know no ports and another console may run.
+
+        With TLS no other host can set it (`__Host-`).
+        """
+        return f"{'__Host-' if self.certificate else ''}hexapod-console-{self.port}"
+
+    def knows_host(self, host: str | None) -> bool:
+        """Whether a Host header names this site."""
+        return host is not None and host.lower() in self._authorities()
+
+    def knows_origin(self, origin: str | None, host: str | None) -> bool:
+        """Whether an Origin header is that of this site's own page, as reached under that Host."""
+        return origin is not None and host is not None and self.knows_host(host) and origin == f"{self.scheme}://{host}"
+
+    def _authorities(self) -> set[str]:
+        found = {self._authority(host) for host in self.hosts}
+        if self.port == _DEFAULT_PORTS[self.scheme]:
+            found |= {f"{authority}:{self.port}" for authority in found}
+        return found
+
+    def _authority(self, host: str) -> str:
+        host = f"[{host}]" if ":" in host else host
+        return host if self.port == _DEFAULT_PORTS[self.scheme] else f"{host}:{self.port}"
+
+
+def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
+    """What to listen on. Raises ConfigError, with a way to go on, for an address that is none or must not be open."""
+    address, port = address_of(listen)
+    if (certificate is None) != (key is None):
+        raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
+    if certificate is None or key is None:
+        if not _is_loopback(address):
+            raise ConfigError(
+                f"{listen} is reached from other machines, so the console needs TLS: --cert and --key\n"
+                "where ca.key is, hexapod-gateway certs console --host NAME --dir DIR makes both\n"
+                "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
+            )
+        return Site(address, port, tuple(dict.fromkeys((address, "localhost"))))
+    names = hosts_of(read_certificate(certificate))
+    if not names:
+        raise ConfigError(
+            f"{certificate} names no host, and no browser would take it: "
+            "make one with hexapod-gateway certs console --host NAME"
+        )
+    _check_pair(certificate, key)
+    own = (address,) if address.lower() in names else ()
+    return Site(address, port, tuple(dict.fromkeys((*own, *names))), certificate, key)
+
+
+def address_of(listen: str) -> tuple[str, int]:
+    """`HOST:PORT` in its parts. Raises ConfigError."""
+    try:
+        parts = urlsplit(f"//{listen}")
+        host, port = parts.hostname, DEFAULT_PORT if parts.port is None else parts.port
+    except ValueError:
+        host, port = None, 0
+    if not host or parts.path or parts.query or "@" in listen or not 1 <= port <= 65535:
+        raise ConfigError(f"--listen {listen} is no HOST:PORT, such as 127.0.0.1:8080")
+    return host, port
+
+
+def _is_loopback(address: str) -> bool:
+    if address == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+def _check_pair(certificate: Path, key: Path) -> None:
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password=_no_password)
+    except (OSError, ssl.SSLError, ValueError) as error:
+        why = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"{certificate} and {key} cannot be used together: {why}") from error
+
+
+def _no_password() -> str:
+    raise ValueError("the key has a password; a service cannot type it")

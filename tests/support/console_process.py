@@ -1,0 +1,137 @@
+"""The console as a user starts it, and a page of it: what a browser sends and hears, without the browser."""
+
+import itertools
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import httpx
+from websockets.sync.client import ClientConnection, connect
+
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, free_port
+
+LINK: Final = "The console is at "
+
+
+class Console(AbstractContextManager["Console"]):
+    """A running console; its sessions are kept in `folder`. It listens when the constructor returns."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *arguments: str,
+        port: int | None = None,
+        prefix: Sequence[str] = (),
+        env: Mapping[str, str] | None = None,
+    ) -> None:
+        self.port = free_port() if port is None else port
+        self.listen = ("--listen", f"127.0.0.1:{self.port}")
+        self.env = {**os.environ, "STATE_DIRECTORY": str(folder), **(env or {})}
+        self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
+        self.link = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
+        self.url = self.link.partition("/?")[0]
+
+    def sign_in(self, link: str = "") -> str:
+        """Exchange a link (by default the printed one) for the cookie, as `name=value`."""
+        answer = httpx.get(link or self.link)
+        assert answer.status_code == 303, answer.text
+        return answer.headers["set-cookie"].partition(";")[0]
+
+    def get(self, path: str = "/session", **headers: str) -> httpx.Response:
+        """A request with these headers."""
+        return httpx.get(self.url + path, headers=headers)
+
+    def run(self, *arguments: str) -> Child:
+        """`hexapod-gateway console …` beside it, with the same sessions; waits for its end."""
+        child = Child([*COMMAND, "console", *self.listen, *arguments], self.env)
+        child.wait()
+        child.close()
+        return child
+
+    def page(self, cookie: str) -> "Page":
+        """Open a page."""
+        return Page(self.url, cookie)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.child.close()
+
+
+class Page(AbstractContextManager["Page"]):
+    """A page's WebSocket. What it hears is read when it is waited for."""
+
+    def __init__(self, url: str, cookie: str, origin: str = "") -> None:
+        self._ids = itertools.count(1)
+        with ExitStack() as stack:
+            self.socket: ClientConnection = stack.enter_context(
+                connect(
+                    url.replace("http", "ws", 1) + "/ws",
+                    additional_headers={"Cookie": cookie, "Origin": origin or url},
+                    compression=None,
+                    max_size=2**20,
+                )
+            )
+            self.hello = self.wait("hello")
+            self.send(type="alive", now_ms=self.now_ms())
+            self._stack = stack.pop_all()
+
+    def now_ms(self) -> float:
+        """The page's clock."""
+        return time.perf_counter() * 1000
+
+    def send(self, **message: Any) -> None:
+        self.socket.send(json.dumps(message))
+
+    def wait(
+        self, kind: str, fits: Callable[[dict[str, Any]], bool] = lambda _: True, timeout_s: float = 10
+    ) -> dict[str, Any]:
+        """The next message of that kind that fits; those before it are gone."""
+        end_s = time.monotonic() + timeout_s
+        while True:
+            message = json.loads(self.socket.recv(timeout=max(0.0, end_s - time.monotonic())))
+            if message["type"] == kind and fits(message):
+                return dict(message)
+
+    def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
+        """The next state that fits."""
+        return dict(self.wait("state", lambda message: fits(message["state"]))["state"])
+
+    def ask(self, key: str, payload: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+        """An acknowledged command; the whole answer."""
+        number = next(self._ids)
+        self.send(**{"type": "command", "id": number, "key": key, "payload": payload, "sent_ms": self.now_ms(), **more})
+        return self.wait("ack", lambda message: message["id"] == number)
+
+    def put(self, key: str, payload: Mapping[str, Any], **more: Any) -> None:
+        """A command without an acknowledgement."""
+        self.send(**{"type": "command", "key": key, "payload": payload, "sent_ms": self.now_ms(), **more})
+
+    def stop_all(self) -> dict[str, Any]:
+        """STOP ALL; the message that confirms it."""
+        number = next(self._ids)
+        self.send(type="stop_all", id=number)
+        return self.wait("stop", lambda message: message["id"] == number and message["answered"])
+
+    def reset(self, estop: int) -> dict[str, Any]:
+        """Leave the emergency stop of that number."""
+        number = next(self._ids)
+        self.send(type="reset", id=number, estop=estop, sent_ms=self.now_ms())
+        return self.wait("ack", lambda message: message["id"] == number)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()

@@ -1,0 +1,139 @@
+"""Links that work once, and the sessions that follow from them."""
+
+import stat
+from pathlib import Path
+
+import pytest
+
+from gateway.console.register import LINK_S, MAX_ENTRIES, SESSION_S, Register, revoke_all
+from gateway.errors import ConfigError
+
+URL = "http://127.0.0.1:8080"
+
+
+class Clock:
+    """A wall clock that somebody sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 1_700_000_000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def register(tmp_path: Path, clock: Clock) -> Register:
+    found = Register(tmp_path, 8080, clock)
+    found.begin(URL, LINK_S)
+    return found
+
+
+def token_of(link: str) -> str:
+    assert link.startswith(f"{URL}/?token=")
+    return link.partition("token=")[2]
+
+
+def sign_in(register: Register) -> str:
+    found = register.exchange(token_of(register.new_link("operator")))
+    assert found is not None
+    return found[0]
+
+
+def test_a_link_works_once(register: Register) -> None:
+    token = token_of(register.new_link("observer"))
+    found = register.exchange(token)
+    assert found is not None
+    session, entry = found
+    assert entry.role == "observer"
+    assert register.session(session) == entry
+    assert register.exchange(token) is None
+    assert register.session(token) is None, "a link is no session"
+    assert register.exchange(session) is None, "a session is no link"
+
+
+@pytest.mark.parametrize("token", [None, "", "x", "\ud800", "0" * 43])
+def test_what_is_no_session(register: Register, token: str | None) -> None:
+    sign_in(register)
+    assert register.session(token) is None
+
+
+def test_a_link_becomes_too_old(register: Register, clock: Clock) -> None:
+    token = token_of(register.new_link("operator"))
+    clock.now_s += LINK_S
+    assert register.exchange(token) is None
+
+
+def test_a_session_ends(register: Register, clock: Clock) -> None:
+    token = sign_in(register)
+    entry = register.session(token)
+    assert entry is not None
+    clock.now_s += SESSION_S - 1
+    assert register.still_valid(entry)
+    clock.now_s += 1
+    assert not register.still_valid(entry)
+    assert register.session(token) is None
+
+
+def test_what_seems_to_come_from_the_future_is_void(register: Register, clock: Clock) -> None:
+    """A robot without a clock of its own starts in the past; a session must not live for years by that."""
+    token = sign_in(register)
+    clock.now_s -= 3600
+    assert register.session(token) is None
+
+
+def test_another_process_knows_the_session_and_revokes_it(register: Register, tmp_path: Path, clock: Clock) -> None:
+    token = sign_in(register)
+    link = register.new_link("operator")
+    other = Register(tmp_path, 8080, clock)
+    entry = other.session(token)
+    assert entry is not None
+    assert revoke_all(tmp_path, clock) == 1
+    assert not register.still_valid(entry)
+    assert register.session(token) is None
+    assert register.exchange(token_of(link)) is None
+    sign_in(register)  # and it goes on
+
+
+def test_the_port_has_its_own(register: Register, tmp_path: Path, clock: Clock) -> None:
+    token = sign_in(register)
+    other = Register(tmp_path, 8081, clock)
+    assert other.session(token) is None
+    with pytest.raises(ConfigError, match="no console has run there"):
+        other.new_link("operator")
+
+
+def test_the_file_holds_no_token_and_is_private(register: Register, tmp_path: Path) -> None:
+    token = sign_in(register)
+    link = token_of(register.new_link("operator"))
+    file = tmp_path / "console-8080.json"
+    assert token not in file.read_text()
+    assert link not in file.read_text()
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"sessions": 3}', b'{"sessions": [{"sha256": ""}]}', b"\xff"])
+def test_a_faulty_file_lets_nobody_in(register: Register, tmp_path: Path, content: bytes) -> None:
+    token = sign_in(register)
+    (tmp_path / "console-8080.json").write_bytes(content)
+    assert register.session(token) is None
+    register.begin(URL, LINK_S)
+    assert register.session(sign_in(register)) is not None
+
+
+def test_it_is_bounded(register: Register) -> None:
+    first = sign_in(register)
+    for _ in range(MAX_ENTRIES):
+        newest = sign_in(register)
+    assert register.session(first) is None
+    assert register.session(newest) is not None
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot write"):
+        Register(tmp_path / "file", 8080).begin(URL, LINK_S)

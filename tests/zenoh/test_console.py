@@ -1,0 +1,286 @@
+"""The console between real pages and a real gateway: what is shown, what is sent, and who is let in."""
+
+import signal
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from schemas.robot import LEGS
+from tests.support.child import Child
+from tests.support.console_process import Console, Page
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+
+LEG_3 = "hexapod/leg/3/cmd"
+START = {"servos": [{"op": "start", "angle_deg": angle} for angle in (90, 45, 120)]}
+SET = {"servos": [{"op": "set", "angle_deg": angle} for angle in (91, 46, 121)]}
+STOP = {"servos": [{"op": "stop"}] * 3}
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway")) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def cookie(console: Console) -> str:
+    return console.sign_in()
+
+
+@pytest.fixture
+def page(console: Console, cookie: str) -> Iterator[Page]:
+    """A page on a robot that is at rest."""
+    with console.page(cookie) as opened:
+        state = opened.state(lambda state: state["mode"] in ("idle", "estopped"))
+        if state["mode"] == "estopped":
+            assert opened.reset(state["estop"])["ack"]["accepted"]
+        yield opened
+
+
+# ---- driving and stopping
+
+
+def test_a_page_sees_and_drives(page: Page) -> None:
+    assert (page.hello["role"], page.hello["version"]) == ("operator", page.state()["version"])
+    assert len(page.hello["geometry"]["servos"]) == 18
+    assert page.ask(LEG_3, START)["ack"] == {"accepted": True}
+    leg = page.state(lambda state: state["mode"] == "active")["legs"][2]
+    assert leg["source"] == page.hello["source"]
+    page.put(LEG_3, SET)
+    page.state(lambda state: [servo["angle_deg"] for servo in state["legs"][2]["servos"]] == [91, 46, 121])
+    assert page.ask(LEG_3, STOP)["ack"]["accepted"]
+    page.state(lambda state: state["mode"] == "idle")
+
+
+def test_nothing_is_repeated(page: Page, gateway: Gateway) -> None:
+    """One start, and then silence: the page's socket stays open, and the watchdog stops the leg."""
+    with gateway.client() as client:
+        before = client.state()
+        assert page.ask(LEG_3, START)["ack"]["accepted"]
+        event = page.wait("event", lambda message: message["event"]["kind"] == "watchdog_expired")
+        assert "leg 3" in event["event"]["detail"]
+        after = client.state()
+    assert after.commands.accepted == before.commands.accepted + 1
+    assert after.spi.frames - before.spi.frames <= 1 + 4, "the start, and the Stop with its repeats"
+
+
+def test_a_rejection_has_its_reason(page: Page) -> None:
+    ack = page.ask(LEG_3, SET)["ack"]
+    assert (ack["accepted"], ack["reason"]) == (False, "servo_stopped")
+
+
+def test_what_was_delayed_on_its_way_is_rejected(page: Page) -> None:
+    """A page that was frozen sends what it wanted to do long ago; a Stop is taken all the same."""
+    ack = page.ask(LEG_3, START, sent_ms=page.now_ms() - 3000)["ack"]
+    assert (ack["accepted"], ack["reason"]) == (False, "stale")
+    page.put(LEG_3, START, sent_ms=page.now_ms() - 3000)
+    event = page.wait("event", lambda message: message["event"]["reason"] == "stale")["event"]
+    assert (event["source"], event["key"]) == (page.hello["source"], LEG_3)
+    assert page.ask(LEG_3, STOP, sent_ms=page.now_ms() - 3000)["ack"]["accepted"]
+    assert page.state()["mode"] == "idle"
+
+
+def test_stop_all_and_reset(page: Page, console: Console, cookie: str) -> None:
+    assert page.ask(LEG_3, START)["ack"]["accepted"]
+    stopped = page.stop_all()
+    assert stopped["stop_frames"] == len(LEGS)
+    assert stopped["latency_us"] > 0
+    with console.page(cookie) as other:
+        state = other.state()
+        assert (state["mode"], state["estop"]) == ("estopped", stopped["estop"])
+        assert other.wait("event", lambda message: message["event"]["kind"] == "estop_engaged")
+        again = other.stop_all()
+        assert again["estop"] == stopped["estop"] + 1
+    ack = page.reset(stopped["estop"])["ack"]
+    assert (ack["accepted"], ack["reason"]) == (False, "estopped"), "not the one that the other page asked for"
+    assert page.reset(again["estop"])["ack"]["accepted"]
+
+
+# ---- who gets in
+
+
+def test_nobody_without_the_cookie(console: Console) -> None:
+    for path in ("/", "/session", "/main.js", "/ws", "/nothing"):
+        assert console.get(path).status_code == 403
+    assert "console --link" in console.get("/").text
+    with pytest.raises(InvalidStatus, match="403"):
+        Page(console.url, "")
+
+
+def test_the_cookie(console: Console) -> None:
+    link = console.run("--link").stdout.split()[4]
+    answer = httpx.get(link)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    cookie = answer.headers["set-cookie"]
+    assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+    assert httpx.get(link).status_code == 403, "it works once"
+    name, _, value = cookie.partition(";")[0].partition("=")
+    assert console.get(Cookie=f"{name}={value}").json()["role"] == "operator"
+    assert console.get(Cookie=f"{name}={value[:-1]}").status_code == 403
+    assert console.get("/", **{"Sec-Fetch-Site": "cross-site"}).text.startswith("<!doctype html>"), "comes again"
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""])
+def test_dns_rebinding(console: Console, cookie: str, host: str) -> None:
+    """A foreign name that points here gets nothing, not even with the cookie."""
+    answer = console.get(Host=host.format(port=console.port), Cookie=cookie)
+    assert answer.status_code == 403
+    assert console.get(f"/?token={console.link.partition('=')[2]}", Host=host).status_code == 403
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"])
+def test_a_foreign_origin(console: Console, cookie: str, origin: str) -> None:
+    """A page of another origin in a browser that is signed in."""
+    origin = origin.format(port=console.port)
+    assert console.get(Origin=origin, Cookie=cookie).status_code == 403
+    with pytest.raises(InvalidStatus, match="403"):
+        Page(console.url, cookie, origin)
+
+
+def test_headers(console: Console, cookie: str) -> None:
+    for answer in (console.get(Cookie=cookie), console.get("/nothing", Cookie=cookie), console.get()):
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
+        assert "unsafe" not in policy
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert "access-control-allow-origin" not in answer.headers
+        assert "server" not in answer.headers
+    assert console.get("/../app.py", Cookie=cookie).status_code in (403, 404)
+    assert console.get("/%2e%2e/app.py", Cookie=cookie).status_code in (403, 404)
+
+
+def test_revoke_ends_open_pages(gateway: Gateway, tmp_path: Path) -> None:
+    """Of a console of its own, since all sessions of that folder end."""
+    with Console(tmp_path, "--connect", gateway.endpoint) as other:
+        cookie = other.sign_in()
+        with other.page(cookie) as page:
+            assert "1 session ended" in other.run("--revoke").stdout
+            with pytest.raises(ConnectionClosed) as closed:
+                page.wait("never")
+            assert closed.value.rcvd is not None
+            assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1008, "signed out")
+        assert other.get(Cookie=cookie).status_code == 403
+
+
+def test_a_session_outlives_the_console(gateway: Gateway, tmp_path: Path) -> None:
+    port = free_port()
+    with Console(tmp_path, "--connect", gateway.endpoint, port=port) as first:
+        cookie = first.sign_in()
+        first.child.send_signal(signal.SIGTERM)
+        assert first.child.wait() == 0
+    with Console(tmp_path, "--connect", gateway.endpoint, port=port) as second, second.page(cookie) as page:
+        assert page.state()["mode"] == "idle"
+
+
+# ---- bad pages
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"type": "shutdown"},
+        {"type": "command", "key": "hexapod/estop/cmd", "payload": {}, "sent_ms": 1},
+        {"type": "command", "key": LEG_3, "payload": {**START, "source": "somebody"}, "sent_ms": 1},
+        {"type": "alive", "now_ms": 1, "padding": "x" * 9000},
+    ],
+    ids=["unknown", "no leg", "forged source", "too long"],
+)
+def test_what_no_page_sends_ends_it(console: Console, cookie: str, message: dict[str, object]) -> None:
+    with console.page(cookie) as page:
+        page.send(**message)
+        with pytest.raises(ConnectionClosed) as closed:
+            page.wait("never")
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == (1009 if "padding" in message else 1008)
+        assert closed.value.rcvd.reason
+
+
+def test_binary_ends_it(console: Console, cookie: str) -> None:
+    with console.page(cookie) as page:
+        page.socket.send(b"{}")
+        with pytest.raises(ConnectionClosed, match="a page sends text"):
+            page.wait("never")
+
+
+def test_a_flood_ends_it_and_delays_nobody(console: Console, cookie: str, page: Page) -> None:
+    def run_wild(flood: Page) -> None:
+        for _ in range(10_000):
+            flood.send(type="alive", now_ms=flood.now_ms())
+        flood.wait("never")
+
+    with console.page(cookie) as wild, pytest.raises(ConnectionClosed):
+        run_wild(wild)
+    assert page.stop_all()["stop_frames"] == len(LEGS)
+
+
+def test_an_observer_only_looks(gateway: Gateway, tmp_path: Path) -> None:
+    with Console(tmp_path, "--connect", gateway.endpoint, "--role", "observer") as console:
+        cookie = console.sign_in()
+        assert console.get(Cookie=cookie).json()["role"] == "observer"
+        for message in ({"type": "stop_all", "id": 1}, {"type": "lease", "id": 1, "do": "acquire"}):
+            with console.page(cookie) as page:
+                page.state()
+                page.send(**message)
+                with pytest.raises(ConnectionClosed, match="this page only looks"):
+                    page.wait("never")
+
+
+# ---- its own beginning and end
+
+
+def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
+    """Also a stop that was asked for before there was one; and it says when the gateway has gone."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Console(tmp_path, "--connect", endpoint) as console, console.page(console.sign_in()) as page:
+        gone = page.wait("link", lambda message: message["status"] == "gone" and "nothing listens" in message["detail"])
+        assert endpoint.removeprefix("tcp/") in gone["detail"]
+        page.send(type="stop_all", id=7)
+        assert not page.wait("stop")["answered"]
+        with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}}) as gateway:
+            assert page.wait("stop", lambda message: message["answered"])["id"] == 7
+            page.wait("link", lambda message: message["status"] == "connected")
+            gateway.child.kill()
+            page.wait("link", lambda message: message["status"] == "gone")
+
+
+def test_the_address_is_taken(console: Console) -> None:
+    child = console.run()
+    assert child.returncode == 5
+    assert f"127.0.0.1:{console.port} is taken" in child.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--listen", "0.0.0.0:8080"], "certs console --host"),
+        (["--listen", "nonsense:x"], "no HOST:PORT"),
+        (["--role", "admin"], "an operator (drives and watches) or an observer"),
+        (["--geometry", "/nonexistent"], "cannot be read"),
+        (["--zenoh-config", "/nonexistent"], "/nonexistent"),
+    ],
+)
+def test_what_it_does_not_start_with(console: Console, arguments: list[str], says: str) -> None:
+    child = Child([*COMMAND, "console", "--listen", f"127.0.0.1:{free_port()}", *arguments], console.env)
+    assert child.wait() == 2
+    child.close()
+    assert says in child.stderr
+
+
+def test_link_without_a_console(console: Console, tmp_path: Path) -> None:
+    env = {**console.env, "STATE_DIRECTORY": str(tmp_path)}
+    with socket.socket() as taken:  # bound, but nobody listens
+        taken.bind(("127.0.0.1", 0))
+        child = Child([*COMMAND, "console", "--link", "--listen", f"127.0.0.1:{taken.getsockname()[1]}"], env)
+        assert child.wait() == 2
+        child.close()
+    assert "no console has run there" in child.stderr
