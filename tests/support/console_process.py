@@ -4,6 +4,7 @@ import itertools
 import json
 import os
 import time
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
@@ -72,6 +73,7 @@ class Page(AbstractContextManager["Page"]):
 
     def __init__(self, url: str, cookie: str, origin: str = "") -> None:
         self._ids = itertools.count(1)
+        self._kept: defaultdict[str, deque[dict[str, Any]]] = defaultdict(deque)
         with ExitStack() as stack:
             self.socket: ClientConnection = stack.enter_context(
                 connect(
@@ -95,12 +97,18 @@ class Page(AbstractContextManager["Page"]):
     def wait(
         self, kind: str, fits: Callable[[dict[str, Any]], bool] = lambda _: True, timeout_s: float = 10
     ) -> dict[str, Any]:
-        """The next message of that kind that fits; those before it are gone."""
+        """The next message of that kind that fits. Those of other kinds are kept for later, except for states."""
+        kept = self._kept[kind]
+        while kept:
+            if fits(found := kept.popleft()):
+                return found
         end_s = time.monotonic() + timeout_s
         while True:
-            message = json.loads(self.socket.recv(timeout=max(0.0, end_s - time.monotonic())))
+            message: dict[str, Any] = json.loads(self.socket.recv(timeout=max(0.0, end_s - time.monotonic())))
             if message["type"] == kind and fits(message):
-                return dict(message)
+                return message
+            if message["type"] not in (kind, "state"):
+                self._kept[message["type"]].append(message)
 
     def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
         """The next state that fits."""
