@@ -15,6 +15,7 @@ from typing import Any, NoReturn, TypeVar
 
 import zenoh
 
+from gateway import __version__
 from gateway.core.legs import Rules
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.supervisor import Supervisor
@@ -28,6 +29,8 @@ from gateway.host import descriptors, logs, realtime
 from gateway.host.descriptors import Spare
 from gateway.host.systemd import SystemdNotifier
 from gateway.protocol.frames import centidegrees
+from gateway.recorder.place import folder_of
+from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime import prometheus as exposition
 from gateway.runtime.conductor import Conductor
 from gateway.settings import Settings, WatchdogSettings
@@ -80,6 +83,19 @@ def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDev
     return lambda: controller
 
 
+def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
+    """The black box, if it has a folder."""
+    if folder_of(settings) is None:
+        return NO_RECORDER
+    facts = {
+        "version": __version__,
+        "simulated": simulated,
+        "framing": settings.spi.framing,
+        "timeout_ms": settings.watchdog.timeout_ms,
+    }
+    return RingRecorder(settings, facts, time.monotonic_ns, time.time_ns)
+
+
 def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None] = lambda _: None) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     descriptors.ensure()
@@ -94,17 +110,26 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
 
 async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]) -> None:
     loop = asyncio.get_running_loop()
-    end = _End(loop)
+    recorder = _recorder(settings, simulated=simulated)
+    end = _End(loop, recorder)
     notifier = SystemdNotifier()
     config = service_config(settings.zenoh)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
     outbox = ZenohOutbox()
     conductor = Conductor(
-        settings, Supervisor(rules(settings)), bus, outbox, loop, clock=time.monotonic_ns, simulated=simulated
+        settings,
+        Supervisor(rules(settings)),
+        bus,
+        outbox,
+        loop,
+        clock=time.monotonic_ns,
+        simulated=simulated,
+        recorder=recorder,
     )
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
         conductor.start()
+        recorder.open()
         opening = _in_thread(partial(_open, settings, config, conductor))
         ended = asyncio.ensure_future(end.wait())
         first: tuple[asyncio.Future[Any], ...] = (opening, ended)
@@ -144,6 +169,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh
         await _within(deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close)
     finally:
         conductor.close()
+        recorder.close()
         notifier.close()
     if end.failure is not None:
         raise GatewayError(end.failure)
@@ -163,8 +189,9 @@ class _End:
     ends, to be started afresh by systemd.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, recorder: Recorder) -> None:
         self.failure: str | None = None
+        self._recorder = recorder
         self._event = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
@@ -183,6 +210,7 @@ class _End:
 
     def because(self, failure: str) -> None:
         """End, and report `failure`."""
+        self._recorder.mistake(failure)
         self.failure = self.failure or failure
         self._event.set()
 
@@ -210,6 +238,7 @@ async def _stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSett
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
     else:
         _last_attempt(bus, watchdog, deadline)
+    conductor.recorder.ended("all six legs got their Stop" if stopped else "the Stops were written at a last attempt")
 
 
 def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
@@ -249,7 +278,9 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
         conductor.turned()
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
-        conductor.metrics.loop_lag.record(round((loop.time() - due_s) * 1e9))
+        lag_ns = round((loop.time() - due_s) * 1e9)
+        conductor.metrics.loop_lag.record(lag_ns)
+        conductor.recorder.lag(lag_ns)
         conductor.look_outside()
         stranger = strangers.look()
         if stranger is not None:

@@ -116,6 +116,20 @@ class LeaseSettings(Section):
     takeover: Literal["stop", "never"] = "stop"
 
 
+class RecorderSettings(Section):
+    """The black box. At least the ten seconds before an incident; more than ten minutes is for recordings."""
+
+    path: str = ""
+    seconds: Annotated[float, Finite, Field(ge=10, le=600)] = 60.0
+
+    @field_validator("path")
+    @classmethod
+    def _absolute(cls, path: str) -> str:
+        if (path and not path.startswith("/")) or "\0" in path:
+            raise ValueError('write the path of a folder, such as /var/lib/hexapod-gateway, or "" for none')
+        return path
+
+
 class TelemetrySettings(Section):
     """What the gateway publishes."""
 
@@ -147,6 +161,7 @@ class Settings(Section):
     limits: LimitSettings = LimitSettings()
     watchdog: WatchdogSettings = WatchdogSettings()
     lease: LeaseSettings = LeaseSettings()
+    recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     log: LogSettings = LogSettings()
 

@@ -191,6 +191,7 @@ class GatewayState(Report):
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
     estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
+    incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
 
 
 class Event(Report):
@@ -203,6 +204,7 @@ class Event(Report):
     reason: AnyReason | None
     detail: str
     left_out: Count = 0
+    incident: Annotated[str | None, Field(description="id of the incident that it belongs to, in the black box")] = None
 
 
 class FrameRecord(Report):

@@ -33,10 +33,13 @@ from gateway.core.message import Outbox, Received, Reply, Verb
 from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
+from gateway.protocol.frames import Op
+from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
-from gateway.runtime.report import WARNINGS, report, wall_clock
+from gateway.runtime.report import report
 from gateway.runtime.sources import Sources
+from gateway.runtime.teller import Teller
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas import keys, telemetry
@@ -47,6 +50,9 @@ FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of docs/interface.md, Behaviour 6: until the device answers, no Stop reaches the robot."""
 LAST_REOPEN_S: Final = 1.0
 """Half of what Behaviour 6 allows: a busy machine may wake up late, and a Stop may be waiting."""
+
+_FIRST_OP: Final = 3
+"""Where a frame has the operation of its first servo."""
 
 logger = logging.getLogger(__name__)
 
@@ -68,6 +74,7 @@ class Conductor:
         *,
         clock: Callable[[], int],
         simulated: bool,
+        recorder: Recorder = NO_RECORDER,
     ) -> None:
         self._settings = settings
         self.supervisor = supervisor
@@ -93,6 +100,9 @@ class Conductor:
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
         self.metrics = Metrics()
         self.outbox = outbox
+        self.recorder = recorder
+        self._teller = Teller(outbox, recorder, publish_frames=settings.telemetry.frames)
+        self._tell = self._teller.event
         self.take: Callable[[], Iterable[Received]] = tuple
         """Where messages come from; the service connects the inbox here once everything stands."""
         self.instant_open: Callable[[], bool] = lambda: False
@@ -179,10 +189,12 @@ class Conductor:
         source = intent.source or received.source
         too_old = self._too_old(intent, source, instant_ns)
         if too_old is not None:
+            self.recorder.command(0, received.verb, received.key, source, intent, received.received_ns)
             self._reject(received.key, source, received.reply, Reason.STALE, too_old)
             return
         number = next(self._numbers)
         self._pending[number] = received.key, source, received.reply
+        self.recorder.command(number, received.verb, received.key, source, intent, received.received_ns)
         if received.key == keys.RESET:
             self._step(Reset(number, source, received.key, intent.estop), instant_ns)
         else:
@@ -212,6 +224,7 @@ class Conductor:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).count(Cause.ESTOP)
         latency_ns = max(0, self._clock() - received.received_ns)
+        self.recorder.command(0, received.verb, received.key, self._sources.estop, Intent(), received.received_ns)
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
@@ -230,7 +243,7 @@ class Conductor:
     def _carry_out(self, effects: list[Effect]) -> tuple[list[Cause], SpiError | None]:
         """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
         fault: SpiError | None = None
-        written: list[tuple[Transmit, int]] = []
+        written: list[Written] = []
         repeats = False
         for effect in effects:
             match effect:
@@ -244,7 +257,9 @@ class Conductor:
                         fault = fault or error
                         continue
                     now_ns = self._clock()
-                    written.append((effect, now_ns))
+                    written.append(Written(self.bus.last_transfer, effect.cause, now_ns, self.bus.last_transfer_ns))
+                    if self.bus.last_transfer[_FIRST_OP] != Op.STOP:
+                        self.recorder.frames(written)  # no Stop follows in this step, so none waits for it
                     self.metrics.frames[effect.cause] += 1
                     if effect.deadline_ns is not None:
                         self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
@@ -258,10 +273,8 @@ class Conductor:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
                     self._sources.announce(effect, self._clock(), self._tell)
-        if self._settings.telemetry.frames:
-            for transmit, monotonic_ns in written:
-                self._tell_frame(transmit, monotonic_ns)
-        return [transmit.cause for transmit, _ in written], fault
+        self._teller.frames(written)
+        return [frame.cause for frame in written], fault
 
     # ---- the bus
 
@@ -334,21 +347,25 @@ class Conductor:
     def _accept(self, completed: Completed) -> None:
         self.metrics.accepted += 1
         self.metrics.coalesced += completed.coalesced
-        _, _, reply = self._pending.pop(completed.number)
+        key, source, reply = self._pending.pop(completed.number)
+        self.recorder.decided(completed.number, "coalesced" if completed.coalesced else "accepted", key, source)
         if reply is not None:
             self._reply(reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
 
     def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
         self._rejected = number
         key, source, reply = self._pending.pop(number)
-        self._reject(key, source, reply, reason, detail)
+        self._reject(key, source, reply, reason, detail, number)
 
     def reject_unread(self, key: str, source: str | None, detail: str) -> None:
         """Tell of a message on a key that nothing reads."""
         self._reject(key[:MAX_KEY], source, None, Reason.INVALID, detail)
 
-    def _reject(self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str) -> None:
+    def _reject(
+        self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str, number: int = 0
+    ) -> None:
         self.metrics.rejected[reason] += 1
+        self.recorder.decided(number, reason, key, source)
         if reply is not None:
             self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
         left_out = self._sources.rejections.admit(source, self._clock())
@@ -358,27 +375,11 @@ class Conductor:
     def _reply(self, reply: Reply, ack: Ack) -> None:
         reply(ack.model_dump_json().encode())
 
-    def _tell(
-        self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
-    ) -> None:
-        level = logging.WARNING if kind in WARNINGS else logging.INFO
-        extra = {"kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None}
-        logger.log(level, detail, extra=extra)
-        event = telemetry.Event(
-            time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out
-        )
-        self.outbox.publish(keys.EVENT, event)
-
-    def _tell_frame(self, transmit: Transmit, monotonic_ns: int) -> None:
-        record = telemetry.FrameRecord(
-            time=wall_clock(), monotonic_ns=monotonic_ns, bytes=transmit.frame.to_bytes().hex(), cause=transmit.cause
-        )
-        self.outbox.publish(keys.FRAME, record)
-
     def _tell_mode(self) -> None:
         mode = self.supervisor.mode
         if self._announced and mode is not self._told_mode:  # until then it is starting, however long that takes
             self._told_mode = mode
+            self.recorder.mode(mode)
             logger.info("mode %s", mode, extra={"mode": mode})
             self.outbox.publish(keys.STATE, self.state())
 
@@ -393,4 +394,5 @@ class Conductor:
             now_ns=self._clock(),
             simulated=self._simulated,
             estop_source=self._sources.estop,
+            incident=self.recorder.incident,
         )

@@ -42,6 +42,7 @@ def report(
     now_ns: int,
     simulated: bool,
     estop_source: str | None = None,
+    incident: str | None = None,
 ) -> GatewayState:
     """The state at `now_ns`."""
     p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -69,6 +70,7 @@ def report(
         ),
         estop=supervisor.estops,
         estop_source=estop_source,
+        incident=incident,
     )
 
 

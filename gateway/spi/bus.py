@@ -81,6 +81,8 @@ class Bus:
         self.frames = 0
         self.errors = 0
         self.transfer_latency = Latency()
+        self.last_transfer, self.last_transfer_ns = b"", 0
+        """The last transfer, and how long it took; after `write` that is the frame's."""
 
     def open(self) -> None:
         """Open the device anew and write the preamble, where the framing has one. Raises SpiError."""
@@ -245,7 +247,8 @@ class Bus:
             self._device.transfer(data)
         finally:
             self._ended_ns = self._clock()
-            self.transfer_latency.record(self._ended_ns - begun_ns)
+            self.last_transfer, self.last_transfer_ns = data, self._ended_ns - begun_ns
+            self.transfer_latency.record(self.last_transfer_ns)
             self._free_ns = self._ended_ns + self._frame_gap_ns
         return begun_ns
 

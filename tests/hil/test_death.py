@@ -19,9 +19,13 @@ from typing import Any
 
 import pytest
 
-from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
+from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.protocol.framing import Framing
+from gateway.recorder import format as form
+from gateway.recorder import reader
+from gateway.recorder.place import RING
 from schemas.robot import LEGS
+from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.forks import Forks
 from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
@@ -133,7 +137,7 @@ def test_a_gateway_that_works_is_heard_in_time_also_under_load(
 ) -> None:
     with (
         load() as endpoint,
-        Gateway(tmp_path, loaded(wire.framing, endpoint), bed=wire.bed, env=manager.environment, wait=False),
+        Gateway(tmp_path, loaded(wire.framing, endpoint, tmp_path), bed=wire.bed, env=manager.environment, wait=False),
     ):
         manager.hear_until(b"READY=1")
         for _ in range(10):
@@ -143,7 +147,7 @@ def test_a_gateway_that_works_is_heard_in_time_also_under_load(
 # ---- killed under load
 
 
-KILLS = 50  # for each framing
+KILLS = int(os.environ.get("KILLS", "50"))  # for each framing; KILLS=200 takes some minutes
 LANES = 3  # gateways that share nothing, at once
 
 
@@ -159,7 +163,7 @@ def load() -> Iterator[str]:
         publisher.close()
 
 
-def loaded(framing: Framing, endpoint: str) -> dict[str, dict[str, Any]]:
+def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str, Any]]:
     """Settings of a gateway that dials the publisher, and has more to send than goes through."""
     return {
         # Announced, half of the time is between an announcement and its body.
@@ -168,6 +172,7 @@ def loaded(framing: Framing, endpoint: str) -> dict[str, dict[str, Any]]:
         # On a busy machine the publisher pauses for longer than the default, and the legs would stop before the kill.
         "watchdog": {"timeout_ms": 10_000},
         "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
+        "recorder": {"path": str(folder / "box"), "seconds": 10},
     }
 
 
@@ -182,6 +187,7 @@ def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, mom
     assert forks.wait() == 0, str(forks)
     transfers = bed.transfers[before:]
     of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
+    check_black_box(config.parent / "box" / RING, of_gateway)
     replay = Replay(framing)
     replay.play(of_gateway)
     assert replay.controller.energised
@@ -189,12 +195,38 @@ def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, mom
     return len(of_gateway[-1].data) == 1
 
 
+def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
+    """What the dead gateway wrote to the wire is in its black box, in order, and none is half.
+
+    The last frame may be missing: the process was killed between its transfer and its record. So may Stops that it
+    wrote just then: they are recorded once the last of them is written. No record stands for a frame that was not
+    written, and each frame stands behind its command.
+    """
+    content = reader.read(ring)
+    assert not content.written
+    assert content.damaged <= 1, "only the record that was being written"
+    assert content.missing == 0
+    starts = [index for index, record in enumerate(content.records) if isinstance(record.content, form.Start)]
+    records = content.records[starts[-1] :]
+    frames = [record.content for record in records if isinstance(record.content, form.FrameWritten)]
+    on_wire = [each.data for each in transfers if each.delivered and len(each.data) == 14]
+    assert [frame.data for frame in frames] == on_wire[: len(frames)]
+    lost = on_wire[len(frames) :]
+    assert len(lost) <= 1 or all(data.hex() in STOPS for data in lost)
+    commands = [record.content for record in records if isinstance(record.content, form.CommandRecord)]
+    commanded = {tuple(op.angle_cdeg for _, op in command.targets) for command in commands}
+    for frame in frames:
+        if frame.cause == Cause.COMMAND:
+            assert tuple(op.angle_cdeg for _, op in decode(frame.data).servos) in commanded
+
+
 def moves(transfer: Transfer) -> bool:
     return len(transfer.data) == 14 and transfer.data.hex() not in STOPS
 
 
 @pytest.mark.parametrize("framing", Framing)
-def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing) -> None:
+def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # for the black boxes
     seed = int(os.environ.get("KILL_SEED", time.time_ns() % 1_000_000))
     print(f"KILL_SEED={seed}")
     chance = random.Random(seed)  # noqa: S311  (moments, no secrets)
@@ -203,7 +235,7 @@ def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing) -
     def lane(number: int) -> int:
         folder = tmp_path / str(number)
         folder.mkdir()
-        config = write_settings(folder / "gateway.toml", loaded(framing, endpoint))
+        config = write_settings(folder / "gateway.toml", loaded(framing, endpoint, folder))
         with SpiTestbed() as bed:
             forks = Forks(bed)
             return sum(kill_once(forks, bed, framing, config, at_s) for at_s in moments_s[number::LANES])

@@ -196,7 +196,7 @@ CONDUCTOR = Subject(
             "                case Announce(kind=Kind.BUS_RECOVERED) if False:\n",
             "a bus that did not take its Stops is told as recovered",
         ),
-        Mutant("        if self._settings.telemetry.frames:\n", "        if True:\n", "telemetry.frames is ignored"),
+        Mutant("publish_frames=settings.telemetry.frames", "publish_frames=True", "telemetry.frames is ignored"),
         Mutant("        self.bus.close()\n        effects", "        effects", "a device at fault is never released"),
         Mutant(
             "            effects = [effect for effect in effects if not isinstance(effect, Announce)]\n",

@@ -6,7 +6,7 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 
 import asyncio
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from gateway.core.message import Received, Verb
 from gateway.core.supervisor import Supervisor
 from gateway.protocol.frames import Frame, decode
+from gateway.recorder.recorder import NO_RECORDER, Recorder
 from gateway.runtime.conductor import Conductor
 from gateway.service import BEAT_S, rules
 from gateway.settings import Settings
@@ -23,12 +24,17 @@ from schemas import keys
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind
 
 MS = 1_000_000
+WALL_NS = 1_790_000_000_123_456_789
+"""What the clock on the wall shows all the time."""
 
 
 class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
-    def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(
+        self, sections: Mapping[str, Mapping[str, Any]] | None = None, record: Callable[..., Recorder] | None = None
+    ) -> None:
+        """`record`: makes its black box of the settings and its clock; without it, it has none."""
         spi = {"frame_gap_us": 0}  # see _pause
         merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
         self.settings = Settings.model_validate(merged)
@@ -49,6 +55,7 @@ class Robot:
             self.loop,
             clock=self.now_ns,
             simulated=True,
+            recorder=NO_RECORDER if record is None else record(self.settings, {}, self.now_ns, lambda: WALL_NS),
         )
         self.conductor.take = self._take
         self._beat()

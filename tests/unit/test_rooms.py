@@ -18,6 +18,7 @@ ROOMS: Final = (
     ("spi",),
     ("certs",),
     ("edge",),
+    ("recorder",),
     ("runtime", "client"),
     ("service",),
     ("tools",),

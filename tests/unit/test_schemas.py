@@ -235,7 +235,7 @@ def test_an_event_has_all_its_fields_and_an_rfc_3339_time() -> None:
     event = Event(time=NOW, kind=Kind.STARTED, source=None, key=None, reason=None, detail="here")
     assert json.loads(event.model_dump_json()) == {
         "time": "2026-01-02T03:04:05Z", "kind": "started", "source": None, "key": None, "reason": None,
-        "detail": "here", "left_out": 0,
+        "detail": "here", "incident": None, "left_out": 0,
     }  # fmt: skip
 
 

@@ -44,6 +44,9 @@ repeat_interval_ms = 20.0
 required = false
 ttl_ms = 1000
 takeover = "stop"
+[recorder]
+path = ""
+seconds = 60
 [telemetry]
 state_hz = 10.0
 frames = false
@@ -126,6 +129,9 @@ repeat_interval_ms = 1
 required = true
 ttl_ms = 200
 takeover = "never"
+[recorder]
+path = "/mnt/box"
+seconds = 10
 [telemetry]
 state_hz = 0
 frames = true
@@ -217,6 +223,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "watchdog.repeats": (0, 100),
     "watchdog.repeat_interval_ms": (1, 1000),
     "lease.ttl_ms": (200, 10_000),
+    "recorder.seconds": (10, 600),
     "telemetry.state_hz": (0, 1000),
 }
 

@@ -1,0 +1,355 @@
+"""The black box's records: values ↔ bytes, and nothing else.
+
+A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
+
+| bytes  | what                                                                                           |
+|--------|------------------------------------------------------------------------------------------------|
+| 0-3    | CRC-32 of the next `length` bytes                                                              |
+| 4-5    | length: of all that follows the checksum                                                       |
+| 6      | type                                                                                           |
+| 7      | 1: the next record (type MORE) continues this one, which did not fit                           |
+| 8-15   | sequence number, from 1                                                                        |
+| 16-23  | when, ns of the monotonic clock                                                                |
+| 24-127 | what the type says, padded with zeros                                                          |
+
+A process that is killed while it writes leaves a slot whose checksum is wrong. Numbers are little-endian. Texts are
+UTF-8, preceded by their length, so that a kind, reason or cause that is added later needs no new version.
+"""
+
+import json
+import math
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from gateway.protocol.frames import Op, ServoOp
+
+VERSION: Final = 1
+MAGIC: Final = b"hexapod black box\n"
+HEADER_BYTES: Final = 4096
+"""A page of its own, so that slots begin on a page."""
+SLOT: Final = 128
+"""Room for a command of one leg with a source of 60 characters; one of all legs with a long name takes two slots."""
+ROOM: Final = SLOT - 24
+MAX_TEXT: Final = 4000
+"""Bytes of a record's continued content: the longest sentence of an event has some 400."""
+
+_HEADER: Final = struct.Struct("<18sHII")  # magic, version, slot size, slots
+_HEAD: Final = struct.Struct("<HBBQq")
+_SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
+_CRC: Final = struct.Struct("<I")
+
+# ---- types
+
+START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE = range(1, 11)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A gateway starts. `wall_ns` is the time that people read at this moment."""
+
+    wall_ns: int
+    facts: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """A gateway ends in order, after its last Stops."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRecord:
+    """A command as decoded; the record's time is its arrival. A Decision with its number follows (0: it has none)."""
+
+    number: int
+    verb: str
+    key: str
+    source: str | None
+    sent_ms: float | None
+    targets: tuple[tuple[int, ServoOp], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What became of a command: "accepted", "coalesced", or the reason of its rejection."""
+
+    number: int
+    verdict: str
+    key: str
+    source: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameWritten:
+    """A frame on the wire; the record's time is when its transfer had ended."""
+
+    data: bytes
+    cause: str
+    transfer_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChange:
+    """The gateway's mode from now on."""
+
+    mode: str
+
+
+@dataclass(frozen=True, slots=True)
+class EventTold:
+    """An event as it was published."""
+
+    kind: str
+    source: str | None
+    key: str | None
+    reason: str | None
+    detail: str
+    left_out: int
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """The loop's timer ran late."""
+
+    lag_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class IncidentBegun:
+    """Something happened that is to be kept. `wall_ns` is the time that people read at this moment."""
+
+    wall_ns: int
+    incident: str
+
+
+Content = Start | End | CommandRecord | Decision | FrameWritten | ModeChange | EventTold | Lag | IncidentBegun
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One record: its sequence number, when (ns of the monotonic clock), and what."""
+
+    sequence: int
+    ns: int
+    content: Content
+
+
+class DamagedError(ValueError):
+    """Bytes that are no record of this format."""
+
+
+# ---- the file's header
+
+
+def header(slots: int) -> bytes:
+    """The header of a file with so many slots."""
+    return _HEADER.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
+
+
+def file_bytes(slots: int) -> int:
+    """The size of a file with so many slots."""
+    return HEADER_BYTES + slots * SLOT
+
+
+def slots_of(head: bytes, size: int) -> int:
+    """The slots of a file that begins with `head` and has `size` bytes. Raises DamagedError."""
+    if len(head) < _HEADER.size:
+        raise DamagedError("it has no header")
+    magic, version, slot, slots = _HEADER.unpack_from(head)
+    if magic != MAGIC:
+        raise DamagedError("it is no black box")
+    if version != VERSION or slot != SLOT:
+        raise DamagedError(f"it has version {version}, with records of {slot} bytes")
+    if not slots or size != file_bytes(slots):
+        raise DamagedError(f"it has {size} bytes, and its header says {slots} records")
+    return int(slots)
+
+
+# ---- a slot
+
+
+def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes, more: bool = False) -> None:
+    """Write one slot; `rest` has at most ROOM bytes."""
+    body = _HEAD.pack(len(rest) + _HEAD.size, kind, more, sequence, ns) + rest
+    _SLOT.pack_into(buffer, offset, zlib.crc32(body), body)
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A slot with a good checksum."""
+
+    kind: int
+    more: bool
+    sequence: int
+    ns: int
+    rest: bytes
+
+
+def read_slot(data: bytes) -> Slot | None:
+    """What a slot of SLOT bytes holds; None: no whole record."""
+    (checksum,) = _CRC.unpack_from(data)
+    length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
+    if not _HEAD.size <= length <= SLOT - _CRC.size or zlib.crc32(data[4 : 4 + length]) != checksum:
+        return None
+    return Slot(kind, bool(more), sequence, ns, data[4 + _HEAD.size : 4 + length])
+
+
+# ---- what the types say
+
+_WALL: Final = struct.Struct("<q")
+_COMMAND: Final = struct.Struct("<IdB")
+_DECISION: Final = struct.Struct("<I")
+_FRAME: Final = struct.Struct("<IB")
+_LEFT_OUT: Final = struct.Struct("<I")
+_TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
+_SENT_NOT: Final = float("nan")
+
+_OF_OP: Final = {Op.START: 0, Op.SET: 20_000, Op.STOP: 65_535}
+"""Operation and angle (0 to 18000) in one number of 16 bits."""
+_MAX_ANGLE: Final = 18_000
+_MAX_BYTE: Final = 255
+
+
+def _texts(*texts: str | None) -> bytes:
+    """Texts of at most 255 bytes, each behind its length; None is written as an empty one."""
+    made = b""
+    for text in texts:
+        data = text.encode("utf-8", "replace") if text else b""
+        if len(data) > _MAX_BYTE:
+            data = data[:_MAX_BYTE].decode("utf-8", "ignore").encode()
+        made += bytes((len(data),)) + data
+    return made
+
+
+def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
+    """Of a Start."""
+    return _WALL.pack(wall_ns) + json.dumps(facts).encode()
+
+
+def command(
+    number: int,
+    verb: str,
+    key: str,
+    source: str | None,
+    sent_ms: float | None,
+    targets: Sequence[tuple[int, ServoOp]],
+) -> bytes:
+    """Of a CommandRecord."""
+    flat: list[int] = []
+    for servo_id, op in targets:
+        flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
+    count = len(targets)
+    fixed = _COMMAND.pack(number & 0xFFFFFFFF, _SENT_NOT if sent_ms is None else sent_ms, count)
+    return fixed + _TARGETS[count].pack(*flat) + _texts(verb, key, source)
+
+
+def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
+    """Of a Decision."""
+    return _DECISION.pack(number & 0xFFFFFFFF) + _texts(verdict, key, source)
+
+
+def frame(data: bytes, cause: str, transfer_ns: int) -> bytes:
+    """Of a FrameWritten."""
+    return _FRAME.pack(min(max(transfer_ns, 0), 0xFFFFFFFF), len(data)) + data + _texts(cause)
+
+
+def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
+    """Of an EventTold."""
+    fixed = _LEFT_OUT.pack(min(left_out, 0xFFFFFFFF)) + _texts(kind, source, key, reason)
+    return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
+
+
+def mode(name: str) -> bytes:
+    """Of a ModeChange; of an End as well."""
+    return name.encode("utf-8", "replace")[:MAX_TEXT]
+
+
+def number(value: int) -> bytes:
+    """Of a Lag."""
+    return _WALL.pack(value)
+
+
+def incident(wall_ns: int, name: str) -> bytes:
+    """Of an IncidentBegun."""
+    return _WALL.pack(wall_ns) + name.encode()
+
+
+def decode(kind: int, rest: bytes) -> Content | None:
+    """What a record of this type says; None: a type of a later version. Raises DamagedError."""
+    reader = _READERS.get(kind)
+    if reader is None:
+        return None
+    try:
+        return reader(rest)
+    except (struct.error, ValueError, IndexError, RecursionError) as error:
+        raise DamagedError(str(error)) from error
+
+
+def _start(rest: bytes) -> Start:
+    facts = json.loads(rest[_WALL.size :])
+    if not isinstance(facts, dict):
+        raise DamagedError("a start without facts")
+    return Start(_WALL.unpack_from(rest)[0], facts)
+
+
+def _command(rest: bytes) -> CommandRecord:
+    number, sent_ms, count = _COMMAND.unpack_from(rest)
+    flat = _TARGETS[count].unpack_from(rest, _COMMAND.size)
+    targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
+    verb, key, source = _read_texts(rest, _COMMAND.size + _TARGETS[count].size, 3)
+    return CommandRecord(number, verb, key, source or None, None if math.isnan(sent_ms) else sent_ms, targets)
+
+
+def _decision(rest: bytes) -> Decision:
+    verdict, key, source = _read_texts(rest, _DECISION.size, 3)
+    return Decision(_DECISION.unpack_from(rest)[0], verdict, key, source or None)
+
+
+def _frame(rest: bytes) -> FrameWritten:
+    transfer_ns, length = _FRAME.unpack_from(rest)
+    (cause,) = _read_texts(rest, _FRAME.size + length, 1)
+    return FrameWritten(rest[_FRAME.size : _FRAME.size + length], cause, transfer_ns)
+
+
+def _event(rest: bytes) -> EventTold:
+    kind, source, key, reason = texts = _read_texts(rest, _LEFT_OUT.size, 4)
+    begin = _LEFT_OUT.size + sum(1 + len(text.encode()) for text in texts)
+    detail = rest[begin:].decode("utf-8", "ignore")  # it may have been cut within a character
+    return EventTold(kind, source or None, key or None, reason or None, detail, _LEFT_OUT.unpack_from(rest)[0])
+
+
+def _op(value: int) -> ServoOp:
+    """Raises FrameError, a ValueError, for what is no operation."""
+    if value == _OF_OP[Op.STOP]:
+        return ServoOp(Op.STOP)
+    if value <= _MAX_ANGLE:
+        return ServoOp(Op.START, value)
+    return ServoOp(Op.SET, value - _OF_OP[Op.SET])
+
+
+def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
+    texts = []
+    for _ in range(count):
+        end = begin + 1 + rest[begin]
+        if end > len(rest):
+            raise DamagedError("a text is cut off")
+        texts.append(rest[begin + 1 : end].decode())
+        begin = end
+    return texts
+
+
+_READERS: Final[dict[int, Callable[[bytes], Content]]] = {
+    START: _start,
+    END: lambda rest: End(rest.decode()),
+    COMMAND: _command,
+    DECISION: _decision,
+    FRAME: _frame,
+    MODE: lambda rest: ModeChange(rest.decode()),
+    EVENT: _event,
+    LAG: lambda rest: Lag(_WALL.unpack(rest)[0]),
+    INCIDENT: lambda rest: IncidentBegun(_WALL.unpack_from(rest)[0], rest[_WALL.size :].decode()),
+}

@@ -1,0 +1,218 @@
+"""What the gateway tells its black box. `NO_RECORDER` takes it all and keeps nothing.
+
+Nothing here is on the way of a Stop: a step's Stops, and the command that asked for them, are recorded once all of
+them are written. Other commands are recorded before their frames, and each of these as soon as it is written, so that
+what was carried out when the process was killed is there.
+
+Who calls owns the gateway's state, as with the supervisor.
+"""
+
+import logging
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Any, Final, NamedTuple
+
+from gateway.core.intake import Intent
+from gateway.protocol.frames import Op
+from gateway.recorder import format as form
+from gateway.recorder import place
+from gateway.recorder.ring import Ring
+from gateway.settings import Settings
+from schemas.telemetry import Cause, Kind, Mode
+
+LAG_NS: Final = 10_000_000
+"""A timer that is later than this is recorded: a Stop would have been late by it."""
+FOLLOW_NS: Final = 5_000_000_000
+"""An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
+LONGEST_NS: Final = 30_000_000_000
+"""… up to this."""
+KEPT_BEFORE_OPEN: Final = 200
+"""Records of the start, which come before the ring is open: the first Stops do not wait for it."""
+
+INCIDENTS: Final = {
+    Kind.WATCHDOG_EXPIRED: "watchdog",
+    Kind.ESTOP_ENGAGED: "estop",
+    Kind.BUS_FAULT: "bus-fault",
+}
+"""Events that are kept as incidents, and how their ids end."""
+MISTAKE: Final = "mistake"
+
+logger = logging.getLogger(__name__)
+
+
+_Command = tuple[int, int, str, str, str | None, Intent]
+"""When it came, its number, verb, key and source, and what it wants."""
+
+
+class Written(NamedTuple):
+    """A frame that was written: its bytes, why, when its transfer ended, and how long that took."""
+
+    data: bytes
+    cause: Cause
+    ns: int
+    transfer_ns: int
+
+
+class Recorder:
+    """The black box, and what it is told. This one keeps nothing."""
+
+    incident: str | None = None
+    """The id of the latest incident of this run."""
+
+    def open(self) -> None:
+        """Open the ring. Until then, what comes waits. Never raises."""
+
+    def close(self) -> None:
+        """No more records."""
+
+    def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
+        """A command came in at `ns`; `number` 0: it gets no further."""
+
+    def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
+        """What became of it; number 0: of a message that was not read as a command."""
+
+    def frames(self, written: list[Written]) -> None:
+        """The frames of a step up to now, once no Stop follows in it. Those that were told before are known."""
+
+    def mode(self, mode: Mode) -> None:
+        """The gateway's mode changes."""
+
+    def event(
+        self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
+    ) -> str | None:
+        """An event is published; returns the id of the incident that it belongs to, if it is one."""
+
+    def lag(self, lag_ns: int) -> None:
+        """A timer of the loop was so late."""
+
+    def mistake(self, detail: str) -> None:
+        """An exception that nobody expected ends the service."""
+
+    def ended(self, why: str) -> None:
+        """The last Stops are written."""
+
+
+NO_RECORDER: Final = Recorder()
+
+
+class RingRecorder(Recorder):
+    """Writes what it is told to a ring."""
+
+    def __init__(
+        self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._wall_ns = wall_ns
+        self._ring: Ring | None = None
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._append: Callable[[int, int, bytes], None] = self._wait
+        self._held: _Command | None = None  # one that stops, until its frames are written
+        self._step: list[Written] = []
+        self._told = 0  # frames of this step that are recorded
+        self._first_ns = self._last_ns = 0  # what belongs to the latest incident
+        self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
+
+    def open(self) -> None:
+        folder = place.folder_of(self._settings)
+        waiting, self._waiting = self._waiting, []
+        if folder is None:
+            return
+        try:
+            self._ring = Ring(place.prepare(folder), place.slots_for(self._settings))
+        except OSError as error:
+            logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
+            self._append = _forget
+            return
+        if self._ring.note:
+            logger.warning(self._ring.note)
+        self._append = self._ring.append
+        for kind, ns, rest in waiting:
+            self._append(kind, ns, rest)
+
+    def close(self) -> None:
+        self._append = _forget
+        if self._ring is not None:
+            self._ring.close()
+            self._ring = None
+
+    def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
+        command = ns, number, verb, key, source, intent
+        if number and any(op.op is Op.STOP for _, op in intent.targets):
+            self._held = command
+        else:
+            self._record(command)
+
+    def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
+        if self._held is not None:
+            self._release()
+        self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
+
+    def frames(self, written: list[Written]) -> None:
+        if self._held is not None:
+            self._release()
+        if written is not self._step:
+            self._step, self._told = written, 0
+        for data, cause, ns, transfer_ns in written[self._told :]:
+            self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns))
+        self._told = len(written)
+
+    def mode(self, mode: Mode) -> None:
+        self._append(form.MODE, self._clock(), form.mode(mode))
+
+    def event(
+        self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
+    ) -> str | None:
+        now_ns = self._clock()
+        self._append(form.EVENT, now_ns, form.event(kind, source, key, reason, detail, left_out))
+        what = INCIDENTS.get(kind)
+        return None if what is None else self._happened(what, now_ns)
+
+    def lag(self, lag_ns: int) -> None:
+        if lag_ns > LAG_NS:
+            self._append(form.LAG, self._clock(), form.number(lag_ns))
+
+    def mistake(self, detail: str) -> None:
+        if self._held is not None:
+            self._release()
+        now_ns = self._clock()
+        self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
+        self._happened(MISTAKE, now_ns)
+
+    def ended(self, why: str) -> None:
+        self._append(form.END, self._clock(), form.mode(why))
+
+    def _happened(self, what: str, now_ns: int) -> str:
+        """What happens within the time that an incident takes in belongs to it, and prolongs it."""
+        if self.incident is None or now_ns > min(self._last_ns + FOLLOW_NS, self._first_ns + LONGEST_NS):
+            wall_ns = self._wall_ns()
+            self.incident = incident_id(wall_ns, what)
+            self._first_ns = now_ns
+            self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
+        self._last_ns = now_ns
+        return self.incident
+
+    def _release(self) -> None:
+        """Record the command that was held, now that its Stops are written."""
+        if self._held is not None:
+            self._record(self._held)
+            self._held = None
+
+    def _record(self, command: _Command) -> None:
+        ns, number, verb, key, source, intent = command
+        self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
+
+    def _wait(self, kind: int, ns: int, rest: bytes) -> None:
+        if len(self._waiting) < KEPT_BEFORE_OPEN:
+            self._waiting.append((kind, ns, rest))
+
+
+def incident_id(wall_ns: int, what: str) -> str:
+    """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
+    seconds, ns = divmod(wall_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"
+
+
+def _forget(_kind: int, _ns: int, _rest: bytes) -> None:
+    """Where there is no ring."""

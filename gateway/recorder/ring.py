@@ -1,0 +1,117 @@
+"""The ring that the records are written to: a memory-mapped file that outlives its process.
+
+The pages of a shared mapping belong to the file and not to the process, so they are still there after SIGKILL. Writing
+a record is a copy into memory: no system call, and no page fault, since all pages are mapped at the opening.
+
+The file must be in memory (tmpfs). The kernel makes a page of a file on a disk wait at its first write after each
+write-back, for as long as the disk is busy, and a Stop would wait with it (docs/blackbox.md has the measurement).
+"""
+
+import fcntl
+import mmap
+import os
+import stat
+import struct
+from pathlib import Path
+from typing import Final
+
+from gateway.recorder import format as form
+
+_FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
+_SEQUENCES: Final = 8
+"""Bytes of a sequence number, and where it begins in its slot."""
+
+
+class Ring:
+    """The writer's side. One owner."""
+
+    def __init__(self, path: Path, slots: int) -> None:
+        """Open the file, or begin it anew if it is not one of this version and size. Raises OSError.
+
+        `note` then says in one sentence what was found, if people want to know it.
+        """
+        self.note = ""
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+        self._fd = os.open(path, flags, 0o600)
+        try:
+            _check_owner(self._fd, path)
+            _lock(self._fd)
+            size = form.file_bytes(slots)
+            whole = self._is_whole(slots)
+            if not whole:
+                os.ftruncate(self._fd, 0)
+            # All blocks now: with a hole, a full disk would be met as SIGBUS in the middle of a write.
+            os.posix_fallocate(self._fd, 0, size)
+            self._map = mmap.mmap(self._fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        except BaseException:
+            os.close(self._fd)
+            raise
+        self._slots = slots
+        if not whole:
+            self._map[: form.HEADER_BYTES] = form.header(slots)
+        self.sequence = self._newest() + 1
+        """Of the next record."""
+
+    def append(self, kind: int, ns: int, rest: bytes) -> None:
+        """Write a record. One that does not fit is continued in further slots."""
+        sequence = self.sequence
+        offset = form.HEADER_BYTES + sequence % self._slots * form.SLOT
+        if len(rest) <= form.ROOM:
+            form.put(self._map, offset, kind, sequence, ns, rest)
+            self.sequence = sequence + 1
+            return
+        form.put(self._map, offset, kind, sequence, ns, rest[: form.ROOM], True)
+        self.sequence = sequence + 1
+        self.append(form.MORE, ns, rest[form.ROOM :])
+
+    def close(self) -> None:
+        """Release the file; its content stays."""
+        self._map.close()
+        os.close(self._fd)
+
+    def _is_whole(self, slots: int) -> bool:
+        size = os.fstat(self._fd).st_size
+        if size == 0:
+            return False
+        try:
+            found = form.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
+        except form.DamagedError as error:
+            self.note = f"the black box is begun anew: {error}"
+            return False
+        if found != slots:
+            self.note = f"the black box is begun anew: it has {found} records, and the settings want {slots}"
+        return found == slots
+
+    def _newest(self) -> int:
+        """The highest sequence number of a whole record; 0: there is none."""
+        with memoryview(self._map) as whole, whole[form.HEADER_BYTES :].cast("Q") as words:
+            numbers = words[1 :: form.SLOT // _SEQUENCES].tolist()
+        in_place = [number for slot, number in enumerate(numbers) if number and number % self._slots == slot]
+        for torn, number in enumerate(sorted(in_place, reverse=True)):
+            offset = form.HEADER_BYTES + number % self._slots * form.SLOT
+            if form.read_slot(self._map[offset : offset + form.SLOT]) is not None:
+                if torn:
+                    self.note = f"the black box is continued; {torn} of its newest records are not whole"
+                return int(number)
+        return 0
+
+
+def written_by_anyone(fd: int) -> bool:
+    """Whether a running gateway writes to this file."""
+    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+    return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)
+
+
+def _lock(fd: int) -> None:
+    """It ends with the process, so readers see whether the gateway runs, and two never write to one file."""
+    try:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
+    except OSError as error:
+        raise OSError(error.errno, "another gateway writes to it") from error
+
+
+def _check_owner(fd: int, path: Path) -> None:
+    """A folder such as /dev/shm is everybody's: nobody else may have put the file there."""
+    found = os.fstat(fd)
+    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
+        raise PermissionError(f"{path} belongs to somebody else")

@@ -1,0 +1,48 @@
+"""What happens, told to everybody who wants to know: the log, whoever listens on Zenoh, and the black box."""
+
+import logging
+from typing import Final
+
+from gateway.core.message import Outbox
+from gateway.recorder.recorder import Recorder, Written
+from gateway.runtime.report import WARNINGS, wall_clock
+from schemas import keys, telemetry
+from schemas.telemetry import Kind, Reason
+
+logger: Final = logging.getLogger(__name__)
+
+
+class Teller:
+    """Events and frames go out through here."""
+
+    def __init__(self, outbox: Outbox, recorder: Recorder, *, publish_frames: bool) -> None:
+        self._outbox = outbox
+        self._recorder = recorder
+        self._publish_frames = publish_frames
+
+    def event(
+        self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
+    ) -> None:
+        """Tell an event."""
+        incident = self._recorder.event(kind, source, key, reason, detail, left_out)
+        level = logging.WARNING if kind in WARNINGS else logging.INFO
+        extra = {
+            "kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None,
+            "incident": incident,
+        }  # fmt: skip
+        logger.log(level, detail, extra=extra)
+        event = telemetry.Event(
+            time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out,
+            incident=incident,
+        )  # fmt: skip
+        self._outbox.publish(keys.EVENT, event)
+
+    def frames(self, written: list[Written]) -> None:
+        """Tell the frames of a step, after the last of them was written."""
+        self._recorder.frames(written)
+        if self._publish_frames:
+            for frame in written:
+                record = telemetry.FrameRecord(
+                    time=wall_clock(), monotonic_ns=frame.ns, bytes=frame.data.hex(), cause=frame.cause
+                )
+                self._outbox.publish(keys.FRAME, record)
