@@ -12,7 +12,8 @@ import typer
 
 from gateway import __version__, protocol
 from gateway.errors import GatewayError
-from gateway.tools import certs
+from gateway.tools import certs, recordings
+from gateway.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer(
     name="hexapod-gateway",
@@ -34,25 +35,6 @@ ConfigOption = Annotated[
         readable=False,  # what cannot be read is said with a remedy
         help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists.",
     ),
-]
-ConnectOption = Annotated[
-    str | None,
-    typer.Option(
-        "--connect",
-        metavar="ENDPOINT",
-        help="Where the gateway listens. Default: tcp/127.0.0.1:7447, or what the --zenoh-config file says.",
-    ),
-]
-ZenohConfigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--zenoh-config",
-        metavar="PATH",
-        help="A Zenoh configuration (JSON5) with certificates, such as the NAME.json5 that `certs issue` makes.",
-    ),
-]
-TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
 ]
 
 
@@ -243,6 +225,7 @@ def decode(
 
 
 app.add_typer(certs.app, name="certs")
+app.add_typer(recordings.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

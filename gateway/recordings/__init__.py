@@ -3,9 +3,9 @@
 `Recording` writes one, `repair` makes whole what was cut off, `read` yields what is in a file, cut off or not.
 """
 
-from gateway.recordings.cut_off import Repaired, is_cut_off, repair
+from gateway.recordings.cut_off import Repaired, is_cut_off, is_ours, repair
 from gateway.recordings.drawing import Drawing
 from gateway.recordings.reading import Message, read
 from gateway.recordings.writing import REPORTS, Recording
 
-__all__ = ["REPORTS", "Drawing", "Message", "Recording", "Repaired", "is_cut_off", "read", "repair"]
+__all__ = ["REPORTS", "Drawing", "Message", "Recording", "Repaired", "is_cut_off", "is_ours", "read", "repair"]

@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 from gateway.errors import ConfigError
 from gateway.recordings.locking import in_use
 from gateway.recordings.reading import records
-from gateway.recordings.writing import CHUNK_BYTES
+from gateway.recordings.writing import CHUNK_BYTES, LIBRARY_NAME
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and the last bytes of a whole MCAP file."""
@@ -33,6 +33,15 @@ def is_cut_off(path: Path) -> bool:
         file.seek(max(0, size - len(MAGIC)))
         return size < 2 * len(MAGIC) or file.read() != MAGIC
     return False
+
+
+def is_ours(path: Path) -> bool:
+    """Whether this program began the file."""
+    try:
+        first = next(records(path))
+    except ConfigError:
+        return False
+    return isinstance(first, Header) and first.library.startswith(LIBRARY_NAME)
 
 
 def repair(path: Path) -> Repaired:

@@ -27,7 +27,8 @@ from schemas.telemetry import Event, FrameRecord, GatewayState
 CHUNK_BYTES: Final = 16 * 1024
 FLUSH_NS: Final = 500_000_000
 """A chunk that does not fill up is written after half a second all the same, once the next message comes."""
-LIBRARY: Final = f"hexapod-gateway {__version__}"
+LIBRARY_NAME: Final = "hexapod-gateway"
+LIBRARY: Final = f"{LIBRARY_NAME} {__version__}"
 JSON_ENCODING: Final = "json"
 SCHEMA_ENCODING: Final = "jsonschema"
 URDF_NAME: Final = "robot.urdf"
@@ -105,6 +106,10 @@ class Recording:
             self._writer.finish()
         finally:
             self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is: the disk does not take the rest. `repair` makes it whole."""
+        self._file.close()
 
 
 def published_ns(report: Mapping[str, Any]) -> int | None:

@@ -1,0 +1,26 @@
+"""Options that several commands have."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ConnectOption = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Where the gateway listens. Default: tcp/127.0.0.1:7447, or what the --zenoh-config file says.",
+    ),
+]
+ZenohConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--zenoh-config",
+        metavar="PATH",
+        help="A Zenoh configuration (JSON5) with certificates, such as the NAME.json5 that `certs issue` makes.",
+    ),
+]
+TimeoutOption = Annotated[
+    float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
+]

@@ -1,0 +1,152 @@
+"""`record` against a real gateway: what is in the file, also after the recorder was killed."""
+
+import json
+import os
+import random
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import jsonschema
+import pytest
+from mcap.reader import make_reader
+
+from gateway.client import Client
+from gateway.recordings import is_cut_off, read
+from schemas.keys import EVENT, FRAME, STATE
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import frames
+
+KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
+"""50 in the long form."""
+HZ: Final = 50
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    # On a busy machine a setpoint may come late, but hardly by two seconds.
+    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}}
+    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+        yield running
+
+
+@pytest.fixture
+def robot(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="a gait") as client:
+        yield client
+
+
+@contextmanager
+def walking(robot: Client) -> Iterator[None]:
+    """Six legs move at 50 Hz meanwhile."""
+    ended = threading.Event()
+
+    def walk() -> None:
+        with robot.stream(HZ) as stream:
+            for step in range(1_000_000):
+                if ended.is_set():
+                    return
+                stream.set(dict.fromkeys(range(1, 7), (90 + step % 20, 45, 120)))
+
+    thread = threading.Thread(target=walk)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@contextmanager
+def recording(gateway: Gateway, path: Path) -> Iterator[Child]:
+    with closing(Child([*COMMAND, "record", str(path), "--connect", gateway.endpoint], os.environ)) as child:
+        child.wait_for_output("recording into", timeout_s=20)
+        yield child
+
+
+def frames_in(path: Path) -> list[str]:
+    """As JSON, so that they compare with what was heard."""
+    return [json.dumps(message.content) for message in read(path) if message.topic == FRAME]
+
+
+def test_all_that_the_gateway_says_is_in_the_file_and_as_the_files_own_schemas_say(
+    gateway: Gateway, robot: Client, tmp_path: Path
+) -> None:
+    path = tmp_path / "ride.mcap"
+    heard = frames(robot)
+    with recording(gateway, path) as child:
+        with walking(robot):
+            heard.wait(lambda _: len(heard.all) > 300)
+        assert not robot.set_leg(1, 90, 90, 90).accepted
+        newest = heard.all[-1]
+        heard.wait(lambda record: record.cause == "repeat")
+        # Once the recorder has this event, it has what was said before it.
+        child.send_signal(signal.SIGINT)
+        assert child.wait() == 0, str(child)
+    assert f"{path}: " in child.stdout
+    found: dict[str, list[Any]] = {}
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            content = json.loads(message.data)
+            jsonschema.validate(content, json.loads(schema.data))
+            found.setdefault(channel.topic, []).append(content)
+    expected = [json.loads(record.model_dump_json()) for record in heard.all]
+    in_file = found[FRAME]
+    assert in_file == expected[expected.index(in_file[0]) :][: len(in_file)]
+    assert json.loads(newest.model_dump_json()) in in_file
+    assert found[STATE]
+    assert [event["reason"] for event in found[EVENT] if event["kind"] == "command_rejected"] == ["servo_stopped"]
+    assert len(found["/tf"][-1]["transforms"]) == 24
+    assert len(found["/joint_states"][-1]["joints"]) == 18
+    assert found["/log"]
+
+    again = gateway.run("record", str(path))
+    assert again.returncode == 2
+    assert "exists" in again.stderr
+    repaired = gateway.run("record", "--repair", str(path))
+    assert repaired.returncode == 0
+    assert "nothing to repair" in repaired.stdout
+
+
+def test_a_killed_recorder_leaves_all_but_the_newest_and_the_next_one_repairs_it(
+    gateway: Gateway, robot: Client, tmp_path: Path
+) -> None:
+    heard = frames(robot)
+    chance = random.Random()  # noqa: S311
+    killed_ns: dict[Path, int] = {}
+    with walking(robot):
+        for number in range(KILLS):
+            path = tmp_path / f"ride-{number}.mcap"
+            with recording(gateway, path) as child:
+                heard.wait(lambda _: True, count=len(heard.all) + chance.randrange(200, 600))
+                child.kill()
+                killed_ns[path] = time.monotonic_ns()
+                assert is_cut_off(path)
+    next_one = gateway.run("record", str(tmp_path / "next.mcap"), "--for", "0.1")
+    assert next_one.returncode == 0, str(next_one)
+    assert f"{path}: was cut off; repaired" in next_one.stdout
+    everything = [json.dumps(json.loads(record.model_dump_json())) for record in heard.all]
+    for path, end_ns in killed_ns.items():
+        assert not is_cut_off(path)
+        with path.open("rb") as file:
+            assert make_reader(file, validate_crcs=True).get_summary() is not None
+        found = frames_in(path)
+        assert len(found) > 0
+        first = everything.index(found[0])
+        assert found == everything[first : first + len(found)], "none is missing between the first and the last"
+        lost_s = (end_ns - json.loads(found[-1])["monotonic_ns"]) / 1e9
+        assert lost_s < 2, "half a second, and what a busy machine adds"
+
+
+def test_without_a_gateway_no_file_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "ride.mcap"
+    nobody = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
+    with closing(Child([*COMMAND, "record", str(path), *nobody], os.environ)) as child:
+        assert child.wait() == 4, str(child)
+    assert not path.exists()
