@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING, Any, Final
 LAPTOP_ROLES: Final = ("operator", "observer")
 CA_DAYS: Final = 3650
 LEAF_DAYS: Final = 730
+CONSOLE_DAYS: Final = 459
+"""Apple's browsers take a server's certificate of at most 825 days, and ours begin a year in the past."""
 
 if TYPE_CHECKING:
-    from gateway.certs.folder import Certificate, add_robots, describe, expiries, init, issue, renew
+    from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, issue, renew
     from gateway.certs.reading import read_certificate, read_certificates, read_file
 
 _HOMES: Final = {
     **dict.fromkeys(
-        ("Certificate", "add_robots", "describe", "expiries", "init", "issue", "renew"), "gateway.certs.folder"
+        ("Certificate", "add_robots", "console", "describe", "expiries", "init", "issue", "renew"),
+        "gateway.certs.folder",
     ),
     **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
 }
@@ -28,10 +31,12 @@ def __getattr__(name: str) -> Any:
 
 __all__ = [
     "CA_DAYS",
+    "CONSOLE_DAYS",
     "LAPTOP_ROLES",
     "LEAF_DAYS",
     "Certificate",
     "add_robots",
+    "console",
     "describe",
     "expiries",
     "init",

@@ -17,11 +17,12 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from gateway.certs import CA_DAYS
+from gateway.certs import CA_DAYS, CONSOLE_DAYS
 from gateway.errors import ConfigError
 
 GATEWAY = "gateway"
 CA = "ca"
+CONSOLE = "console"
 
 # A robot without a network and a battery-backed clock starts with the time of its last shutdown, or of its image. A
 # certificate made today would not be valid yet for it. A private CA gains nothing by a late start, so all certificates
@@ -86,6 +87,14 @@ def make_laptop(ca: KeyPair, name: str, role: str, days: int, now: dt.datetime) 
     return KeyPair(_sign(ca, _name(role, name), key.public_key(), [usage], days=days, now=now), key)
 
 
+def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
+    """A web console's certificate: good as a server for `hosts` only; Zenoh's access control gives it no role."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
+    return KeyPair(_sign(ca, _name(CONSOLE, name), key.public_key(), [usage, names], days=days, now=now), key)
+
+
 def renew(ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime) -> x509.Certificate:
     """`old` renewed: same holder, same key, same names, a new serial number and expiry."""
     kept = [
@@ -130,8 +139,8 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 def role_and_name(certificate: x509.Certificate) -> tuple[str, str]:
     """Who holds it: ("ca", its name), ("gateway", its first host), or a laptop's (role, name); "" where absent."""
-    common = _attribute(certificate, NameOID.COMMON_NAME)
-    unit = _attribute(certificate, NameOID.ORGANIZATIONAL_UNIT_NAME)
+    common = _attribute(certificate.subject, NameOID.COMMON_NAME)
+    unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
     try:
         is_ca = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     except x509.ExtensionNotFound:
@@ -153,6 +162,8 @@ def _sign(
     now: dt.datetime,
 ) -> x509.Certificate:
     issuer = ca.certificate
+    if _attribute(subject, NameOID.COMMON_NAME) == CONSOLE:
+        days = min(days, CONSOLE_DAYS)
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -195,8 +206,8 @@ def _key_usage(*, ca: bool) -> x509.KeyUsage:
     )
 
 
-def _attribute(certificate: x509.Certificate, oid: x509.ObjectIdentifier) -> str:
-    return next((str(attribute.value) for attribute in certificate.subject.get_attributes_for_oid(oid)), "")
+def _attribute(name: x509.Name, oid: x509.ObjectIdentifier) -> str:
+    return next((str(attribute.value) for attribute in name.get_attributes_for_oid(oid)), "")
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

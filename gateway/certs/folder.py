@@ -18,7 +18,7 @@ import zenoh
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 
-from gateway.certs import CA_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, fleet_files, zenoh_files
+from gateway.certs import CA_DAYS, CONSOLE_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, fleet_files, zenoh_files
 from gateway.certs.authority import KeyPair
 from gateway.certs.publish import SECRET, Content, publish, replace
 from gateway.certs.reading import read_certificate, read_key
@@ -150,6 +150,25 @@ def issue(
         for file in (directory / "ca.pem", certificate, key):
             text = text.replace(f'"{file.name}"'.encode(), json.dumps(str(file.absolute())).encode())
         files[config] = Content(text)
+    publish(files)
+    return list(files)
+
+
+def console(
+    directory: Path, name: str, hosts: Sequence[str], *, days: int = CONSOLE_DAYS, now: dt.datetime | None = None
+) -> list[Path]:
+    """Makes NAME.pem and NAME.key for a web console that browsers reach by `hosts`; returns the paths."""
+    now = now or _now()
+    _check_name(name)
+    _check_days(days)
+    names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
+    if not names:
+        raise ConfigError("name at least one host by which browsers reach the console: --host robot.local")
+    ca = _load_ca(directory, now)
+    _check_free(directory, name)
+    made = authority.make_console(ca, name, names, days, now)
+    certificate, key, _ = _laptop_files(directory, name)
+    files = {key: Content(made.key_pem(), SECRET), certificate: Content(made.certificate_pem())}
     publish(files)
     return list(files)
 

@@ -161,6 +161,33 @@ def robot(
     typer.echo(f"For its people: {this_command()} certs issue NAME --role operator --robot {first} --dir {directory}")
 
 
+@app.command(epilog="Example: hexapod-gateway certs console --host robot.local --dir ~/hexapod-certs")
+def console(
+    host: Annotated[
+        list[str],
+        typer.Option(
+            metavar="HOST",
+            help="A name or address by which browsers reach it; repeat it for each. Example: --host robot.local",
+            show_default=False,
+        ),
+    ],
+    directory: Directory,
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="What its files are called. Example: tablet-console")
+    ] = "web",
+    days: Days = certs.CONSOLE_DAYS,
+) -> None:
+    """Make a TLS certificate for a web console that other machines reach, of at most 459 days.
+
+    Browsers trust it once ca.pem is among their authorities. It is good for nothing on Zenoh.
+    """
+    certs.console(directory, name, host, days=days)
+    typer.echo(f"Made {name}.pem and {name}.key in {directory}: copy both to the machine of the console, and there:")
+    command = f"hexapod-gateway console --listen 0.0.0.0:8443 --cert {name}.pem --key {name}.key"
+    typer.echo(f"  {command} --zenoh-config PERSON.json5")
+    typer.echo(f"In each browser, import {directory / 'ca.pem'} as an authority, once.")
+
+
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")
 def renew(
     name: Annotated[

@@ -15,12 +15,13 @@ from cryptography.x509.verification import PolicyBuilder, Store, VerificationErr
 from typer.testing import CliRunner
 
 from gateway import certs
+from gateway.certs import authority
 from gateway.certs.zenoh_files import endpoint
 from gateway.edge.config_file import certificate_files, load_client_config, load_config
 from gateway.errors import ConfigError
 from gateway.tools.certs import app
 from schemas.command import MAX_PAYLOAD_BYTES
-from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, make_folder, mode, names
+from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
 
 __all__ = ["make_folder"]  # a fixture
 
@@ -181,6 +182,25 @@ def test_the_gateways_zenoh_file(folder: Path, tmp_path: Path, monkeypatch: pyte
     assert load_config(tmp_path / "robot" / "gateway.json5")
 
 
+def test_a_consoles_certificate_only_serves(folder: Path) -> None:
+    """At most 825 days, or Apple's browsers reject it; no role on Zenoh; no client."""
+    made = certs.console(folder, "web", ["robot.local", "192.0.2.7", "robot.local", "2001:db8::7"], days=3000, now=NOW)
+    assert {path.name for path in made} == {"web.pem", "web.key"}
+    assert mode(folder / "web.key") == 0o600
+    for days in (None, 3000):
+        if days is not None:
+            certs.renew(folder, "web", days=days, now=NOW)
+        certificate = certs.read_certificate(folder / "web.pem")
+        assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= 825 * DAY
+        assert authority.role_and_name(certificate) == ("console", "web")
+        assert authority.hosts_of(certificate) == ["robot.local", "192.0.2.7", "2001:db8::7"]
+        usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
+    assert "neither a host name" in fault(lambda: certs.console(folder, "other", ["192.0.2.999"]))
+    assert "is taken" in fault(lambda: certs.console(folder, "web", ["robot.local"]))
+    assert "cannot name" in fault(lambda: certs.console(folder, "gateway", ["robot.local"]))
+
+
 def test_renew_keeps_key_and_holder(folder: Path) -> None:
     certs.issue(folder, "alice", "operator", now=NOW - 700 * DAY)
     for name in ("alice", "gateway"):
@@ -219,6 +239,8 @@ def test_the_commands_from_init_to_list(tmp_path: Path) -> None:
     assert rows[0] == ["NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL"]
     assert [row[1] for row in rows[1:]] == ["ca", "gateway", "operator"]
     assert (rows[3][0], rows[3][3]) == ("alice", "89")
+    code, text = run("console", "--dir", directory, "--host", "robot.local")
+    assert (code, "--cert web.pem --key web.key" in text) == (0, True)
     assert run("renew", "alice", "--dir", directory)[0] == 0
     assert run("list", "--dir", directory)[1].splitlines()[3].split("\t")[3] == "729"
 
@@ -237,7 +259,7 @@ def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
         assert len(text.splitlines()) == 1
 
 
-@pytest.mark.parametrize("command", ["init", "issue", "list", "renew"])
+@pytest.mark.parametrize("command", ["init", "issue", "console", "list", "renew"])
 def test_every_help_has_an_example(command: str) -> None:
     code, text = run(command, "--help")
     assert code == 0

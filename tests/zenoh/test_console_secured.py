@@ -1,0 +1,63 @@
+"""The console on TLS, at a gateway with certificates: what its certificate lets through, and no more."""
+
+import json
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from websockets.sync.client import connect
+
+from gateway import certs
+from tests.support.child import Child
+from tests.support.console_process import LINK
+from tests.support.gateway_process import COMMAND, free_port
+from tests.support.secured import Secured
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
+    with Secured(tmp_path_factory.mktemp("secured")) as running:
+        certs.console(running.folder, "web", ["127.0.0.1"])
+        yield running
+
+
+def console(secured: Secured, state: Path, person: str, port: int) -> Child:
+    """It listens on all addresses of this machine."""
+    files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
+    config = f"--zenoh-config={secured.folder / person}.json5"
+    command = [*COMMAND, "console", "--listen", f"0.0.0.0:{port}", *files, config]
+    return Child(command, {"STATE_DIRECTORY": str(state), "PATH": "/usr/bin:/bin"})
+
+
+@pytest.mark.parametrize(("person", "role"), [("anna", "operator"), ("otto", "observer")])
+def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
+    """The page has the rights of the console's certificate; its cookie goes over TLS only."""
+    child = console(secured, tmp_path, person, port := free_port())
+    try:
+        link = child.wait_for_output(LINK).removeprefix(LINK).strip()
+        assert link.startswith(f"https://127.0.0.1:{port}/?token=")
+        context = ssl.create_default_context(cafile=secured.folder / "ca.pem")
+        with httpx.Client(verify=context) as browser:
+            cookie = browser.get(link).headers["set-cookie"]
+            assert cookie.startswith(f"__Host-hexapod-console-{port}=")
+            assert {"Secure", "HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+            answer = browser.get(f"https://127.0.0.1:{port}/session")
+            assert answer.json() == {"role": role, "person": person}
+            assert f"connect-src 'self' wss://127.0.0.1:{port};" in answer.headers["content-security-policy"]
+            rebound = browser.get(f"https://127.0.0.1:{port}/session", headers={"Host": f"localhost:{port}"})
+            assert rebound.status_code == 403, "the certificate names the hosts"
+        headers = {"Cookie": cookie.partition(";")[0], "Origin": f"https://127.0.0.1:{port}"}
+        with connect(f"wss://127.0.0.1:{port}/ws", ssl=context, additional_headers=headers) as page:
+            hello = json.loads(page.recv(timeout=10))
+            assert (hello["role"], hello["person"], hello["source"]) == (role, person, f"{person} (page 1)")
+            while (message := json.loads(page.recv(timeout=10)))["type"] != "state":
+                pass
+            if role == "operator":
+                page.send(json.dumps({"type": "stop_all", "id": 1}))
+                while not (message["type"] == "stop" and message["answered"]):
+                    message = json.loads(page.recv(timeout=10))
+                assert message["stop_frames"] == 6
+    finally:
+        child.close()
