@@ -1,0 +1,88 @@
+// @ts-check
+/** The robot from above, forward up, as SVG: for browsers without WebGL, and for whoever likes it better. */
+
+import { LEGS, legPoints } from "./kinematics.js";
+
+/** @typedef {import("./types.js").Geometry} Geometry @typedef {import("./scene.js").LegPose} LegPose */
+
+const SVG = "http://www.w3.org/2000/svg";
+/** Half of what is shown, in millimetres: a leg stretched out, and its label. */
+const REACH = 530;
+
+export class Above {
+  /** @param {HTMLElement} place @param {Geometry} geometry */
+  constructor(place, geometry) {
+    this.geometry = geometry;
+    this.place = place;
+    this.canvas = node("svg", { viewBox: `${-REACH} ${-REACH} ${2 * REACH} ${2 * REACH}`, class: "above", role: "img" });
+    const mounts = Object.values(geometry.leg_mounts).map((mount) => mount.xyz_m);
+    const around = [...mounts].sort((a, b) => Math.atan2(a[1], a[0]) - Math.atan2(b[1], b[0]));
+    for (const radius of [250, 500]) this.canvas.append(node("circle", { r: String(radius), class: "ring" }));
+    this.canvas.append(node("polygon", { points: around.map(flat).join(" "), class: "body" }));
+    const front = Math.max(...mounts.map((mount) => mount[0])) * 1000;
+    const tip = `0,${-front * 0.8} ${-front * 0.2},${-front * 0.42} ${front * 0.2},${-front * 0.42}`;
+    this.canvas.append(node("polygon", { points: tip, class: "front" }));
+    /** @type {Map<number, {group: SVGElement, line: SVGElement, dots: SVGElement[]}>} */
+    this.legs = new Map();
+    for (const leg of LEGS) {
+      const group = node("g", { class: "leg" });
+      const line = node("polyline", {});
+      const dots = [1, 2, 3, 4].map((place) => node("circle", { r: place === 4 ? "15" : "20" }));
+      group.append(line, ...dots);
+      this.canvas.append(group);
+      this.legs.set(leg, { group, line, dots });
+    }
+    /** @type {Map<number, LegPose>} */
+    this.poses = new Map();
+    place.append(this.canvas);
+  }
+
+  /** @param {Map<number, LegPose>} poses */
+  update(poses) {
+    this.poses = poses;
+    for (const [leg, pose] of poses) {
+      const parts = this.legs.get(leg);
+      if (!parts) continue;
+      const points = legPoints(this.geometry, leg, pose.degrees);
+      parts.group.setAttribute("class", `leg ${pose.status}${pose.selected ? " selected" : ""}`);
+      parts.line.setAttribute("points", points.map(flat).join(" "));
+      parts.dots.forEach((dot, index) => {
+        const [x, y] = flat(points[index + 1]).split(",");
+        dot.setAttribute("cx", x);
+        dot.setAttribute("cy", y);
+      });
+    }
+  }
+
+  draw() {}
+
+  /** @param {number} leg @returns {[number, number]} pixels of the place */
+  labelAt(leg) {
+    const pose = this.poses.get(leg);
+    if (!pose) return [0, 0];
+    const points = legPoints(this.geometry, leg, pose.degrees);
+    const [mount, foot] = [points[0], points[4]];
+    const length = Math.hypot(foot[0] - mount[0], foot[1] - mount[1]) || 1;
+    const beyond = [0.08, 0.15]; // a label is wider than high
+    const out = (/** @type {0 | 1} */ i) => foot[i] + (beyond[i] * (foot[i] - mount[i])) / length;
+    const scale = Math.min(this.place.clientWidth, this.place.clientHeight) / (2 * REACH);
+    const x = this.place.clientWidth / 2 - out(1) * 1000 * scale;
+    return [x, this.place.clientHeight / 2 - out(0) * 1000 * scale];
+  }
+
+  dispose() {
+    this.canvas.remove();
+  }
+}
+
+/** Forward is up and left is left; millimetres. @param {number[]} point */
+function flat(point) {
+  return `${(-point[1] * 1000).toFixed(1)},${(-point[0] * 1000).toFixed(1)}`;
+}
+
+/** @param {string} name @param {Record<string, string>} attributes @returns {SVGElement} */
+function node(name, attributes) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}

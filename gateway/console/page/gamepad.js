@@ -1,0 +1,81 @@
+// @ts-check
+/** A gamepad (standard mapping) for the selected leg. Its right trigger is the dead-man: nothing runs without it. */
+
+import { byId, show, text } from "./dom.js";
+
+const TRIGGER = 7;
+const STOP_BUTTON = 1;
+const PRESSED = 0.5;
+const DEAD_ZONE = 0.15;
+const SPEED_DEG_S = 60;
+/** Left stick sideways, left stick up and down, right stick up and down: joints 1, 2 and 3. */
+const AXES = [0, 1, 3];
+const WATCH_MS = 50;
+
+export class Pad {
+  /**
+   * @param {import("./hold.js").Hold} hold @param {import("./targets.js").Targets} targets
+   * @param {{leg: () => number, stopAll: () => void}} told
+   */
+  constructor(hold, targets, told) {
+    this.hold = hold;
+    this.targets = targets;
+    this.told = told;
+    this.held = false;
+    /** The trigger was seen released, so that its next pull is meant. */
+    this.ready = false;
+    this.stopping = true;
+    window.addEventListener("gamepaddisconnected", () => this.#look());
+    setInterval(() => this.#look(), WATCH_MS);
+  }
+
+  /** Move the selected leg's targets by what the sticks say. @param {number} elapsedMs */
+  steer(elapsedMs) {
+    if (!this.held) return;
+    const pad = connected();
+    if (!pad) {
+      this.#look();
+      return;
+    }
+    AXES.forEach((axis, index) => {
+      const value = pad.axes[axis] ?? 0;
+      if (Math.abs(value) < DEAD_ZONE) return;
+      const servo = this.told.leg() * 10 + index + 1;
+      const turn = index === 0 ? value : -value; // up is more
+      this.targets.set(servo, this.targets.get(servo) + (turn * SPEED_DEG_S * elapsedMs) / 1000);
+    });
+  }
+
+  #look() {
+    const pad = connected();
+    show(byId("gamepad"), pad !== null);
+    if (!pad) {
+      this.ready = false;
+      if (this.held) {
+        this.held = false;
+        this.hold.drop("the gamepad has gone");
+      }
+      return;
+    }
+    text(byId("gamepad-leg"), String(this.told.leg()));
+    const stops = pad.buttons[STOP_BUTTON]?.pressed ?? false;
+    if (stops && !this.stopping) this.told.stopAll();
+    this.stopping = stops;
+    const pulled = (pad.buttons[TRIGGER]?.value ?? 0) > PRESSED;
+    if (!pulled) this.ready = true;
+    if (pulled && this.ready && !this.held) {
+      this.held = true;
+      this.ready = false;
+      this.hold.press("gamepad");
+    } else if (!pulled && this.held) {
+      this.held = false;
+      this.hold.release("gamepad");
+    }
+  }
+}
+
+/** @returns {Gamepad | null} */
+function connected() {
+  for (const pad of navigator.getGamepads?.() ?? []) if (pad?.connected && pad.mapping === "standard") return pad;
+  return null;
+}

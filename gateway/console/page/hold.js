@@ -1,0 +1,272 @@
+// @ts-check
+/**
+ * Hold to run: while something is held (the button, the key H, a gamepad's trigger), this page sends the setpoints of
+ * the legs that it runs, 20 times a second. Nobody else repeats them. When anything is amiss it sends nothing any more,
+ * and goes on only when it is held anew; the gateway's watchdog stops the legs.
+ *
+ * A leg begins with a `start` that is acknowledged; only then is it set. So nothing here starts a leg again that
+ * somebody stopped.
+ */
+
+import { legs as legsInWords } from "./dom.js";
+
+/** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
+
+export const PERIOD_MS = 50;
+/** With an older state than this, nothing is sent: who drives has to see. */
+export const FRESH_MS = 500;
+/** A tick that comes later than this tells of a page that was frozen. */
+const FROZEN_MS = 250;
+
+/**
+ * Why nothing may be sent, in words; "" where it may.
+ * @param {{open: boolean, linkStatus: string, visible: boolean, focused: boolean, stateAgeMs: number,
+ *          sinceTickMs: number, mode: string, mine: boolean, role: string}} now
+ */
+export function obstacle(now) {
+  if (now.sinceTickMs > FROZEN_MS) return `this page was frozen for ${(now.sinceTickMs / 1000).toFixed(1)} s`;
+  if (!now.visible) return "this page is hidden";
+  if (!now.focused) return "this window has lost the focus";
+  if (!now.open) return "the connection to the console is lost";
+  if (now.linkStatus === "gone") return "the console has lost the gateway";
+  if (now.stateAgeMs > FRESH_MS) return `the newest state is ${(now.stateAgeMs / 1000).toFixed(1)} s old`;
+  if (now.role === "observer") return "this page may only look";
+  if (now.mode === "estopped") return "STOP ALL is engaged; reset it first";
+  if (now.mode !== "idle" && now.mode !== "active") return `the gateway is not ready (${now.mode})`;
+  if (!now.mine) return "this page does not have the lease";
+  return "";
+}
+
+export class Hold {
+  /**
+   * @param {import("./link.js").Link} link @param {Model} model
+   * @param {{mine: () => boolean, chosen: (held: Set<string>) => number[], target: (servo: number) => number,
+   *          steer: (elapsedMs: number) => void, say: (line: string) => void, changed: () => void}} told
+   */
+  constructor(link, model, told) {
+    this.link = link;
+    this.model = model;
+    this.told = told;
+    /** What is held now: "button", "key", "gamepad". @type {Set<string>} */
+    this.held = new Set();
+    /** Legs whose start was acknowledged. @type {Set<number>} */
+    this.running = new Set();
+    /** Legs whose start is under way, by the number of the question. @type {Map<number, number>} */
+    this.starting = new Map();
+    /** Starts that were let go of before their answer came: a Stop may have overtaken them. @type {Map<number, number>} */
+    this.abandoned = new Map();
+    /** Legs that were stopped here while something is held: this hold starts them no more. @type {Set<number>} */
+    this.stopped = new Set();
+    /** The set whose acknowledgement is awaited. @type {number | null} */
+    this.asked = null;
+    this.lastTickMs = 0;
+    /** @type {ReturnType<typeof setInterval> | undefined} */
+    this.timer = undefined;
+    /** What it was cut off from, until the watchdog is seen to have stopped it. @type {number[]} */
+    this.left = [];
+    this.why = "";
+    for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
+      [window, "blur"],
+      [window, "pagehide"],
+      [document, "visibilitychange"],
+      [document, "freeze"],
+    ])) {
+      target.addEventListener(name, () => this.active && this.#dropIf(this.#obstacle(performance.now())));
+    }
+    window.addEventListener("pagehide", () => this.drop("this page was closed or left"));
+    document.addEventListener("freeze", () => this.drop("this page was frozen"));
+  }
+
+  get active() {
+    return this.timer !== undefined;
+  }
+
+  /** @param {string} what */
+  press(what) {
+    if (this.held.has(what)) return;
+    if (this.active) {
+      this.held.add(what);
+      return;
+    }
+    this.lastTickMs = performance.now();
+    const why = this.#obstacle(this.lastTickMs) || (this.told.chosen(new Set([what])).length ? "" : "choose a leg first");
+    if (why) {
+      this.told.say(`Nothing runs: ${why}.`);
+      return;
+    }
+    this.left = [];
+    this.stopped.clear();
+    this.held.add(what);
+    this.timer = setInterval(() => this.#tick(), PERIOD_MS);
+    this.told.say(`Running ${legsInWords(this.told.chosen(this.held))} while you hold.`);
+    this.#startNew();
+    this.told.changed();
+  }
+
+  /** Let go: what this page ran is stopped at once. @param {string} what */
+  release(what) {
+    this.held.delete(what);
+    if (!this.active || this.held.size) return;
+    const legs = this.#end();
+    if (!legs.length) return;
+    const sent = this.#stop(legs);
+    this.told.say(sent ? `Let go: ${legsInWords(legs)} stopped.` : "Let go, but not connected: the watchdog stops them.");
+  }
+
+  /** Nothing is sent from now on, until it is held anew. @param {string} why */
+  drop(why) {
+    if (!this.active) return;
+    this.left = this.#end();
+    const stops = this.left.length ? ` The watchdog stops ${legsInWords(this.left)}` : "";
+    const within = stops && this.model.state ? ` after ${this.model.state.watchdog.timeout_ms} ms.` : "";
+    this.told.say(`Nothing more is sent: ${why}.${stops}${within}`);
+    this.why = why;
+  }
+
+  /** Stop legs, whoever runs them; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */
+  stop(legs) {
+    for (const leg of legs) this.stopped.add(leg);
+    return this.#stop(legs);
+  }
+
+  /** @param {number[]} legs */
+  #stop(legs) {
+    for (const leg of legs) {
+      this.running.delete(leg);
+      for (const [id, starting] of this.starting) if (starting === leg) this.#abandon(id, leg);
+    }
+    const stop = { servos: [{ op: "stop" }, { op: "stop" }, { op: "stop" }] };
+    const payload = { legs: Object.fromEntries(legs.map((leg) => [leg, stop])) };
+    const id = this.link.nextId();
+    return this.link.sendStop({ type: "command", key: "hexapod/legs/cmd", payload, sent_ms: performance.now(), id });
+  }
+
+  /** @param {AckMessage} message */
+  heardAck(message) {
+    const said = message.ack?.accepted
+      ? ""
+      : message.ack
+        ? `${message.ack.reason}: ${message.ack.detail ?? ""}`
+        : (message.error ?? "no answer");
+    const abandoned = this.abandoned.get(message.id);
+    if (abandoned !== undefined) {
+      this.abandoned.delete(message.id);
+      if (!said) this.#stop([abandoned]);
+      return;
+    }
+    const leg = this.starting.get(message.id);
+    if (leg !== undefined) {
+      this.starting.delete(message.id);
+      if (!said) this.running.add(leg);
+      else this.drop(`leg ${leg} did not start: ${said}`);
+    } else if (message.id === this.asked) {
+      this.asked = null;
+      if (said) this.drop(said);
+    }
+  }
+
+  /** A new state: what the watchdog did of that which was left to it. */
+  heardState() {
+    if (!this.left.length) return;
+    const resting = this.left.every((leg) => !this.model.leg(leg)?.servos.some((servo) => servo.running));
+    if (!resting) return;
+    this.told.say(`The watchdog has stopped ${legsInWords(this.left)}: ${this.why}.`);
+    this.left = [];
+  }
+
+  /** The gateway rejected something of this page. @param {import("./types.js").GatewayEvent} event */
+  heardEvent(event) {
+    if (event.kind !== "command_rejected" || event.source !== this.model.hello?.source) return;
+    this.#dropIf(`${event.reason}: ${event.detail}`);
+  }
+
+  /** @param {string} why "" where nothing is amiss */
+  #dropIf(why) {
+    if (why) this.drop(why);
+  }
+
+  /** @returns {number[]} the legs that ran or were about to */
+  #end() {
+    clearInterval(this.timer);
+    this.timer = undefined;
+    this.held.clear();
+    const legs = [...new Set([...this.running, ...this.starting.values()])];
+    this.running.clear();
+    for (const [id, leg] of this.starting) this.#abandon(id, leg);
+    this.asked = null;
+    this.told.changed();
+    return legs;
+  }
+
+  /** @param {number} id @param {number} leg */
+  #abandon(id, leg) {
+    this.starting.delete(id);
+    this.abandoned.set(id, leg);
+  }
+
+  #tick() {
+    const nowMs = performance.now();
+    const why = this.#obstacle(nowMs);
+    const elapsedMs = nowMs - this.lastTickMs;
+    this.lastTickMs = nowMs;
+    if (why) {
+      this.drop(why);
+      return;
+    }
+    this.told.steer(elapsedMs);
+    if (!this.active) return; // the gamepad has gone
+    this.#startNew();
+    this.#set(nowMs);
+  }
+
+  /** Start the legs that were chosen, and stop those that are not any more. */
+  #startNew() {
+    const chosen = new Set(this.told.chosen(this.held));
+    const known = new Set([...this.running, ...this.starting.values()]);
+    const dismissed = [...known].filter((leg) => !chosen.has(leg));
+    if (dismissed.length) this.#stop(dismissed);
+    for (const leg of chosen) {
+      if (known.has(leg) || this.stopped.has(leg)) continue;
+      const id = this.link.nextId();
+      const sent_ms = performance.now();
+      const payload = this.#payload(leg, "start");
+      this.starting.set(id, leg);
+      const sent = this.link.sendNow({ type: "command", key: `hexapod/leg/${leg}/cmd`, payload, sent_ms, id });
+      if (!sent) {
+        this.drop("the network takes nothing");
+        return;
+      }
+    }
+  }
+
+  /** @param {number} sent_ms */
+  #set(sent_ms) {
+    if (!this.running.size) return;
+    const payload = { legs: Object.fromEntries([...this.running].map((leg) => [leg, this.#payload(leg, "set")])) };
+    /** @type {Record<string, unknown>} */
+    const message = { type: "command", key: "hexapod/legs/cmd", payload, sent_ms };
+    if (this.asked === null) message.id = this.asked = this.link.nextId();
+    this.link.sendNow(message);
+  }
+
+  /** @param {number} leg @param {"start" | "set"} op */
+  #payload(leg, op) {
+    return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.told.target(leg * 10 + joint) })) };
+  }
+
+  /** @param {number} nowMs */
+  #obstacle(nowMs) {
+    const { model } = this;
+    return obstacle({
+      open: this.link.open,
+      linkStatus: model.linkStatus,
+      visible: document.visibilityState === "visible",
+      focused: document.hasFocus(),
+      stateAgeMs: model.ageMs(nowMs),
+      sinceTickMs: nowMs - this.lastTickMs,
+      mode: model.state?.mode ?? "unknown",
+      mine: this.told.mine(),
+      role: model.hello?.role ?? "observer",
+    });
+  }
+}

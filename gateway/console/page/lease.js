@@ -1,0 +1,127 @@
+// @ts-check
+/** Who drives: this page acquires the lease, asks for it, takes it after a question, hands it over, gives it up. */
+
+import { attribute, byId, confirmed, enable, show, text } from "./dom.js";
+
+/** @typedef {import("./types.js").LeaseMessage} LeaseMessage */
+
+const RENEWALS_PER_TTL = 3;
+const USUAL_TTL_MS = 1000;
+
+export class Lease {
+  /**
+   * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
+   * @param {{say: (line: string) => void, lost: () => void, got: () => void}} told
+   */
+  constructor(link, model, told) {
+    this.link = link;
+    this.model = model;
+    this.told = told;
+    this.mine = false;
+    /** @type {Map<number, string>} what was asked, by its number */
+    this.asked = new Map();
+    /** @type {ReturnType<typeof setInterval> | undefined} */
+    this.renewing = undefined;
+    this.announced = "";
+    byId("lease-acquire").addEventListener("click", () => this.#ask("acquire"));
+    byId("lease-ask").addEventListener("click", () => this.#ask("ask"));
+    byId("lease-take").addEventListener("click", () => this.#take());
+    byId("lease-release").addEventListener("click", () => this.#ask("release"));
+    byId("lease-hand-over").addEventListener("click", () => this.#ask("release", this.asker));
+    // Who cannot see the robot does not go on driving: a hidden page lets its lease run out.
+  }
+
+  get holder() {
+    return this.model.state?.lease?.holder ?? null;
+  }
+
+  get asker() {
+    return this.model.state?.lease?.asked_by ?? null;
+  }
+
+  /** @param {LeaseMessage} message */
+  heard(message) {
+    const did = message.id == null ? "" : (this.asked.get(message.id) ?? "");
+    if (message.id != null) this.asked.delete(message.id);
+    const had = this.mine;
+    this.mine = message.mine;
+    if (message.mine && !had) {
+      this.#renewEvery((message.ttl_ms ?? USUAL_TTL_MS) / RENEWALS_PER_TTL);
+      this.told.got();
+      this.told.say("You drive: this page has the lease.");
+    } else if (!message.mine && had) {
+      this.#lost(did === "release" ? "" : (message.detail ?? "the lease is lost"));
+    } else if (message.accepted === false && did !== "renew") {
+      this.told.say(`No lease: ${message.detail ?? message.reason ?? "rejected"}`);
+    } else if (message.accepted && did === "ask") {
+      this.told.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
+    }
+    this.refresh();
+  }
+
+  /** The connection ended, and with it the lease. */
+  closed() {
+    this.asked.clear();
+    if (this.mine) this.#lost("");
+    this.mine = false;
+  }
+
+  refresh() {
+    const { holder, asker, mine } = this;
+    const looks = this.model.hello?.role === "observer";
+    const connected = this.link.open && this.model.linkStatus === "connected";
+    const unverified = holder && this.model.state?.lease?.verified === false ? " (name not verified)" : "";
+    text(byId("driver"), mine ? "you" : holder ? `${holder}${unverified}` : "nobody");
+    attribute(byId("lease"), "data-mine", mine ? "yes" : "no");
+    show(byId("lease-acquire"), !mine && !holder && !looks);
+    show(byId("lease-ask"), !mine && holder !== null && !looks);
+    show(byId("lease-take"), !mine && holder !== null && !looks);
+    show(byId("lease-release"), mine);
+    show(byId("lease-hand-over"), mine && asker !== null);
+    text(byId("lease-hand-over"), `Hand over to ${asker ?? ""}`);
+    for (const id of ["lease-acquire", "lease-ask", "lease-take"]) {
+      enable(/** @type {HTMLButtonElement} */ (byId(id)), connected);
+    }
+    const handed = !mine && holder !== null && holder === this.model.hello?.source;
+    show(byId("lease-acquire"), (!mine && holder === null && !looks) || handed);
+    const said = mine && asker ? `${asker} asks for the lease.` : handed ? "The lease is handed over to you: take it." : "";
+    if (said && said !== this.announced) this.told.say(said);
+    this.announced = said;
+  }
+
+  /** @param {string} why */
+  #lost(why) {
+    clearInterval(this.renewing);
+    this.mine = false;
+    this.told.lost();
+    this.told.say(why ? `You do not drive any more: ${why}.` : "You do not drive any more.");
+  }
+
+  /** @param {number} everyMs */
+  #renewEvery(everyMs) {
+    clearInterval(this.renewing);
+    this.renewing = setInterval(() => {
+      if (document.visibilityState === "visible") this.#ask("renew");
+    }, everyMs);
+  }
+
+  /** @param {"acquire" | "ask" | "take" | "renew" | "release"} verb @param {string | null} [to] */
+  #ask(verb, to = null) {
+    const id = this.link.nextId();
+    this.asked.set(id, verb);
+    const sent = this.link.sendNow({ type: "lease", id, do: verb, ...(to ? { to } : {}) });
+    if (!sent && verb !== "renew") this.told.say("Not connected.");
+  }
+
+  async #take() {
+    const { holder } = this;
+    if (holder === null) return;
+    const agreed = await confirmed(
+      `Take the lease from ${holder}?`,
+      "All six legs stop first, and servos that stop hold no weight.",
+      "Stop all legs and take it",
+      "Leave it",
+    );
+    if (agreed) this.#ask("take");
+  }
+}

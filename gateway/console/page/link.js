@@ -1,0 +1,90 @@
+// @ts-check
+/** The WebSocket to the console: messages in, messages out, and a new one wherever it ends. */
+
+const FIRST_PAUSE_MS = 250;
+const LONGEST_PAUSE_MS = 2000;
+const ALIVE_EVERY_MS = 1000;
+/** What the browser keeps unsent beyond this waits for a network that is gone. */
+const MOST_UNSENT_BYTES = 4096;
+const REJECTED = 1008;
+
+export class Link {
+  /**
+   * @param {{
+   *   opened: () => void,
+   *   closed: (why: string) => void,
+   *   heard: (message: any) => void,
+   * }} told
+   */
+  constructor(told) {
+    this.told = told;
+    this.open = false;
+    /** @type {WebSocket | null} */
+    this.socket = null;
+    this.pauseMs = FIRST_PAUSE_MS;
+    this.lastId = 0;
+    setInterval(() => this.sendNow({ type: "alive", now_ms: performance.now() }), ALIVE_EVERY_MS);
+    this.#connect();
+  }
+
+  /** A number of this page's own, which the answer repeats. */
+  nextId() {
+    this.lastId += 1;
+    return this.lastId;
+  }
+
+  /**
+   * Send it now or never: nothing that moves a servo may wait for a network that comes back.
+   * @param {object} message @returns {boolean} whether it was given to the network
+   */
+  sendNow(message) {
+    if (!this.open || !this.socket || this.socket.bufferedAmount > MOST_UNSENT_BYTES) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  /** Send a Stop, behind whatever waits: it does no harm however late it comes. @param {object} message */
+  sendStop(message) {
+    if (!this.open || !this.socket) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  #connect() {
+    const address = new URL("ws", location.href);
+    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    const socket = new WebSocket(address);
+    this.socket = socket;
+    socket.addEventListener("open", () => {
+      this.open = true;
+      this.pauseMs = FIRST_PAUSE_MS;
+      this.sendNow({ type: "alive", now_ms: performance.now() });
+      this.told.opened();
+    });
+    socket.addEventListener("message", (event) => this.told.heard(JSON.parse(event.data)));
+    socket.addEventListener("close", (event) => this.#ended(event));
+  }
+
+  /** @param {CloseEvent} event */
+  async #ended(event) {
+    const wasOpen = this.open;
+    this.open = false;
+    this.socket = null;
+    let why = event.code === REJECTED || event.reason ? event.reason || "the console ended the connection" : "";
+    this.told.closed(why);
+    if (!wasOpen && !why) why = await sessionTrouble();
+    if (why) this.told.closed(why);
+    setTimeout(() => this.#connect(), this.pauseMs);
+    this.pauseMs = Math.min(this.pauseMs * 2, LONGEST_PAUSE_MS);
+  }
+}
+
+/** Whether the console runs and only does not let this page in; the browser hides the answer to a WebSocket. */
+async function sessionTrouble() {
+  try {
+    const answer = await fetch("session", { cache: "no-store" });
+    return answer.ok ? "" : (await answer.text()).trim();
+  } catch {
+    return "the console does not answer";
+  }
+}

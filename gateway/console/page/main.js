@@ -1,0 +1,125 @@
+// @ts-check
+/** Puts the page together. STOP ALL comes first: it works whatever fails after it. */
+
+import { attribute, byId, text } from "./dom.js";
+import { Drive } from "./drive.js";
+import { Pad } from "./gamepad.js";
+import { Hold } from "./hold.js";
+import { Lease } from "./lease.js";
+import { Link } from "./link.js";
+import { Model } from "./model.js";
+import { Numbers } from "./numbers.js";
+import { Picture } from "./picture.js";
+import { Plots } from "./plots.js";
+import { StopAll } from "./stop.js";
+import { Targets } from "./targets.js";
+
+const REFRESH_MS = 100;
+
+/** What happened, in one line. @param {string} line */
+function say(line) {
+  text(byId("said"), line);
+}
+
+const model = new Model();
+const link = new Link({ opened, closed, heard });
+const stop = new StopAll(link, model, {
+  pressed: () => {
+    /** @type {HTMLDialogElement} */ (byId("question")).close("no");
+    hold.drop("STOP ALL was pressed");
+  },
+  say,
+});
+const targets = new Targets();
+/** The leg of a hold for one leg. */
+let single = model.selectedLeg;
+const hold = new Hold(link, model, {
+  mine: () => lease.mine,
+  chosen: (held) => drive.legsOf(held, single),
+  target: (servo) => targets.get(servo),
+  steer: (elapsedMs) => pad.steer(elapsedMs),
+  say,
+  changed: () => drive.refresh(),
+});
+const lease = new Lease(link, model, {
+  say,
+  got: () => targets.follow(model.lastDeg, false),
+  lost: () => hold.drop("the lease is lost"),
+});
+const drive = new Drive(model, targets, hold, { say, select });
+const pad = new Pad(hold, targets, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });
+const numbers = new Numbers(model, select);
+const picture = new Picture(model, select);
+const plots = new Plots(model);
+
+/** @param {number} leg */
+function select(leg) {
+  model.selectedLeg = leg;
+  if (!hold.active) single = leg;
+  drive.selected();
+  refresh();
+}
+
+function opened() {
+  model.connected = true;
+  stop.opened();
+  refresh();
+}
+
+/** @param {string} why */
+function closed(why) {
+  model.connected = false;
+  model.linkStatus = "gone";
+  if (why || !model.trouble) model.trouble = why || "the connection to the console is lost";
+  hold.drop("the connection to the console is lost");
+  lease.closed();
+  refresh();
+}
+
+/** @param {any} message of the console */
+function heard(message) {
+  switch (message.type) {
+    case "hello":
+      model.hello = message;
+      break;
+    case "state":
+      model.takeState(message.state, message.age_ms, performance.now());
+      if (!lease.mine) targets.follow(model.lastDeg, false);
+      hold.heardState();
+      break;
+    case "link":
+      model.linkStatus = message.status;
+      model.trouble = message.detail;
+      break;
+    case "event":
+      model.takeEvent(message.event);
+      hold.heardEvent(message.event);
+      break;
+    case "ack":
+      hold.heardAck(message);
+      stop.heardAck(message);
+      break;
+    case "stop":
+      stop.heard(message);
+      break;
+    case "lease":
+      lease.heard(message);
+      break;
+  }
+}
+
+function refresh() {
+  const nowMs = performance.now();
+  stop.refresh(nowMs);
+  lease.refresh();
+  drive.refresh();
+  attribute(document.body, "data-live", model.live(nowMs) ? "yes" : "no");
+  if (document.visibilityState !== "visible") return;
+  numbers.refresh(nowMs);
+  numbers.refreshEvents();
+  plots.refresh(nowMs);
+  picture.refresh(nowMs);
+}
+
+setInterval(refresh, REFRESH_MS);
+select(model.selectedLeg);

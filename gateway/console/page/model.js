@@ -1,0 +1,147 @@
+// @ts-check
+/** What the page knows: the newest state and how old it is, what happened, and the last minute. */
+
+import { NEUTRAL_DEG } from "./kinematics.js";
+
+/**
+ * @typedef {import("./types.js").GatewayState} GatewayState @typedef {import("./types.js").Leg} Leg
+ * @typedef {import("./types.js").GatewayEvent} GatewayEvent
+ * @typedef {{key: "runs" | "rests" | "stopped" | "waits" | "other", mark: string, word: string}} Status
+ * @typedef {{atMs: number, degrees: (number | null)[], ages: (number | null)[]}} Moment
+ */
+
+export const HISTORY_MS = 60_000;
+/** Older than this, what the page shows is the past. */
+export const SILENT_MS = 1000;
+const MOST_EVENTS = 40;
+const MOST_SOURCES = 50;
+const RATE_MS = 2000;
+/** The window in which the quickest state tells how far the gateway's clock is from this page's. */
+const WINDOW_MS = 30_000;
+
+/** How a leg stands; told apart by its mark and word, and only then by colour. @param {Leg} leg @returns {Status} */
+export function statusOf(leg) {
+  const running = leg.servos.some((servo) => servo.running);
+  if (leg.watchdog === "expired") return { key: "stopped", mark: "✕", word: "stopped by the watchdog" };
+  if (running) return { key: "runs", mark: "▶", word: "runs" };
+  if (leg.watchdog === "armed") return { key: "waits", mark: "…", word: "waits to start" };
+  if (leg.watchdog === "idle") return { key: "rests", mark: "○", word: "rests" };
+  return { key: "other", mark: "?", word: leg.watchdog };
+}
+
+/** How much later than the quickest one a state came: what waited in a network, or in a page that was frozen. */
+export class Lateness {
+  constructor() {
+    this.uptimeMs = 0;
+    this.turnedAtMs = 0;
+    this.least = Infinity;
+    this.leastBefore = Infinity;
+  }
+
+  /** @param {number} uptimeMs the gateway's clock @param {number} atMs this page's, when it heard it */
+  heard(uptimeMs, atMs) {
+    if (uptimeMs < this.uptimeMs || this.least === Infinity) {
+      this.least = this.leastBefore = Infinity; // another run of the gateway
+      this.turnedAtMs = atMs;
+    } else if (atMs - this.turnedAtMs > WINDOW_MS) {
+      this.leastBefore = this.least; // clocks drift apart, so the past is forgotten
+      this.least = Infinity;
+      this.turnedAtMs = atMs;
+    }
+    this.uptimeMs = uptimeMs;
+    const apart = atMs - uptimeMs;
+    this.least = Math.min(this.least, apart);
+    return apart - Math.min(this.least, this.leastBefore);
+  }
+}
+
+export class Model {
+  constructor() {
+    /** @type {import("./types.js").Hello | null} */
+    this.hello = null;
+    /** @type {GatewayState | null} */
+    this.state = null;
+    /** When the state was true, by this page's clock. */
+    this.stateAtMs = -Infinity;
+    this.connected = false;
+    this.linkStatus = "gone";
+    this.trouble = "connecting …";
+    /** @type {GatewayEvent[]} newest first */
+    this.events = [];
+    this.eventsLeftOut = 0;
+    /** @type {Map<string, {count: number, reason: string}>} */
+    this.rejections = new Map();
+    /** @type {Moment[]} oldest first */
+    this.history = [];
+    /** @type {{atMs: number, frames: number}[]} */
+    this.frames = [];
+    this.lateness = new Lateness();
+    /** The last angle that each servo was commanded to, also while it rests. @type {Map<number, number>} */
+    this.lastDeg = new Map();
+    this.selectedLeg = 1;
+  }
+
+  /** Age of the newest state. @param {number} nowMs */
+  ageMs(nowMs) {
+    return nowMs - this.stateAtMs;
+  }
+
+  /** Whether what is shown is now. @param {number} nowMs */
+  live(nowMs) {
+    return this.connected && this.linkStatus === "connected" && this.ageMs(nowMs) < SILENT_MS;
+  }
+
+  get geometry() {
+    return this.hello?.geometry ?? null;
+  }
+
+  /** @param {number} leg */
+  leg(leg) {
+    return this.state?.legs.find((each) => each.leg === leg) ?? null;
+  }
+
+  /** A leg's three angles as last commanded, or where a servo is drawn that never was. @param {number} leg */
+  degrees(leg) {
+    return [1, 2, 3].map((joint) => this.lastDeg.get(leg * 10 + joint) ?? NEUTRAL_DEG);
+  }
+
+  /** @param {GatewayState} state @param {number} ageMs at the console @param {number} nowMs */
+  takeState(state, ageMs, nowMs) {
+    const restarted = this.state !== null && state.uptime_s < this.state.uptime_s;
+    if (restarted) this.frames = [];
+    this.state = state;
+    this.stateAtMs = nowMs - ageMs - this.lateness.heard(state.uptime_s * 1000, nowMs - ageMs);
+    for (const leg of state.legs) {
+      for (const servo of leg.servos) if (servo.angle_deg !== null) this.lastDeg.set(servo.id, servo.angle_deg);
+    }
+    this.history.push({
+      atMs: this.stateAtMs,
+      degrees: state.legs.flatMap((leg) => leg.servos.map((servo) => servo.angle_deg)),
+      ages: state.legs.map((leg) => leg.age_ms),
+    });
+    while (this.history[0].atMs < nowMs - HISTORY_MS) this.history.shift();
+    this.frames.push({ atMs: this.stateAtMs, frames: state.spi.frames });
+    while (this.frames.length > 2 && this.frames[1].atMs < nowMs - RATE_MS) this.frames.shift();
+  }
+
+  /** @param {GatewayEvent} event */
+  takeEvent(event) {
+    this.events.unshift(event);
+    this.events.length = Math.min(this.events.length, MOST_EVENTS);
+    if (event.kind !== "command_rejected") return;
+    const source = event.source ?? "(no name)";
+    const before = this.rejections.get(source)?.count ?? 0;
+    if (before || this.rejections.size < MOST_SOURCES) {
+      const count = before + 1 + (event.left_out ?? 0);
+      this.rejections.set(source, { count, reason: event.reason ?? "?" });
+    }
+  }
+
+  /** Frames a second over the last two seconds, or null. */
+  framesPerSecond() {
+    const first = this.frames.at(0);
+    const last = this.frames.at(-1);
+    if (!first || !last || last.atMs <= first.atMs) return null;
+    return ((last.frames - first.frames) * 1000) / (last.atMs - first.atMs);
+  }
+}

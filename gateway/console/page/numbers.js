@@ -1,0 +1,145 @@
+// @ts-check
+/** The legs' table, the numbers and the events: text nodes that change only where a number has. */
+
+import { ago, attribute, byId, element, text, worded } from "./dom.js";
+import { LEGS } from "./kinematics.js";
+import { statusOf } from "./model.js";
+
+/** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").GatewayEvent} GatewayEvent */
+
+const NAMES = {
+  frames: "Frames a second",
+  latency: "Stop latency p50 · p99 · max",
+  lag: "Loop lag p50 · p99 · max",
+  expirations: "Watchdog expirations",
+  accepted: "Commands accepted",
+  rejected: "Commands rejected",
+  replaced: "Commands replaced",
+  errors: "SPI errors",
+  device: "Device",
+  uptime: "Gateway up",
+};
+const MOST_REJECTORS = 5;
+const BAD_KINDS = new Set(["watchdog_expired", "estop_engaged", "bus_fault", "stopped_outside", "stopping"]);
+
+/** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
+
+export class Numbers {
+  /** @param {Model} model @param {(leg: number) => void} select */
+  constructor(model, select) {
+    this.model = model;
+    /** @type {Map<string, HTMLElement>} */
+    this.values = new Map();
+    for (const [key, name] of Object.entries(NAMES)) {
+      const value = element("dd", { id: `number-${key}` }, "–");
+      byId("numbers").append(element("div", {}, element("dt", {}, name), value));
+      this.values.set(key, value);
+    }
+    this.rows = new Map(LEGS.map((leg) => [leg, this.#row(leg, select)]));
+    /** @type {GatewayEvent | undefined} */
+    this.newest = undefined;
+  }
+
+  /** @param {number} nowMs */
+  refresh(nowMs) {
+    const { model } = this;
+    const { state } = model;
+    const live = model.live(nowMs);
+    text(byId("mode"), state ? modeInWords(state.mode) : "unknown");
+    attribute(byId("mode"), "data-mode", live ? (state?.mode ?? "unknown") : "unknown");
+    const age = model.ageMs(nowMs);
+    text(byId("age"), !state ? "none yet" : live ? `${Math.round(age / 10) * 10} ms old` : `the past: ${ago(age)} old`);
+    attribute(byId("age"), "data-live", live ? "yes" : "no");
+    text(byId("robot"), model.geometry?.name ?? "");
+    if (!state) return;
+    for (const leg of state.legs) this.#leg(leg, state.watchdog.timeout_ms, nowMs, live);
+    const rate = model.framesPerSecond();
+    this.#set("frames", rate === null || !live ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
+    this.#set("latency", latency(state.watchdog.stop_latency_us, "no Stop yet"));
+    this.#set("lag", state.loop_lag_us ? latency(state.loop_lag_us, "–") : "this gateway does not say");
+    this.#set("expirations", String(state.watchdog.expirations));
+    this.#set("accepted", state.commands.accepted.toLocaleString("en"));
+    this.#set("rejected", state.commands.rejected.toLocaleString("en"));
+    this.#set("replaced", state.commands.coalesced.toLocaleString("en"));
+    this.#set("errors", String(state.spi.errors));
+    this.#set("device", state.simulated ? `simulated, ${state.spi.framing}` : `${state.spi.device}, ${state.spi.framing}`);
+    this.#set("uptime", `${ago(state.uptime_s * 1000)}, version ${state.version}`);
+  }
+
+  /** Anew, when an event has come. */
+  refreshEvents() {
+    const { model } = this;
+    if (model.events[0] === this.newest) return;
+    this.newest = model.events[0];
+    byId("events").replaceChildren(...model.events.map(eventLine));
+    const rejectors = [...model.rejections].sort((a, b) => b[1].count - a[1].count).slice(0, MOST_REJECTORS);
+    if (!rejectors.length) return;
+    byId("rejections").replaceChildren(
+      ...rejectors.map(([source, { count, reason }]) => element("li", {}, `${source}: ${count} (last: ${reason})`)),
+    );
+  }
+
+  /** @param {import("./types.js").Leg} leg @param {number} timeoutMs @param {number} nowMs @param {boolean} live */
+  #leg(leg, timeoutMs, nowMs, live) {
+    const row = this.rows.get(leg.leg);
+    if (!row) return;
+    const status = statusOf(leg);
+    text(row.status, `${status.mark} ${status.word}`);
+    attribute(row.status, "data-status", status.key);
+    attribute(row.row, "data-selected", this.model.selectedLeg === leg.leg ? "yes" : null);
+    leg.servos.forEach((servo, index) => text(row.angles[index], servo.angle_deg === null ? "–" : `${servo.angle_deg.toFixed(1)}°`));
+    const age = leg.age_ms === null ? null : leg.age_ms + Math.max(0, this.model.ageMs(nowMs));
+    const counted = age !== null && live && leg.watchdog === "armed";
+    text(row.age, age === null ? "never" : counted ? `${Math.round(age / 10) * 10} of ${timeoutMs} ms` : `${ago(age)} ago`);
+    row.bar.style.width = `${counted ? Math.min(100, (100 * age) / timeoutMs).toFixed(0) : 0}%`;
+    text(row.by, leg.source ?? "–");
+  }
+
+  /** @param {string} key @param {string} value */
+  #set(key, value) {
+    const node = this.values.get(key);
+    if (node) text(node, value);
+  }
+
+  /** @param {number} leg @param {(leg: number) => void} select @returns {Row} */
+  #row(leg, select) {
+    const status = element("td", { class: "status" }, "○ not heard yet");
+    const angles = [1, 2, 3].map(() => element("td", { class: "number" }, "–"));
+    const bar = element("span", { class: "bar" });
+    const age = element("span", {}, "never");
+    const by = element("td", { class: "by" }, "–");
+    const row = element(
+      "tr",
+      { id: `leg-row-${leg}` },
+      element("th", { scope: "row" }, String(leg)),
+      status,
+      ...angles,
+      element("td", { class: "age" }, age, element("span", { class: "track", "aria-hidden": "true" }, bar)),
+      by,
+    );
+    row.addEventListener("click", () => select(leg)); // the leg's own choice has a place of its own for keyboards
+    byId("leg-rows").append(row);
+    return { row, status, angles, age, bar, by };
+  }
+}
+
+/** @param {string} mode */
+export function modeInWords(mode) {
+  return { estopped: "stopped, latched", bus_fault: "bus fault" }[mode] ?? mode;
+}
+
+/** @param {{p50: number | null, p99: number | null, max: number | null}} of in µs @param {string} none */
+function latency({ p50, p99, max }, none) {
+  if (p50 === null || p99 === null || max === null) return none;
+  return [p50, p99, max].map((us) => (us / 1000).toFixed(1)).join(" · ") + " ms";
+}
+
+/** @param {GatewayEvent} event */
+function eventLine(event) {
+  const kind = event.kind.replace("estop", "stop_all").replaceAll("_", " ");
+  const tone = BAD_KINDS.has(event.kind) ? "bad" : event.kind === "command_rejected" ? "warn" : "plain";
+  const time = element("time", { datetime: event.time }, new Date(event.time).toLocaleTimeString("en-GB"));
+  const who = event.source ? `${event.source}: ` : "";
+  const more = event.left_out ? ` (and ${event.left_out} more)` : "";
+  return element("li", { "data-tone": tone }, time, element("b", {}, kind), `${who}${worded(event.detail)}${more}`);
+}

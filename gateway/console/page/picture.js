@@ -1,0 +1,113 @@
+// @ts-check
+/** The picture of what was commanded: in three dimensions, or from above where the browser has no WebGL. */
+
+import { Above } from "./above.js";
+import { attribute, byId, element, show, text } from "./dom.js";
+import { LEGS } from "./kinematics.js";
+import { statusOf } from "./model.js";
+
+export class Picture {
+  /** @param {import("./model.js").Model} model @param {(leg: number) => void} select */
+  constructor(model, select) {
+    this.model = model;
+    this.place = byId("picture");
+    /** @type {import("./scene.js").Scene | Above | null} */
+    this.view = null;
+    /** @type {import("./types.js").Geometry | null} */
+    this.geometry = null;
+    this.drawn = "";
+    this.labels = new Map(
+      LEGS.map((leg) => {
+        const label = element("button", { type: "button", class: "label" }, "", element("span", {}));
+        label.addEventListener("click", () => select(leg));
+        byId("labels").append(label);
+        return [leg, label];
+      }),
+    );
+    this.solid = /** @type {HTMLInputElement} */ (byId("view-solid"));
+    for (const id of ["view-solid", "view-above"]) byId(id).addEventListener("change", () => this.#build());
+    this.place.addEventListener("turned", () => this.#draw());
+    new ResizeObserver(() => this.#draw()).observe(this.place);
+  }
+
+  /** @param {number} nowMs */
+  refresh(nowMs) {
+    const { model } = this;
+    if (!model.geometry) return;
+    if (model.geometry !== this.geometry) {
+      this.geometry = model.geometry;
+      this.#build();
+    }
+    const live = model.live(nowMs);
+    attribute(this.place, "data-live", live ? "yes" : "no");
+    const poses = new Map(
+      LEGS.map((number) => {
+        const leg = model.leg(number);
+        const status = leg ? statusOf(leg) : { key: "rests", mark: "○", word: "not heard yet" };
+        const label = this.labels.get(number);
+        if (label) {
+          const [mark, word] = label.childNodes;
+          text(mark, `${number} ${status.mark} `);
+          text(word, status.word.split(" ")[0]);
+          attribute(label, "data-status", status.key);
+          attribute(label, "aria-pressed", String(model.selectedLeg === number));
+        }
+        return [number, { degrees: model.degrees(number), status: status.key, selected: model.selectedLeg === number }];
+      }),
+    );
+    const now = JSON.stringify([...poses]);
+    if (now === this.drawn || !this.view) return;
+    this.drawn = now;
+    this.view.update(poses);
+    this.#describe();
+    this.#draw();
+  }
+
+  #draw() {
+    if (!this.view) return;
+    this.view.draw();
+    const width = this.place.clientWidth;
+    const height = this.place.clientHeight;
+    for (const [leg, label] of this.labels) {
+      const [x, y] = this.view.labelAt(leg);
+      const left = Math.min(width - 48, Math.max(48, x));
+      const top = Math.min(height - 16, Math.max(16, y));
+      label.style.transform = `translate(-50%, -50%) translate(${left.toFixed(0)}px, ${top.toFixed(0)}px)`;
+    }
+  }
+
+  /** In words, for who does not see it; only when a leg's status changes. */
+  #describe() {
+    const legs = this.model.state?.legs ?? [];
+    const words = legs.map((leg) => `leg ${leg.leg} ${statusOf(leg).word}`).join(", ");
+    if (this.view) attribute(this.view.canvas, "aria-label", `The robot as commanded: ${words || "not heard yet"}`);
+  }
+
+  async #build() {
+    const { geometry } = this;
+    if (!geometry) return;
+    this.view?.dispose();
+    this.view = null;
+    this.drawn = "";
+    if (this.solid.checked) {
+      try {
+        const { Scene } = await import("./scene.js");
+        if (this.geometry !== geometry || this.view) return;
+        this.view = new Scene(this.place, geometry, () => this.#withoutWebGL());
+      } catch {
+        this.#withoutWebGL();
+        return;
+      }
+    }
+    this.view ??= new Above(this.place, geometry);
+    this.refresh(performance.now());
+  }
+
+  #withoutWebGL() {
+    this.solid.checked = false;
+    this.solid.disabled = true;
+    /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
+    show(byId("no-webgl"), true);
+    void this.#build();
+  }
+}

@@ -1,0 +1,152 @@
+// @ts-check
+/** STOP ALL: one tap, Escape or space, from any place of the page; and in words what is known of it. */
+
+import { attribute, byId, confirmed, enable, show, text, typesText } from "./dom.js";
+
+/** @typedef {import("./types.js").StopMessage} StopMessage */
+
+const LEGS = 6;
+
+/**
+ * What is known of a STOP ALL, in one line.
+ * @param {{looks: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
+ *          latched: {estop: number, source: string | null} | null}} known
+ * @returns {{tone: "bad" | "good" | "asked" | "plain", line: string}}
+ */
+export function inWords({ looks, connected, why, askedMsAgo, answer, latched }) {
+  const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
+  if (!connected) {
+    const waits = asked ? `${asked}and asked again once connected` : why;
+    return { tone: "bad", line: `NOT CONNECTED: use the switch${waits ? ` (${waits})` : ""}` };
+  }
+  if (looks) return { tone: "plain", line: "This page may only look: use the switch" };
+  if (askedMsAgo !== null) {
+    const error = answer?.error ? ` (${answer.error})` : "";
+    if (askedMsAgo > 500) return { tone: "bad", line: `${asked}no answer yet: use the switch${error}` };
+    return { tone: "asked", line: `${asked}no answer yet${error}` };
+  }
+  if (answer?.answered && latched) {
+    const frames = answer.stop_frames ?? 0;
+    if (frames < LEGS) return { tone: "bad", line: `only ${frames} of ${LEGS} Stops written: use the switch` };
+    const within = answer.latency_us === null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
+    return { tone: "good", line: `${frames} Stops written${within}` };
+  }
+  if (latched) {
+    return { tone: "good", line: `stopped by ${latched.source ?? "somebody"}; nothing runs until a reset` };
+  }
+  return { tone: "plain", line: "Escape or space, at any time" };
+}
+
+export class StopAll {
+  /**
+   * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
+   * @param {{pressed: () => void, say: (line: string) => void}} told
+   */
+  constructor(link, model, told) {
+    this.link = link;
+    this.model = model;
+    this.told = told;
+    /** @type {{id: number, atMs: number} | null} not confirmed yet */
+    this.asked = null;
+    /** @type {StopMessage | null} */
+    this.answer = null;
+    this.answeredAtMs = Infinity;
+    /** @type {number | null} */
+    this.resetId = null;
+    this.spoken = "";
+    byId("stop-all").addEventListener("pointerdown", (event) => this.press(event));
+    byId("stop-all").addEventListener("click", (event) => event.detail === 0 && this.press(event)); // without a pointer
+    byId("reset").addEventListener("click", () => this.#reset());
+    window.addEventListener("keydown", (event) => this.#key(event), { capture: true });
+  }
+
+  /** @param {Event} [event] */
+  press(event) {
+    event?.preventDefault();
+    this.told.pressed();
+    if (this.#looks) return;
+    if (!this.asked) {
+      this.asked = { id: this.link.nextId(), atMs: performance.now() };
+      this.answer = null;
+    }
+    this.link.sendStop({ type: "stop_all", id: this.asked.id });
+    this.refresh(performance.now());
+  }
+
+  /** The connection is back: what nobody confirmed is asked again. */
+  opened() {
+    if (this.asked) this.link.sendStop({ type: "stop_all", id: this.asked.id });
+  }
+
+  /** @param {StopMessage} message */
+  heard(message) {
+    if (!this.asked || message.id !== this.asked.id) return;
+    this.answer = message;
+    if (message.answered) {
+      this.asked = null;
+      this.answeredAtMs = performance.now();
+    }
+    this.refresh(performance.now());
+  }
+
+  /** @param {import("./types.js").AckMessage} message */
+  heardAck(message) {
+    if (message.id !== this.resetId) return;
+    this.resetId = null;
+    const { ack } = message;
+    if (ack?.accepted) this.told.say("Reset. Nothing moves until it is started again.");
+    else this.told.say(`No reset: ${ack ? `${ack.reason}: ${ack.detail ?? ""}` : message.error}`);
+  }
+
+  /** @param {number} nowMs */
+  refresh(nowMs) {
+    const { model } = this;
+    const latched = model.state?.mode === "estopped";
+    if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // somebody has reset it
+    const known = inWords({
+      looks: this.#looks,
+      connected: model.live(nowMs),
+      why: model.trouble.split("\n")[0],
+      askedMsAgo: this.asked ? nowMs - this.asked.atMs : null,
+      answer: this.answer,
+      latched: latched || this.answer ? { estop: model.state?.estop ?? 0, source: model.state?.estop_source ?? null } : null,
+    });
+    text(byId("stop-known"), known.line);
+    attribute(byId("stop"), "data-tone", known.tone);
+    show(byId("reset"), latched && !this.#looks);
+    enable(/** @type {HTMLButtonElement} */ (byId("stop-all")), !this.#looks);
+    const aloud = known.tone === "plain" ? "" : known.line.replace(/asked [\d.]+ s ago/, "asked");
+    if (aloud !== this.spoken) {
+      this.spoken = aloud;
+      text(byId("stop-aloud"), aloud);
+    }
+  }
+
+  get #looks() {
+    return this.model.hello?.role === "observer";
+  }
+
+  /** @param {KeyboardEvent} event */
+  #key(event) {
+    const stops = event.key === "Escape" || (event.key === " " && !typesText(event.target));
+    if (!stops || event.isComposing) return;
+    event.preventDefault();
+    if (event.key === " ") event.stopPropagation(); // it presses no button besides
+    if (!event.repeat) this.press();
+  }
+
+  async #reset() {
+    const estop = this.model.state?.estop;
+    if (estop === undefined) return;
+    const agreed = await confirmed(
+      "Leave STOP ALL?",
+      "Look whether everybody is clear of the robot. Nothing moves until it is started again.",
+      "Reset",
+      "Stay stopped",
+    );
+    if (!agreed) return;
+    this.resetId = this.link.nextId();
+    const sent = this.link.sendNow({ type: "reset", id: this.resetId, estop, sent_ms: performance.now() });
+    if (!sent) this.told.say("No reset: not connected.");
+  }
+}

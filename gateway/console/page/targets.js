@@ -1,0 +1,91 @@
+// @ts-check
+/** Where each servo shall be: what sliders, fields, poses and the gamepad set, and what is sent while something is held. */
+
+import { LEGS, NEUTRAL_DEG } from "./kinematics.js";
+
+export const SERVOS = LEGS.flatMap((leg) => [leg * 10 + 1, leg * 10 + 2, leg * 10 + 3]);
+const STORE = "hexapod-console-poses";
+const MOST_POSES = 100;
+
+/** Degrees as the gateway takes them. @param {number} deg */
+export function clamped(deg) {
+  return Math.round(Math.min(180, Math.max(0, deg)) * 100) / 100;
+}
+
+export class Targets extends EventTarget {
+  constructor() {
+    super();
+    /** @type {Map<number, number>} */
+    this.degrees = new Map(SERVOS.map((servo) => [servo, NEUTRAL_DEG]));
+    /** Servos that somebody has set here; others follow what was commanded. @type {Set<number>} */
+    this.own = new Set();
+  }
+
+  /** @param {number} servo @returns {number} */
+  get(servo) {
+    return this.degrees.get(servo) ?? NEUTRAL_DEG;
+  }
+
+  /** @param {number} servo @param {number} deg */
+  set(servo, deg) {
+    if (!Number.isFinite(deg)) return;
+    this.own.add(servo);
+    this.#put(servo, clamped(deg));
+  }
+
+  /** Take over what was commanded last. @param {Map<number, number>} commanded @param {boolean} all also what was set here */
+  follow(commanded, all) {
+    if (all) this.own.clear();
+    for (const [servo, deg] of commanded) if (!this.own.has(servo)) this.#put(servo, deg);
+  }
+
+  /** @param {number} servo @param {number} deg */
+  #put(servo, deg) {
+    if (this.degrees.get(servo) === deg) return;
+    this.degrees.set(servo, deg);
+    this.dispatchEvent(new CustomEvent("change", { detail: servo }));
+  }
+}
+
+/** Poses by name, in this browser only. */
+export class Poses {
+  /** @returns {Record<string, Record<string, number>>} */
+  all() {
+    try {
+      const stored = JSON.parse(localStorage.getItem(STORE) ?? "{}");
+      return stored && typeof stored === "object" ? stored : {};
+    } catch {
+      return {}; // another program's, or a browser that stores nothing
+    }
+  }
+
+  /** @param {string} name @param {Targets} targets @returns {string} why not; "" where it is kept */
+  keep(name, targets) {
+    const poses = this.all();
+    if (!(name in poses) && Object.keys(poses).length >= MOST_POSES) return "there are a hundred already";
+    return this.#store({ ...poses, [name]: Object.fromEntries(targets.degrees) });
+  }
+
+  /** @param {string} name @param {Targets} targets */
+  apply(name, targets) {
+    const pose = this.all()[name] ?? {};
+    for (const servo of SERVOS) if (typeof pose[servo] === "number") targets.set(servo, pose[servo]);
+  }
+
+  /** @param {string} name */
+  remove(name) {
+    const poses = this.all();
+    delete poses[name];
+    this.#store(poses);
+  }
+
+  /** @param {Record<string, Record<string, number>>} poses */
+  #store(poses) {
+    try {
+      localStorage.setItem(STORE, JSON.stringify(poses));
+      return "";
+    } catch {
+      return "this browser keeps nothing";
+    }
+  }
+}
