@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from gateway.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
-from gateway.core.pacing import NS_PER_MS, NS_PER_S, RateSlots, StartQueue, Waiting, merged
+from gateway.core.pacing import NEVER, NS_PER_MS, NS_PER_S, RateSlots, StartQueue, merged
 from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason, WatchdogState
@@ -37,7 +37,10 @@ class Servo:
     servo_id: int
     leg: int
     angle_cdeg: int | None = None
-    waiting: Waiting | None = None
+    waiting: ServoOp | None = None
+    """Its newest target, until that is sent."""
+    waiting_number: int = 0
+    """Which command set it."""
     repeats_left: int = 0
     repeat_ns: int = 0
     stopped_ns: int | None = None
@@ -51,7 +54,7 @@ class Servo:
     @property
     def will_run(self) -> bool:
         """Whether a `set` has something to set: the servo runs, or waits to be started."""
-        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)
+        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)
 
     def note_stop(self, by: str, instant_ns: int) -> None:
         """Remember who stopped it in this instant."""
@@ -71,6 +74,12 @@ class Leg:
     expired: bool = False
     source: str | None = None
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
+    due_ns: int = NEVER
+    """When its deadline, its rate slot or a repeated Stop comes; like the next two as of the last `Legs.look`."""
+    repeat_ns: int = NEVER
+    """When its next repeated Stop comes."""
+    runs: bool = False
+    """Whether one of its servos runs."""
 
     @property
     def waits_to_start(self) -> bool:
@@ -81,12 +90,6 @@ class Leg:
             or (second.angle_cdeg is None and second.will_run)
             or (third.angle_cdeg is None and third.will_run)
         )
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether no servo of it runs."""
-        first, second, third = self.servos
-        return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None
 
     @property
     def armed(self) -> bool:
@@ -115,7 +118,7 @@ class _PendingCommand:
 def _whole_leg(leg: Leg) -> OneLeg:
     """All three servos in one frame; one that nothing waits for is told what it does already."""
     first, second, third = [
-        servo.waiting.op
+        servo.waiting
         if servo.waiting is not None
         else STOP
         if servo.angle_cdeg is None
@@ -156,39 +159,64 @@ class Legs:
         self._pending: dict[int, _PendingCommand] = {}
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
+        self.due_ns: int | None = None
+        """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `look`."""
         self.repeat_ns: int | None = None
-        """When the next repeated Stop comes, as of the last `due_ns()`."""
+        """When the next repeated Stop comes."""
+        self.at_rest = True
+        """Whether no servo of any leg runs."""
+        self._moved: list[Leg] | None = None
+        """The only legs that this step has changed; None: any may have changed."""
+        self.stops = False
+        """Whether a Stop is among what this step wants sent."""
         self._queue = StartQueue(rules.start_pause_ns)
 
     def __iter__(self) -> Iterator[Leg]:
         return iter(self.by_number.values())
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether no servo of any leg runs."""
-        return not [servo for servo in self.servos.values() if servo.angle_cdeg is not None]
-
     # ---- time
 
-    def due_ns(self) -> int | None:
-        """When a deadline, a repeat or a rate slot comes next."""
-        due: list[int] = []
-        repeats: list[int] = []
-        for leg in self.by_number.values():
-            deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
-            if deadline_ns is not None:
-                due.append(deadline_ns)
-            waits = False
-            for servo in leg.servos:
-                if servo.repeats_left:
-                    repeats.append(servo.repeat_ns)
-                waits = waits or servo.waiting is not None
-            if waits:
-                slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
-                if slot_ns is not None:
-                    due.append(slot_ns)
-        self.repeat_ns = min(repeats, default=None)
-        return min(due + repeats, default=None)
+    def begin(self, instant_ns: int) -> None:
+        """A step begins."""
+        self.instant_ns = instant_ns
+        self.stops = False
+
+    def look(self) -> None:
+        """A step ends: see what is due next, and whether anything runs.
+
+        A command that only moves its own legs has changed nothing of the others, so these are not looked at.
+        """
+        legs = self.by_number.values()
+        for leg in legs if self._moved is None else self._moved:
+            self._look_at(leg)
+        self._moved = None
+        due_ns = repeat_ns = NEVER
+        at_rest = True
+        for leg in legs:
+            due_ns = leg.due_ns if leg.due_ns < due_ns else due_ns
+            repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
+            at_rest = at_rest and not leg.runs
+        self.due_ns = None if due_ns == NEVER else due_ns
+        self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
+        self.at_rest = at_rest
+
+    def _look_at(self, leg: Leg) -> None:
+        deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
+        due_ns = NEVER if deadline_ns is None else deadline_ns
+        repeat_ns = NEVER
+        runs = waits = False
+        for servo in leg.servos:
+            if servo.angle_cdeg is not None:
+                runs = True
+            if servo.waiting is not None:
+                waits = True
+            if servo.repeats_left and servo.repeat_ns < repeat_ns:
+                repeat_ns = servo.repeat_ns
+        if waits:
+            slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
+            if slot_ns is not None and slot_ns < due_ns:
+                due_ns = slot_ns
+        leg.due_ns, leg.repeat_ns, leg.runs = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns, runs
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """The repeated Stops that are due."""
@@ -196,6 +224,7 @@ class Legs:
 
     def take_slots(self, now_ns: int) -> list[Effect]:
         """The frames of the legs whose rate slot has come."""
+        self._moved = None
         return [effect for leg in self for effect in self._send(leg, now_ns)]
 
     # ---- commands
@@ -203,9 +232,13 @@ class Legs:
     def apply(self, command: Command, now_ns: int) -> list[Effect]:
         """Carry out an accepted command."""
         by_leg: dict[int, list[tuple[Servo, ServoOp]]] = {}
+        moved: list[Leg] = []
         for servo_id, op in command.targets:
             servo = self.servos[servo_id]
-            by_leg.setdefault(servo.leg, []).append((servo, op))
+            if servo.leg in by_leg:
+                by_leg[servo.leg].append((servo, op))
+            else:
+                by_leg[servo.leg] = [(servo, op)]
         self._pending[command.number] = _PendingCommand(len(command.targets))
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
@@ -214,23 +247,29 @@ class Legs:
             leg = self.by_number[number]
             if leg.source != command.source:
                 taken += _taken_over(leg, command.source)
-            if any(op.op is not Op.STOP for _, op in targets):
+            moves = False
+            for _, op in targets:
+                moves = moves or op.op is not Op.STOP
+            if moves:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns
                 effects += self._move(leg, targets, command, now_ns)
+                moved.append(leg)
             else:
                 stops.append((leg, [servo for servo, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
         if stops:  # they may have ended what its own starts queued behind
             effects += self.take_slots(now_ns)
+        elif not self._rules.start_pause_ns:  # else a leg that starts delays others
+            self._moved = moved
         return effects + taken if taken else effects
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
         effects = _stops(leg, servos, Cause.COMMAND)
         for servo in servos:
-            effects += self._replace(servo, None)
+            effects += self._replaced(servo)
             servo.note_stop(command.channel, self.instant_ns)
             self._stopped(servo, now_ns)
             effects += self._target_done(command.number)
@@ -241,14 +280,17 @@ class Legs:
         """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
         effects: list[Effect] = []
         for servo, op in targets:
-            newest = op if servo.waiting is None else merged(servo.waiting.op, op)
-            effects += self._replace(servo, Waiting(newest, command.number))
+            newest = op
+            if servo.waiting is not None:
+                newest = merged(servo.waiting, op)
+                effects += self._replaced(servo)
+            servo.waiting, servo.waiting_number = newest, command.number
             if op.op is Op.STOP:
                 servo.note_stop(command.channel, self.instant_ns)
         effects += self._send(leg, now_ns)
         for servo, _ in targets:
             # The leg's rate slot has not come. Its moves wait; its Stops do not.
-            if servo.waiting is not None and servo.waiting.op.op is Op.STOP:
+            if servo.waiting is not None and servo.waiting.op is Op.STOP:
                 servo.waiting = None
                 # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
                 if servo.running or not servo.repeats_left:
@@ -263,7 +305,7 @@ class Legs:
         energises = leg.waits_to_start
         if energises:
             self._queue.join(leg.number)
-        else:
+        elif self._queue.legs:
             self._queue.leave(leg.number)
         if not waiting or not leg.slots.is_open(now_ns):
             return []
@@ -272,17 +314,17 @@ class Legs:
                 return []
             self._queue.started(leg.number, now_ns)
         leg.slots.take(now_ns)
-        frame = OneServo(waiting[0][0].servo_id, waiting[0][1].op) if len(waiting) == 1 else _whole_leg(leg)
+        frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
         effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
         for servo, target in waiting:
             servo.waiting = None
-            if target.op.op is Op.STOP:
+            if target.op is Op.STOP:
                 self._stopped(servo, now_ns)
             else:
-                servo.angle_cdeg = target.op.angle_cdeg
+                servo.angle_cdeg = target.angle_cdeg
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
-            effects += self._target_done(target.number)
+            effects += self._target_done(servo.waiting_number)
         return effects
 
     def stop(
@@ -303,6 +345,7 @@ class Legs:
         return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
+        self.stops = True
         servo.angle_cdeg = None
         servo.repeats_left = self._rules.repeats
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
@@ -313,18 +356,18 @@ class Legs:
         Unless the Stop's own command wants it.
         """
         servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
-        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting.number != own]
+        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_number != own]
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
 
     # ---- commands under way
 
-    def _replace(self, servo: Servo, newer: Waiting | None) -> list[Effect]:
-        """A newer target for a servo: the command whose target waited until now will not see it sent."""
-        older, servo.waiting = servo.waiting, newer
-        if older is None:
+    def _replaced(self, servo: Servo) -> list[Effect]:
+        """Something newer comes for a servo: the command whose target waited until now will not see it sent."""
+        if servo.waiting is None:
             return []
-        self._pending[older.number].coalesced = True
-        return self._target_done(older.number)
+        servo.waiting = None
+        self._pending[servo.waiting_number].coalesced = True
+        return self._target_done(servo.waiting_number)
 
     def _target_done(self, number: int) -> list[Effect]:
         pending = self._pending[number]
@@ -336,9 +379,9 @@ class Legs:
 
     def drop(self, servos: Iterable[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Forget what waits for these servos, and reject the commands that it came from, as a whole."""
-        rejected = dict.fromkeys(servo.waiting.number for servo in servos if servo.waiting is not None)
+        rejected = dict.fromkeys(servo.waiting_number for servo in servos if servo.waiting is not None)
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
-            if servo.waiting is not None and servo.waiting.number in rejected:
+            if servo.waiting is not None and servo.waiting_number in rejected:
                 servo.waiting = None
         for number in rejected:
             del self._pending[number]
@@ -350,6 +393,7 @@ class Legs:
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
         due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
         for servo in due:
+            self.stops = True
             servo.repeats_left -= 1
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         return _stops(leg, due, Cause.REPEAT)

@@ -12,25 +12,20 @@ Stop frames need no slot and never pass through here.
 """
 
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway.protocol.frames import Op, ServoOp
 
 NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000
+NEVER: Final = 2**63
+"""Later than any time."""
 
 BUCKET: Final = 3
 """At 50 Hz, Wi-Fi delivers a setpoint up to 15 ms early or late: 30 ms from one to the next, which is one and a half
 periods. Three slots take up two periods, since the frame itself uses one."""
 SPACING_SHARE: Final = 4
 """Two frames of a leg are at least a period, divided by this, apart."""
-
-
-class Waiting(NamedTuple):
-    """A servo's newest target, and the command (by its number) that set it."""
-
-    op: ServoOp
-    number: int
 
 
 def merged(older: ServoOp, newer: ServoOp) -> ServoOp:

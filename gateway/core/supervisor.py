@@ -156,7 +156,7 @@ class Supervisor:
         """
         if type(event) not in TRANSITIONS[self.mode]:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
-        self.legs.instant_ns = now_ns if instant_ns is None else instant_ns
+        self.legs.begin(now_ns if instant_ns is None else instant_ns)
         match event:
             case Command() | Reset() | TimePassed() | StoppedOutside(at_work=False):
                 effects = self._in_time(event, now_ns)
@@ -171,9 +171,10 @@ class Supervisor:
                 effects = self._bus_failed(event)
             case ShutDown():
                 effects = self._shut_down(now_ns)
+        self.legs.look()
         self.mode = self._mode_now()
-        self.due_ns = self.legs.due_ns() if self._bus_ok else None
-        return sorted(effects, key=_after_stops)
+        self.due_ns = self.legs.due_ns if self._bus_ok else None
+        return sorted(effects, key=_after_stops) if self.legs.stops else effects
 
     def _mode_now(self) -> Mode:
         """The first that applies."""

@@ -189,7 +189,7 @@ class OlderStartSurvivesStop(Legs):
         for servo, older in waiting:
             servo.waiting = older
             if older is not None:
-                self._pending.setdefault(older.number, self._pending_of_one())
+                self._pending.setdefault(servo.waiting_number, self._pending_of_one())
         return [effect for effect in effects if getattr(effect, "number", None) not in self._pending]
 
     def _pending_of_one(self) -> Any:

@@ -15,12 +15,12 @@ LEGS = Subject(
     ),
     mutants=(
         Mutant(
-            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)",
+            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)",
             "return self.angle_cdeg is not None or self.waiting is not None",
             "a leg that a Stop came for queues with those to be energised",
         ),
         Mutant(
-            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op.op is Op.START)",
+            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)",
             "return self.angle_cdeg is not None",
             "a start that is pending has no watchdog, and a set after it is rejected",
         ),
@@ -51,16 +51,6 @@ LEGS = Subject(
             "a leg that runs queues behind those to be energised",
         ),
         Mutant(
-            "return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None",
-            "return first.angle_cdeg is second.angle_cdeg is None",
-            "with joint 3 alone energised, the state says idle",
-        ),
-        Mutant(
-            "return first.angle_cdeg is second.angle_cdeg is third.angle_cdeg is None",
-            "return second.angle_cdeg is third.angle_cdeg is None",
-            "with joint 1 alone energised, the state says idle",
-        ),
-        Mutant(
             "return first.will_run or second.will_run or third.will_run",
             "return first.will_run or second.will_run",
             "joint 3 alone has no watchdog",
@@ -87,13 +77,13 @@ LEGS = Subject(
             "the watchdog tells again and again of a leg that does nothing",
         ),
         Mutant(
-            "waits = waits or servo.waiting is not None",
-            "waits = waits or (servo.waiting is not None and servo is not leg.servos[2])",
+            "            if servo.waiting is not None:\n                waits = True\n",
+            "            if servo.waiting is not None and servo is not leg.servos[2]:\n                waits = True\n",
             "nobody wakes up for what is pending for joint 3",
         ),
         Mutant(
-            "waits = waits or servo.waiting is not None",
-            "waits = servo.waiting is not None",
+            "            if servo.waiting is not None:\n                waits = True\n",
+            "            waits = servo.waiting is not None\n",
             "nobody wakes up for what is pending for joint 1",
         ),
         Mutant(
@@ -107,40 +97,83 @@ LEGS = Subject(
             "a servo is started that nobody starts",
         ),
         Mutant(
-            "return not [servo for servo in self.servos.values() if servo.angle_cdeg is not None]",
-            "return not [servo for servo in self.servos.values() if servo.angle_cdeg]",
+            "            if servo.angle_cdeg is not None:\n                runs = True\n",
+            "            if servo.angle_cdeg:\n                runs = True\n",
             "the state says idle while a servo runs at 0 degrees",
         ),
         Mutant("if len(servos) == len(leg.servos):", "if servos:", "a Stop for one servo stops its whole leg"),
         Mutant("if len(servos) == len(leg.servos):", "if False:", "a leg's three Stops take three times as long"),
         Mutant(
-            "            if deadline_ns is not None:\n                due.append(deadline_ns)\n",
-            "",
+            "due_ns = NEVER if deadline_ns is None else deadline_ns",
+            "due_ns = NEVER",
             "nobody wakes up for the watchdog",
         ),
         Mutant(
-            "                if servo.repeats_left:\n",
-            "                if False:\n",
+            "            if servo.repeats_left and servo.repeat_ns < repeat_ns:\n",
+            "            if False:\n",
             "nobody wakes up to repeat a Stop",
         ),
         Mutant(
-            "                if slot_ns is not None:\n                    due.append(slot_ns)\n",
-            "",
+            "            if slot_ns is not None and slot_ns < due_ns:\n",
+            "            if False:\n",
             "nobody wakes up for a rate slot",
         ),
         Mutant(
-            "self.repeat_ns = min(repeats, default=None)",
+            "self.repeat_ns = None if repeat_ns == NEVER else repeat_ns",
             "self.repeat_ns = None",
             "no pause is filled with the preamble for repeated Stops",
         ),
         Mutant(
-            "return min(due + repeats, default=None)",
-            "return max(due + repeats, default=None)",
-            "it wakes up for the last thing due",
+            "due_ns = leg.due_ns if leg.due_ns < due_ns else due_ns",
+            "due_ns = leg.due_ns if leg.due_ns != NEVER else due_ns",
+            "it wakes up for what the last leg has due",
+        ),
+        Mutant(
+            "due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns",
+            "repeat_ns if due_ns < repeat_ns else due_ns, repeat_ns",
+            "it wakes up for the last thing that a leg has due",
+        ),
+        Mutant(
+            "repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns",
+            "repeat_ns = leg.repeat_ns",
+            "only the sixth leg's repeats have their preamble in a pause",
+        ),
+        Mutant(
+            "at_rest = at_rest and not leg.runs", "at_rest = not leg.runs", "with leg 1 alone running, it says idle"
+        ),
+        Mutant(
+            "        self._moved = None\n        return [effect",
+            "        return [effect",
+            "a leg whose repeat or rate slot came with another's command is forgotten",
+        ),
+        Mutant(
+            "        elif not self._rules.start_pause_ns:  #",
+            "        else:  #",
+            "a leg behind another in the queue of starts is forgotten, or woken for nothing",
+        ),
+        Mutant(
+            "                moved.append(leg)\n",
+            "",
+            "a command to one leg arms no watchdog",
+        ),
+        Mutant(
+            "            self._look_at(leg)\n        self._moved = None\n",
+            "            self._look_at(leg)\n",
+            "after a command to one leg, another's Stop is forgotten",
+        ),
+        Mutant(
+            "        self.stops = True\n        servo.angle_cdeg = None\n",
+            "        servo.angle_cdeg = None\n",
+            "a start goes out before a Stop",
+        ),
+        Mutant(
+            "            self.stops = True\n            servo.repeats_left -= 1\n",
+            "            servo.repeats_left -= 1\n",
+            "a frame that moves goes out before a repeated Stop",
         ),
         Mutant(
             "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n"
-            "            effects += self._replace(servo, None)\n",
+            "            effects += self._replaced(servo)\n",
             "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n",
             "an older start comes after the Stop",
         ),
@@ -180,7 +213,7 @@ LEGS = Subject(
             "a command that stops one leg and starts another rejects itself",
         ),
         Mutant(
-            "newest = op if servo.waiting is None else merged(servo.waiting.op, op)",
+            "newest = merged(servo.waiting, op)",
             "newest = op",
             "a pending start becomes a set",
         ),
@@ -195,7 +228,7 @@ LEGS = Subject(
             "an older start overtakes a Stop that came with moves, where time passes in an instant",
         ),
         Mutant(
-            "if servo.waiting is not None and servo.waiting.op.op is Op.STOP:\n                servo.waiting = None\n",
+            "if servo.waiting is not None and servo.waiting.op is Op.STOP:\n                servo.waiting = None\n",
             "if False:\n                servo.waiting = None\n",
             "a Stop that came with moves waits for the rate slot",
         ),
@@ -219,7 +252,7 @@ LEGS = Subject(
             "            self._queue.join(leg.number)\n", "            pass\n", "a leg to be energised is in no queue"
         ),
         Mutant(
-            "            self._queue.join(leg.number)\n        else:\n            self._queue.leave(leg.number)\n",
+            "            self._queue.join(leg.number)\n        elif self._queue.legs:\n            self._queue.leave(leg.number)\n",
             "            self._queue.join(leg.number)\n",
             "a leg that need not be energised any more keeps others off",
         ),
@@ -236,18 +269,18 @@ LEGS = Subject(
         Mutant("            self._queue.started(leg.number, now_ns)\n", "", "no pause between two legs"),
         Mutant("        leg.slots.take(now_ns)\n", "", "no rate limit"),
         Mutant(
-            "waiting[0][1].op) if len(waiting) == 1 else",
-            "waiting[0][1].op) if waiting else",
+            "waiting[0][1]) if len(waiting) == 1 else",
+            "waiting[0][1]) if waiting else",
             "of three targets one is sent",
         ),
         Mutant(
-            "            servo.waiting = None\n            if target.op.op is Op.STOP:\n                self._stopped(servo, now_ns)\n",
-            "            servo.waiting = None\n            if target.op.op is Op.STOP:\n                servo.angle_cdeg = None\n",
+            "            servo.waiting = None\n            if target.op is Op.STOP:\n                self._stopped(servo, now_ns)\n",
+            "            servo.waiting = None\n            if target.op is Op.STOP:\n                servo.angle_cdeg = None\n",
             "a Stop that came with moves is not repeated",
         ),
         Mutant(
-            "                servo.angle_cdeg = target.op.angle_cdeg\n                servo.repeats_left = 0",
-            "                servo.angle_cdeg = target.op.angle_cdeg\n                servo.repeats_left += 0",
+            "                servo.angle_cdeg = target.angle_cdeg\n                servo.repeats_left = 0",
+            "                servo.angle_cdeg = target.angle_cdeg\n                servo.repeats_left += 0",
             "a repeated Stop undoes the start that came after it",
         ),
         Mutant(
@@ -297,12 +330,14 @@ LEGS = Subject(
             "the first repeat comes at once",
         ),
         Mutant(
-            "if servo.waiting is not None and servo.waiting.number != own]",
+            "if servo.waiting is not None and servo.waiting_number != own]",
             "if servo.waiting is not None]",
             "a command that stops one leg and starts another rejects itself",
         ),
         Mutant(
-            "        self._pending[older.number].coalesced = True\n", "", "nobody is told that a target was replaced"
+            "        self._pending[servo.waiting_number].coalesced = True\n",
+            "",
+            "nobody is told that a target was replaced",
         ),
         Mutant(
             "        pending.targets -= 1\n", "        pending.targets -= 2\n", "a command is acknowledged too early"

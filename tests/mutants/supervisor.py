@@ -35,13 +35,13 @@ SUPERVISOR = Subject(
             "before the bus is open, an emergency stop is an error",
         ),
         Mutant(
-            "        self.legs.instant_ns = now_ns if instant_ns is None else instant_ns\n",
+            "        self.legs.begin(now_ns if instant_ns is None else instant_ns)\n",
             "        self.legs.instant_ns = now_ns\n",
             "where time passes in an instant, a start overtakes a Stop, and a reset an emergency stop",
         ),
         Mutant("return sorted(effects, key=_after_stops)", "return effects", "a start goes out before a Stop"),
         Mutant(
-            "self.due_ns = self.legs.due_ns() if self._bus_ok else None",
+            "self.due_ns = self.legs.due_ns if self._bus_ok else None",
             "self.due_ns = self.legs.due_ns()",
             "the loop spins while the bus is at fault",
         ),
@@ -229,7 +229,7 @@ SUPERVISOR = Subject(
         ),
         Mutant(
             "{leg.number: None for leg in self.legs}",
-            "{leg.number: None for leg in self.legs if not leg.at_rest}",
+            "{leg.number: None for leg in self.legs if leg.runs}",
             "a leg that nobody knows to run gets no Stop",
         ),
         Mutant(

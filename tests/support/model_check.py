@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from gateway.core.events import BusFailed, BusOpened, Command, EmergencyStop, Event, Reset, ShutDown, TimePassed
 from gateway.core.legs import Leg, Legs, Rules, Servo, _PendingCommand
-from gateway.core.pacing import RateSlots, StartQueue, Waiting
+from gateway.core.pacing import RateSlots, StartQueue
 from gateway.core.supervisor import TRANSITIONS, Supervisor
 from gateway.protocol.frames import STOP, Op, ServoOp
 from schemas.telemetry import Mode
@@ -70,13 +70,22 @@ def _getter(kind: type, *expected: str) -> "attrgetter[tuple[Any, ...]]":
 
 
 _servo_fields = _getter(
-    Servo, "servo_id", "leg", "angle_cdeg", "waiting", "repeats_left", "repeat_ns", "stopped_ns", "stopped_by"
+    Servo,
+    "servo_id",
+    "leg",
+    "angle_cdeg",
+    "waiting",
+    "waiting_number",
+    "repeats_left",
+    "repeat_ns",
+    "stopped_ns",
+    "stopped_by",
 )
-_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired", "source")
+# The last three follow from the others: `take` sees to that.
+_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired", "source", "due_ns", "repeat_ns", "runs")
 _slots_fields = _getter(RateSlots, "period_ns", "oldest_ns", "next_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _pending_fields = _getter(_PendingCommand, "targets", "coalesced")
-_getter(Waiting, "op", "number")
 _SUPERVISOR_FIELDS: Final = {
     "_rules",
     "legs",
@@ -90,8 +99,13 @@ _SUPERVISOR_FIELDS: Final = {
     "mode",
     "due_ns",
 }
-# The last follows from what `due_ns` finds.
-_LEGS_FIELDS: Final = {"_rules", "by_number", "servos", "_pending", "_queue", "instant_ns", "repeat_ns"}
+# The first two rows matter; the third follows from them, and the last counts within a step.
+_LEGS_FIELDS: Final = {
+    *("_rules", "by_number", "servos", "_pending"),
+    *("_queue", "instant_ns"),
+    *("due_ns", "repeat_ns", "at_rest"),
+    *("_moved", "stops"),
+}
 
 
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
@@ -117,7 +131,8 @@ def copied(supervisor: Supervisor) -> Supervisor:
     for number, leg in supervisor.legs.by_number.items():
         first, second, third = (type(servo)(*_servo_fields(servo)) for servo in leg.servos)
         slots = type(leg.slots)(*_slots_fields(leg.slots))
-        by_number[number] = type(leg)(number, (first, second, third), slots, leg.heard_ns, leg.expired, leg.source)
+        _, _, _, *rest = _leg_fields(leg)
+        by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
@@ -157,7 +172,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 tuple(
                     (
                         servo.angle_cdeg,
-                        servo.waiting and (servo.waiting.op, rank[servo.waiting.number]),
+                        servo.waiting and (servo.waiting, rank[servo.waiting_number]),
                         # A bus that opens again is told to stop everything anew.
                         supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
@@ -261,8 +276,17 @@ def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, inst
         estops=supervisor.estops,
         instant_ns=instant_ns,
     )
+    if isinstance(event, Command):  # after all others, every leg is looked at
+        kept = _what_follows(supervisor.legs)
+        supervisor.legs.look()
+        demand(kept == _what_follows(supervisor.legs), f"the legs that were not looked at have not changed: {kept}")
     if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")
+
+
+def _what_follows(legs: Legs) -> tuple[object, ...]:
+    """When what is due next, and whether anything runs."""
+    return legs.due_ns, legs.repeat_ns, legs.at_rest
 
 
 def check(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> Report:

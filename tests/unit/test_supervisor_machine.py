@@ -206,6 +206,14 @@ class SupervisorMachine(RuleBasedStateMachine):
             assert self.controller.energised == running == self.oracle.energised
 
     @invariant()
+    def what_is_due_is_known(self) -> None:
+        """A step looks only at the legs that it has changed; to look at all of them must come to the same."""
+        legs = self.supervisor.legs
+        kept = legs.due_ns, legs.repeat_ns, legs.at_rest
+        legs.look()
+        assert kept == (legs.due_ns, legs.repeat_ns, legs.at_rest)
+
+    @invariant()
     def nothing_is_forgotten(self) -> None:
         assert self.supervisor.legs._pending.keys() == self.oracle.pending.keys()
 
