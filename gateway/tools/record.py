@@ -1,16 +1,14 @@
 """`record`: everything that the gateway says, into an MCAP file, until somebody ends it."""
 
 import json
-import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from types import FrameType
 from typing import Any, Final
 
 import zenoh
@@ -21,6 +19,7 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
 from gateway.recordings import REPORTS, Recording, is_cut_off, is_ours
 from gateway.recordings import repair as repair_recording
+from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
 from schemas.keys import EVENT, FRAME, STATE
@@ -61,7 +60,7 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
         recorder = _Recorder(recording, frames_before)
-        with recorder.hears(client), _until_signalled(recorder.end):
+        with recorder.hears(client), on_end_signals(recorder.end):
             hint(f"recording into {path}; Ctrl-C ends it")
             return recorder.run(seconds)
 
@@ -171,20 +170,6 @@ def _clear_progress() -> None:
     if sys.stderr.isatty():
         sys.stderr.write("\r\x1b[K")
         sys.stderr.flush()
-
-
-@contextmanager
-def _until_signalled(end: Callable[[], None]) -> Iterator[None]:
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        end()
-
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, handle) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _repair_all(path: Path) -> None:

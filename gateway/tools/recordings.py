@@ -1,4 +1,4 @@
-"""The command line of recordings: `record`."""
+"""The command line of recordings: `record` and `replay`."""
 
 import sys
 from pathlib import Path
@@ -48,3 +48,32 @@ def record(
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
     connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record")
     sys.exit(record(connection, file, geometry=geometry, overwrite=force, seconds=seconds))
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording with frames")],
+    speed: Annotated[float, typer.Option("--speed", metavar="X", min=0.1, max=10, help="2 is twice as fast.")] = 1.0,
+    check: Annotated[
+        bool, typer.Option("--check", help="Compare what the gateway then writes: same bytes, same order, same times.")
+    ] = False,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="MS", min=0, help="With --check: how far times may be off.")
+    ] = 5.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Move a real robot without asking.")] = False,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Drive a gateway with the frames of a recording, in their time; asks before it moves a real robot.
+
+    It drives (see `lease`) meanwhile, and stops all legs at the end, also on Ctrl-C.
+
+    Exit codes: 0 all was sent (--check: and the gateway wrote the same), 1 it was rejected or stopped, or differs,
+    2 there is nothing to replay, the robot is not at rest, or nobody agreed, 4 no gateway answers.
+    """
+    from gateway.tools import reach
+    from gateway.tools.replay import SOURCE, replay
+
+    connection = reach.connection(connect, zenoh_config, timeout, source=SOURCE)
+    sys.exit(replay(connection, file, speed=speed, check=check, agreed=yes, tolerance_ms=tolerance))

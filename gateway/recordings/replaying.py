@@ -1,0 +1,248 @@
+"""From recorded frames to commands that make a gateway write them again, and whether it did. Pure.
+
+What a command caused is sent as a command of the same frame. What the gateway decided by itself it decides again: it
+repeats Stops, and stops silent legs. An emergency stop, and the Stops of a gateway that started or ended, are sent as
+Stops of those legs. A recording that begins while servos run begins with Sets; these are sent as Starts.
+
+Frames of several legs that one message caused are sent as one message again: nobody knows the order of several
+messages that arrive in one instant.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any, Final, NamedTuple
+
+from gateway.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Cause
+
+NS_PER_MS: Final = 1_000_000
+TOGETHER_NS: Final = 2 * NS_PER_MS
+"""Six frames of one message are on the wire within a millisecond; two messages of a gait are 20 ms apart."""
+APART_NS: Final = NS_PER_MS
+"""Messages on different keys are sent at least so far apart, so that the gateway sees them in this order."""
+MAX_PAUSE_NS: Final = 3600 * 1000 * NS_PER_MS
+"""A step of the clock, forward or back, is a restart of the machine; nobody waits for an hour."""
+
+_OPS: Final = {Op.START: "start", Op.SET: "set", Op.STOP: "stop"}
+
+
+class Written(NamedTuple):
+    """A frame on the wire: when, by the gateway's monotonic clock, and whether a command caused it."""
+
+    at_ns: int
+    data: bytes
+    commanded: bool = True
+
+
+class Step(NamedTuple):
+    """One message to send, `at_ns` after the first, and the frames that it shall cause."""
+
+    at_ns: int
+    frames: tuple[Frame, ...]
+
+    @property
+    def key(self) -> str:
+        """Where to send it."""
+        first = self.frames[0]
+        if len(self.frames) > 1:
+            return keys.LEGS_COMMAND
+        return keys.servo_command(first.servo_id) if isinstance(first, OneServo) else keys.leg_command(first.leg)
+
+    def payload(self) -> dict[str, Any]:
+        """What to send."""
+        first = self.frames[0]
+        if isinstance(first, OneServo):
+            return _servo(first.command)
+        if len(self.frames) == 1:
+            return _leg(first)
+        return {"legs": {str(frame.leg): _leg(frame) for frame in self.frames if isinstance(frame, OneLeg)}}
+
+
+@dataclass(slots=True)
+class Plan:
+    """What to send, and what the gateway then writes."""
+
+    steps: list[Step] = field(default_factory=list)
+    expected: list[Written] = field(default_factory=list)
+    begun_running: int = 0
+    """Servos whose first frame was a Set, which is sent as a Start."""
+    longest_gap_ns: int = 0
+    """Between two frames of a leg that runs."""
+    left_out: int = 0
+    """Frames that are none of this protocol, or come after the gateway's machine was started again."""
+
+    @property
+    def duration_ns(self) -> int:
+        """From the first step to the last."""
+        return self.steps[-1].at_ns if self.steps else 0
+
+
+def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) -> Plan:
+    """The plan for FrameRecords in their order. `watchdog_too`: the watchdog's Stops are sent, too."""
+    own = {Cause.REPEAT} if watchdog_too else {Cause.REPEAT, Cause.WATCHDOG}
+    found, legs = Plan(), _Legs()
+    begun_ns: int | None = None
+    last_ns = 0
+    over = False
+    together: list[Frame] = []
+    together_ns = 0
+    for record in records:
+        if begun_ns is None:
+            if record["cause"] != Cause.COMMAND:  # the Stops of the gateway's start, or of what was before
+                continue
+            begun_ns = record["monotonic_ns"]
+        at_ns = record["monotonic_ns"] - begun_ns
+        over = over or not last_ns <= at_ns <= last_ns + MAX_PAUSE_NS
+        frame = _decoded(record["bytes"])
+        if frame is None or over:
+            found.left_out += 1
+            continue
+        last_ns = at_ns
+        frame = legs.follow(frame, at_ns)
+        commanded = record["cause"] not in own
+        found.expected.append(Written(at_ns, frame.to_bytes(), commanded))
+        if not commanded:
+            continue
+        if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
+            _add(found.steps, together_ns, together)
+            together = []
+        if not together:
+            together_ns = at_ns
+        together.append(frame)
+    if together:
+        _add(found.steps, together_ns, together)
+    found.begun_running, found.longest_gap_ns = legs.begun_running, legs.longest_gap_ns
+    return found
+
+
+def _decoded(hex_bytes: str) -> Frame | None:
+    try:
+        return decode(bytes.fromhex(hex_bytes))
+    except (FrameError, ValueError):
+        return None
+
+
+def _one_message(before: Frame, frame: Frame) -> bool:
+    """Whether a LegsCommand can cause both, in this order: legs ascending, and Stops not mixed with the rest."""
+    if not (isinstance(before, OneLeg) and isinstance(frame, OneLeg)):
+        return False
+    return before.leg < frame.leg and before.is_stop == frame.is_stop
+
+
+def _add(steps: list[Step], at_ns: int, frames: Sequence[Frame]) -> None:
+    step = Step(at_ns, tuple(frames))
+    if steps and steps[-1].key != step.key:
+        step = step._replace(at_ns=max(at_ns, steps[-1].at_ns + APART_NS))
+    steps.append(step)
+
+
+class _Legs:
+    """Which servos run, as far as these frames tell."""
+
+    def __init__(self) -> None:
+        self._running: set[int] = set()
+        self._moved_ns: dict[int, int] = {}
+        self.begun_running = 0
+        self.longest_gap_ns = 0
+
+    def follow(self, frame: Frame, at_ns: int) -> Frame:
+        """The frame, with a Start in place of a Set for a servo that does not run."""
+        ops = [self._op(servo_id, command, at_ns) for servo_id, command in frame.servos]
+        if not frame.is_stop:
+            self._moved_ns[frame.servos[0][0] // 10] = at_ns
+        if isinstance(frame, OneServo):
+            return OneServo(frame.servo_id, ops[0])
+        return OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
+
+    def _op(self, servo_id: int, command: ServoOp, at_ns: int) -> ServoOp:
+        if command.op is Op.STOP:
+            self._running.discard(servo_id)
+            return command
+        if servo_id in self._running:
+            self.longest_gap_ns = max(self.longest_gap_ns, at_ns - self._moved_ns[servo_id // 10])
+            return command
+        self._running.add(servo_id)
+        if command.op is Op.SET:
+            self.begun_running += 1
+        return ServoOp(Op.START, command.angle_cdeg)
+
+
+def _leg(frame: OneLeg) -> dict[str, Any]:
+    return {"servos": [_servo(command) for command in frame.commands]}
+
+
+def _servo(command: ServoOp) -> dict[str, Any]:
+    if command.op is Op.STOP:
+        return {"op": "stop"}
+    return {"op": _OPS[command.op], "angle_deg": command.angle_cdeg / 100}
+
+
+# ---- did it write the same?
+
+
+class Comparison(NamedTuple):
+    """What a gateway wrote beside what it was expected to write."""
+
+    frames: int
+    """Expected."""
+    differences: list[str]
+    """A sentence for each leg whose frames are not the same bytes in the same order."""
+    swapped: int
+    """Commands' frames that another leg's frame overtook. The gateway's own are as punctual as its timers."""
+    worst_ms: float
+    p99_ms: float
+    """How far a frame's time is from its own, the start of the replay being where most frames fit."""
+
+    def passes(self, tolerance_ms: float) -> bool:
+        """Same bytes, same order, times within the tolerance."""
+        return not self.differences and self.swapped == 0 and self.worst_ms <= tolerance_ms
+
+
+def compare(expected: Sequence[Written], written: Sequence[Written]) -> Comparison:
+    """Frame by frame, leg by leg; then the order of frames of different legs."""
+    wanted, found = _by_leg(expected), _by_leg(written)
+    differences: list[str] = []
+    pairs: list[tuple[int, int]] = []
+    for leg in LEGS:
+        same = 0
+        for want, have in zip(wanted[leg], found[leg], strict=False):
+            if expected[want].data != written[have].data:
+                break
+            same += 1
+        pairs += zip(wanted[leg][:same], found[leg][:same], strict=True)
+        if same < max(len(wanted[leg]), len(found[leg])):
+            differences.append(
+                _difference(leg, same, [expected[i] for i in wanted[leg]], [written[i] for i in found[leg]])
+            )
+    pairs.sort()
+    newest, swapped = -1, 0
+    for want, have in pairs:
+        if expected[want].commanded:
+            swapped += have < newest
+            newest = max(newest, have)
+    offsets_ns = [written[have].at_ns - expected[want].at_ns for want, have in pairs]
+    middle_ns = median(offsets_ns) if offsets_ns else 0
+    away_ms = sorted(abs(offset - middle_ns) / NS_PER_MS for offset in offsets_ns)
+    worst_ms, p99_ms = (away_ms[-1], away_ms[len(away_ms) * 99 // 100]) if away_ms else (0.0, 0.0)
+    return Comparison(len(expected), differences, swapped, worst_ms, p99_ms)
+
+
+def _by_leg(frames: Sequence[Written]) -> dict[int, list[int]]:
+    """The places of each leg's frames; a frame's third byte is the id of its first servo."""
+    found: dict[int, list[int]] = {leg: [] for leg in LEGS}
+    for place, frame in enumerate(frames):
+        found[frame.data[2] // 10].append(place)
+    return found
+
+
+def _difference(leg: int, same: int, wanted: Sequence[Written], found: Sequence[Written]) -> str:
+    where = f"leg {leg}: {same} frames are the same"
+    if same == len(wanted):
+        return f"{where}; then {found[same].data.hex()} was written, and {len(found) - same} frames are too many"
+    at_s = wanted[same].at_ns / 1e9
+    if same == len(found):
+        return f"{where}; {len(wanted) - same} are missing, the first at {at_s:.3f} s: {wanted[same].data.hex()}"
+    return f"{where}; at {at_s:.3f} s {found[same].data.hex()} was written in place of {wanted[same].data.hex()}"

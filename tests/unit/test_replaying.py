@@ -1,0 +1,175 @@
+"""What is sent for recorded frames, and whether two lists of frames are the same."""
+
+import io
+from typing import Any, Final
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.recordings.replaying import APART_NS, NS_PER_MS, Written, compare, plan
+from gateway.tools.replay import _ask
+from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
+from schemas.robot import LEGS
+from schemas.telemetry import Cause
+
+BEGUN_NS: Final = 7_000_000_000
+
+
+def leg(number: int, op: Op = Op.SET, deg: float = 90) -> OneLeg:
+    return OneLeg(number, (ServoOp(op, round(100 * deg)),) * 3)
+
+
+def record(at_ms: float, frame: OneLeg | OneServo, cause: Cause = Cause.COMMAND) -> dict[str, Any]:
+    return {
+        "monotonic_ns": BEGUN_NS + round(at_ms * NS_PER_MS),
+        "bytes": frame.to_bytes().hex(),
+        "cause": str(cause),
+        "time": "2026-11-22T00:00:00Z",
+    }
+
+
+def sent(*records: dict[str, Any], watchdog_too: bool = False) -> list[tuple[float, str, dict[str, Any]]]:
+    found = plan(records, watchdog_too=watchdog_too)
+    return [(step.at_ns / NS_PER_MS, step.key, step.payload()) for step in found.steps]
+
+
+def test_frames_become_the_commands_that_cause_them() -> None:
+    servo = OneServo(32, ServoOp(Op.SET, 12_34))
+    found = sent(record(0, leg(3, Op.START)), record(20, servo), record(40, stop_leg(3)))
+    assert found == [
+        (0, "hexapod/leg/3/cmd", {"servos": [{"op": "start", "angle_deg": 90.0}] * 3}),
+        (20, "hexapod/servo/32/cmd", {"op": "set", "angle_deg": 12.34}),
+        (40, "hexapod/leg/3/cmd", {"servos": [{"op": "stop"}] * 3}),
+    ]
+    LegCommand.model_validate_json(str(found[0][2]).replace("'", '"'))
+    SERVO_COMMAND.validate_json(str(found[1][2]).replace("'", '"'))
+
+
+def test_six_legs_of_one_message_are_one_message() -> None:
+    first = [record(0.1 * number, leg(number, Op.START)) for number in LEGS]
+    second = [record(20 + 0.1 * number, leg(number, deg=91)) for number in LEGS]
+    found = sent(*first, *second)
+    assert [(at, key, sorted(payload["legs"])) for at, key, payload in found] == [
+        (0, "hexapod/legs/cmd", list("123456")),
+        (pytest.approx(20), "hexapod/legs/cmd", list("123456")),
+    ]
+    LegsCommand.model_validate_json(str(found[0][2]).replace("'", '"'))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [leg(2, Op.START), leg(4, Op.START), stop_leg(5), OneServo(61, ServoOp(Op.START, 0))],
+    ids=("an earlier leg", "the same leg", "a Stop", "a servo"),
+)
+def test_what_one_message_cannot_cause_in_this_order_is_sent_apart(other: OneLeg | OneServo) -> None:
+    found = plan([record(0, leg(4, Op.START)), record(0.2, other)])
+    assert len(found.steps) == 2
+    apart_ns = found.steps[1].at_ns - found.steps[0].at_ns
+    assert apart_ns == (APART_NS if found.steps[0].key != found.steps[1].key else 200_000)
+
+
+def test_what_the_gateway_does_by_itself_is_not_sent_but_expected() -> None:
+    records = [
+        record(-50, stop_leg(1), Cause.STARTUP),
+        record(-30, stop_leg(1), Cause.REPEAT),
+        record(0, leg(1, Op.START)),
+        record(250, stop_leg(1), Cause.WATCHDOG),
+        record(270, stop_leg(1), Cause.REPEAT),
+        record(500, leg(1, Op.START)),
+        *(record(600 + number, stop_leg(number), Cause.ESTOP) for number in LEGS),
+    ]
+    assert [at for at, _, _ in sent(*records)] == [0, 500, *(pytest.approx(600 + number) for number in (1, 4))]
+    assert [at for at, _, _ in sent(*records, watchdog_too=True)][:3] == [0, 250, 500]
+    assert [frame.at_ns // NS_PER_MS for frame in plan(records).expected[:4]] == [0, 250, 270, 500]
+
+
+def test_a_recording_of_legs_that_ran_already_starts_them() -> None:
+    found = plan([record(0, leg(1)), record(20, leg(1)), record(30, leg(2))])
+    assert [step.payload()["servos"][0]["op"] for step in found.steps] == ["start", "set", "start"]
+    assert found.begun_running == 6
+    assert found.expected[0].data == leg(1, Op.START).to_bytes()
+
+
+def test_a_gap_counts_only_while_the_leg_runs() -> None:
+    records = [record(0, leg(1, Op.START)), record(30, leg(1)), record(40, stop_leg(1)), record(9000, leg(1, Op.START))]
+    assert plan(records).longest_gap_ns == 30 * NS_PER_MS
+
+
+@pytest.mark.parametrize("at_ms", [-5000, 3 * 3600 * 1000])
+def test_after_the_machine_was_started_again_nothing_is_sent(at_ms: float) -> None:
+    found = plan([record(0, leg(1, Op.START)), record(at_ms, leg(1)), record(at_ms + 20, leg(1))])
+    assert (len(found.steps), found.left_out) == (1, 2)
+
+
+def test_frames_of_another_protocol_are_left_out() -> None:
+    found = plan([record(0, leg(1, Op.START)), {**record(20, leg(1)), "bytes": "ff00"}, record(40, leg(1))])
+    assert (len(found.steps), found.left_out) == (2, 1)
+
+
+# ---- comparing
+
+GAIT: Final = [
+    Written((20 * step + number) * NS_PER_MS, leg(number, deg=90 + step).to_bytes())
+    for step in range(50)
+    for number in LEGS
+]
+
+
+def shifted(frames: list[Written], ns: int) -> list[Written]:
+    return [Written(frame.at_ns + ns, frame.data) for frame in frames]
+
+
+def test_the_same_frames_are_the_same_whenever_they_began() -> None:
+    found = compare(GAIT, shifted(GAIT, 10**12))
+    assert found.passes(0)
+    assert found.frames == 300
+
+
+def test_a_frame_that_comes_late_is_told() -> None:
+    late = shifted(GAIT, 5)
+    late[100] = Written(late[100].at_ns + 900_000, late[100].data)
+    found = compare(GAIT, late)
+    assert found.worst_ms == pytest.approx(0.9)
+    assert found.passes(1)
+    assert not found.passes(0.8)
+
+
+def test_other_bytes_are_told() -> None:
+    other = list(GAIT)
+    other[12] = Written(other[12].at_ns, leg(1, deg=10).to_bytes())
+    found = compare(GAIT, other)
+    assert not found.passes(5)
+    assert "leg 1: 2 frames are the same; at 0.041 s 0e010b030a00" in found.differences[0]
+
+
+def test_a_missing_frame_is_told() -> None:
+    found = compare(GAIT, GAIT[:-1])
+    assert "leg 6: 49 frames are the same; 1 are missing" in found.differences[0]
+    assert compare(GAIT[:-1], GAIT).differences[0].endswith("1 frames are too many")
+    assert not compare(GAIT, []).passes(5)
+
+
+def test_legs_in_another_order_are_told() -> None:
+    other = [*GAIT[:6], GAIT[7], GAIT[6], *GAIT[8:]]
+    found = compare(GAIT, other)
+    assert not found.differences
+    assert found.swapped == 1
+    assert not found.passes(5)
+
+
+def test_the_gateways_own_frames_may_come_before_or_after_those_of_other_legs() -> None:
+    repeat = Written(21 * NS_PER_MS, stop_leg(6).to_bytes(), commanded=False)
+    expected = [*GAIT[:5], GAIT[6], repeat]
+    assert compare(expected, [*GAIT[:5], repeat, GAIT[6]]).swapped == 0
+
+
+def test_a_real_robot_does_not_move_where_nobody_can_be_asked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = plan([record(0, leg(3, Op.START)), record(2000, stop_leg(3))])
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    with pytest.raises(ConfigError, match="--yes"):
+        _ask(recorded, 1, agreed=False)
+    _ask(recorded, 1, agreed=True)
+    assert "Its legs 3 will go" in capsys.readouterr().err

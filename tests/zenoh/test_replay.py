@@ -1,0 +1,126 @@
+"""`replay` against a real gateway: it writes again what was recorded, or says what differs."""
+
+import os
+import re
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from examples import tripod_gait
+from gateway.client import Client
+from gateway.recordings import Recording
+from schemas.keys import FRAME
+from schemas.telemetry import FrameRecord
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import events, frames
+
+WATCHDOG_MS: Final = 400
+TOLERANCE_MS: Final = 100
+"""For a machine that is busy with other things; on a free one it is 5."""
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}}
+    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+        yield running
+
+
+def ride(robot: Client) -> list[FrameRecord]:
+    """A second of the tripod gait, a servo alone, a leg that falls silent, an emergency stop: all frames."""
+    heard = frames(robot)
+    with robot.stream(50) as stream:
+        begun_s = time.monotonic()
+        while (elapsed_s := time.monotonic() - begun_s) < 1:
+            stream.set(tripod_gait.pose(elapsed_s))
+    assert robot.servo(32, "start", 12.34).accepted
+    assert robot.servo(32, "set", 20).accepted
+    watchdog_ns = heard.wait(lambda record: record.cause == "watchdog").monotonic_ns
+    heard.wait(lambda record: record.cause == "repeat" and record.monotonic_ns > watchdog_ns, count=3)
+    with robot.stream(50) as stream:  # for longer than what is still repeated
+        for step in range(10):
+            stream.set({5: (90 + step, 90, 90)})
+        robot.estop()
+    heard.wait(lambda record: record.cause == "repeat" and record.bytes.startswith("0e0133"), count=6)
+    assert robot.reset().accepted
+    return heard.all
+
+
+@pytest.fixture(scope="module")
+def recorded(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "ride.mcap"
+    with gateway.client(source="a ride") as robot, Recording(path, time_ns=time.time_ns()) as recording:
+        for record in ride(robot):
+            recording.add_report(FRAME, record.model_dump(mode="json"), time.time_ns())
+    return path
+
+
+def test_the_simulated_gateway_writes_the_same_frames_again(gateway: Gateway, recorded: Path) -> None:
+    again = gateway.run("replay", str(recorded), "--check", "--tolerance", str(TOLERANCE_MS), timeout_s=40)
+    assert again.returncode == 0, str(again)
+    assert "the same: " in again.stdout
+    found = re.search(r"(\d+) frames expected, (\d+) written", again.stdout)
+    assert found is not None
+    assert found[1] == found[2]
+    assert int(found[1]) > 300
+
+
+def test_a_gateway_that_differs_is_told(tmp_path: Path, recorded: Path) -> None:
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"frames": True},
+        "watchdog": {"timeout_ms": WATCHDOG_MS, "repeats": 1},
+    }
+    with Gateway(tmp_path, settings) as other:
+        differs = other.run("replay", str(recorded), "--check", "--tolerance", str(TOLERANCE_MS), timeout_s=40)
+        assert differs.returncode == 1, str(differs)
+        assert "NOT the same" in differs.stdout
+        assert "leg 1: " in differs.stdout
+
+
+def test_a_rejection_ends_it_with_all_legs_stopped(tmp_path: Path, recorded: Path) -> None:
+    settings: dict[str, dict[str, Any]] = {"limits.servos.32": {"max_deg": 15}, "watchdog": {"timeout_ms": 2000}}
+    with Gateway(tmp_path, settings) as other, other.client() as client:
+        heard = events(client)
+        ended = other.run("replay", str(recorded), "--speed", "2")
+        assert ended.returncode == 1, str(ended)
+        assert "joint_limit" in ended.stderr
+        assert "all legs are stopped" in ended.stderr
+        heard.wait(lambda event: event.kind == "command_rejected")
+        assert client.state().mode == "idle"
+
+
+def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, recorded: Path) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        command = [*COMMAND, "replay", str(recorded), "--connect", gateway.endpoint]
+        with closing(Child(command, os.environ)) as child:
+            heard.wait(lambda record: record.cause == "command", count=60)
+            child.send_signal(signal.SIGINT)
+            assert child.wait() == 1, str(child)
+        assert "all legs are stopped" in child.stderr
+        assert client.state().mode == "idle"
+
+
+def test_a_robot_that_moves_already_and_a_file_without_frames_are_told(gateway: Gateway, recorded: Path) -> None:
+    with gateway.client() as client:
+        assert client.start_leg(1, 90, 90, 90).accepted
+        with client.stream(50) as stream:
+            stream.set({1: (90, 90, 90)})
+            busy = Child([*COMMAND, "replay", str(recorded), "--connect", gateway.endpoint], os.environ)
+            with closing(busy):
+                while busy.returncode is None:
+                    stream.set({1: (90, 90, 90)})
+                busy.wait()
+                assert busy.returncode == 2, str(busy)
+                assert "not at rest" in busy.stderr
+    empty = recorded.with_name("empty.mcap")
+    Recording(empty, time_ns=time.time_ns()).close()
+    nothing = gateway.run("replay", str(empty))
+    assert nothing.returncode == 2
+    assert "telemetry.frames" in nothing.stderr
