@@ -27,6 +27,7 @@ from gateway.edge.strangers import Strangers
 from gateway.errors import GatewayError
 from gateway.host import descriptors, logs, realtime
 from gateway.host.descriptors import Spare
+from gateway.host.ownership import Ownership
 from gateway.host.systemd import SystemdNotifier
 from gateway.protocol.frames import centidegrees
 from gateway.recorder.place import folder_of
@@ -109,9 +110,9 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
 
 
 async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]) -> None:
-    loop = asyncio.get_running_loop()
+    loop, owner = asyncio.get_running_loop(), Ownership()
     recorder = _recorder(settings, simulated=simulated)
-    end = _End(loop, recorder)
+    end = _End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config = service_config(settings.zenoh)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
@@ -125,11 +126,13 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh
         clock=time.monotonic_ns,
         simulated=simulated,
         recorder=recorder,
+        owner=owner,
     )
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
-        conductor.start()
-        recorder.open()
+        with owner:
+            conductor.start()
+            recorder.open()
         opening = _in_thread(partial(_open, settings, config, conductor))
         ended = asyncio.ensure_future(end.wait())
         first: tuple[asyncio.Future[Any], ...] = (opening, ended)
@@ -141,16 +144,16 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh
         ended.cancel()
         session = opening.result()
         outbox.open(session)
-        inbox = Inbox(session, loop, on_wakeup=conductor.tick, on_state_query=conductor.answer_state)
-        conductor.take = inbox.take
+        with owner:  # its threads hear at once, and have to wait until it is connected
+            inbox = _inbox(session, loop, conductor)
         doorkeeper = Doorkeeper(session)
-        conductor.instant_open = lambda: inbox.instant_open
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
-        conductor.announce_start()
+        with owner:
+            conductor.announce_start()
         notifier.ready("takes commands")
         on_ready(config)
         tasks = [
@@ -165,11 +168,13 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh
             task.cancel()
         deadline = loop.time() + END_S
         await _stop_the_robot(conductor, bus, settings.watchdog)
-        conductor.close()
+        with owner:
+            conductor.close()
         await _within(deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close)
     finally:
-        conductor.close()
-        recorder.close()
+        with owner:
+            conductor.close()
+            recorder.close()
         notifier.close()
     if end.failure is not None:
         raise GatewayError(end.failure)
@@ -182,6 +187,21 @@ def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zen
     return open_session(config)
 
 
+def _inbox(session: zenoh.Session, loop: asyncio.AbstractEventLoop, conductor: Conductor) -> Inbox:
+    """What comes in, connected with the conductor."""
+    inbox = Inbox(
+        session,
+        loop,
+        conductor.owner,
+        on_wakeup=conductor.tick,
+        on_estop=lambda received: conductor.tick((received,)),
+        on_state_query=conductor.answer_state,
+    )
+    conductor.take = inbox.take
+    conductor.instant_open = lambda: inbox.instant_open
+    return inbox
+
+
 class _End:
     """What ends the service: a signal, or a mistake of our own.
 
@@ -189,8 +209,9 @@ class _End:
     ends, to be started afresh by systemd.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, recorder: Recorder) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
         self.failure: str | None = None
+        self._owner = owner
         self._recorder = recorder
         self._event = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -210,7 +231,8 @@ class _End:
 
     def because(self, failure: str) -> None:
         """End, and report `failure`."""
-        self._recorder.mistake(failure)
+        with self._owner:
+            self._recorder.mistake(failure)
         self.failure = self.failure or failure
         self._event.set()
 
@@ -228,23 +250,26 @@ class _End:
 async def _stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSettings) -> None:
     """Stop all six legs and repeat it for REPEATS_S at most; past the conductor where that did not write all six."""
     deadline = asyncio.get_running_loop().time() + REPEATS_S
-    try:
-        stopped = conductor.shut_down()
-    except Exception:
-        logger.exception("the orderly end failed; writing the Stops past it")
-        stopped = False
+    with conductor.owner:
+        try:
+            stopped = conductor.shut_down()
+        except Exception:
+            logger.exception("the orderly end failed; writing the Stops past it")
+            stopped = False
+        if not stopped:
+            _last_attempt(bus, watchdog, deadline)
     if stopped:
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
-    else:
-        _last_attempt(bus, watchdog, deadline)
-    conductor.recorder.ended("all six legs got their Stop" if stopped else "the Stops were written at a last attempt")
+    with conductor.owner:
+        how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
+        conductor.recorder.ended(how)
 
 
 def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
     """All six legs again and again: a fault of a moment, or of one leg's frame, must not leave the others moving.
 
-    It holds the loop: nobody knows what else would be done there, and these Stops are the last that is to be written.
+    It keeps the state, and the loop: nobody knows what else would be done, and these Stops are the last to be written.
     """
     unstopped, rounds_left, opened = set(LEGS), 1 + watchdog.repeats, True
     while True:
@@ -266,25 +291,35 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
     while settings.telemetry.state_hz:
         await asyncio.sleep(1 / settings.telemetry.state_hz)
         if outbox.anyone_listens(STATE):
-            outbox.publish(STATE, conductor.state())
+            with conductor.owner:
+                state = conductor.state()
+            outbox.publish(STATE, state)
 
 
 async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: _End) -> None:
-    """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears."""
+    """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
+
+    While somebody keeps the state, this waits, so that systemd hears nothing either.
+    """
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
+        with conductor.owner:
+            conductor.turned()
+            conductor.look_outside()
+        if not inbox.goes_on():
+            end.because("a thread that takes commands does not go on")
+            return
         notifier.alive()
-        conductor.turned()
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         lag_ns = round((loop.time() - due_s) * 1e9)
-        conductor.metrics.loop_lag.record(lag_ns)
-        conductor.recorder.lag(lag_ns)
-        conductor.look_outside()
         stranger = strangers.look()
-        if stranger is not None:
-            conductor.reject_unread(*stranger)
+        with conductor.owner:
+            conductor.metrics.loop_lag.record(lag_ns)
+            conductor.recorder.lag(lag_ns)
+            if stranger is not None:
+                conductor.reject_unread(*stranger)
     end.because("a thread that waits for commands has ended")
 
 

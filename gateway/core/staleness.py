@@ -24,7 +24,7 @@ the baseline.
   baseline.
 - Pauses of the gateway itself (a debugger, a frozen virtual machine): what waited in its rings and sockets looks as if
   it had just arrived. For `max_age_ms` after such a pause, only commands that a clock known from before finds fresh are
-  accepted. The loop calls `turned` in each of its turns, which shows its pauses.
+  accepted. Whoever owns the state calls `turned` first, and ten times a second somebody does, which shows pauses.
 
 Memory is bounded. A source is forgotten only after a minute of silence, when any burst of it has arrived or is lost.
 A new source that finds no place is rejected, since its burst could not be told from fresh commands.
@@ -94,7 +94,7 @@ class Staleness:
         self._paused_ms = 0.0
 
     def turned(self, now_ns: int) -> None:
-        """To be called in each turn of the loop, with or without a command: a long gap between calls is a pause."""
+        """To be called ten times a second at least, with or without a command: a long gap between calls is a pause."""
         now_ms = now_ns / 1e6
         if self._turned_ms is not None and now_ms - self._turned_ms > self._pause_ms:
             self._woke_ms, self._paused_ms = now_ms, now_ms - self._turned_ms

@@ -1,16 +1,16 @@
-"""The left edge: Zenoh's subscribers and queryables, a ring for each key, and the wakeups that wake the loop.
+"""The left edge: Zenoh's subscribers and queryables, a ring for each key, and the threads that wait for them.
 
 Zenoh delivers on threads of its own. A callback per message would cost Python time for each, so that a flood of one key
 would delay everything else by seconds. Here each key has a ring in Rust that keeps its newest messages, and one thread
-waits on a subscriber that hears them all: the wakeup. It rings once, and again only when the loop has taken what the
-rings hold, so that work per tick is bounded, and a message that is overwritten costs nothing.
+waits on a subscriber that hears them all: the wakeup. It then owns the state (`gateway.host.ownership`) for one tick,
+in which it takes what the rings hold and writes the frames. So work per tick is bounded, a message that is overwritten
+costs nothing, and no other thread has to be woken for a command.
 
 The emergency stop has rings and receiver threads of its own, which no flood of other keys can touch.
 """
 
 import asyncio
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
@@ -22,9 +22,11 @@ import zenoh
 from zenoh.handlers import Handler, RingChannel
 
 from gateway.core.message import Received, Reply, Verb
+from gateway.edge.receiver import Deal, ReceiverThread
 from gateway.edge.replies import ReplySender
 from gateway.edge.rings import PUT_DEPTH, RING_DEPTH, Receive, Rings
-from gateway.host.realtime import RECEIVER_PRIORITY, prefer_thread
+from gateway.host.ownership import Ownership, OwnersTimer
+from gateway.host.realtime import LOOP_PRIORITY
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
 from schemas.telemetry import Ack, Reason
@@ -50,66 +52,23 @@ _RING_KEYS: Final = COMMAND_KEYS.keys() - {ESTOP}
 logger = logging.getLogger(__name__)
 
 
-Deal = Callable[[], float | None]
-"""What is to be done on the loop with an item. Returns for how long nobody is to wait for the next one, if at all."""
-
-
-class ReceiverThread:
-    """A thread that waits for a ring's next item, notes it, and gives it to the loop once that has dealt with the last.
-
-    `note` runs on the thread and says what is to be done on the loop. While all is calm the loop is done long before,
-    and the thread sleeps once for each item, not twice.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        ring: Handler[Any],
-        loop: asyncio.AbstractEventLoop,
-        note: Callable[[Any, int], Deal],
-    ):
-        self._ring = ring
-        self._loop = loop
-        self._note = note
-        self._dealt = threading.Lock()  # held while the loop has not dealt with an item; an Event takes twice as long
-        self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
-        self.thread.start()
-
-    def _wait(self) -> None:
-        prefer_thread(RECEIVER_PRIORITY)
-        # The ring closes with the session, and the loop may close before it: both end the thread.
-        with suppress(zenoh.ZError, RuntimeError):
-            while True:
-                # Nothing of the item is kept here: a query that is still referenced keeps its asker waiting.
-                deal = self._note(self._ring.recv(), time.monotonic_ns())
-                self._dealt.acquire()
-                self._loop.call_soon_threadsafe(self._on_loop, deal)
-                del deal
-
-    def _on_loop(self, deal: Deal) -> None:
-        pause_s = None
-        try:
-            pause_s = deal()
-        finally:
-            if pause_s is None:
-                self._dealt.release()
-            else:
-                self._loop.call_later(pause_s, self._dealt.release)
-
-
 class Inbox:
-    """Everything that comes in. `on_wakeup` is called on the loop whenever there is something to `take`."""
+    """Everything that comes in. Its callbacks are called by an owner of the state, and so is `take`."""
 
     def __init__(
         self,
         session: zenoh.Session,
         loop: asyncio.AbstractEventLoop,
+        owner: Ownership,
         *,
         on_wakeup: Callable[[], None],
+        on_estop: Callable[[Received], None],
         on_state_query: Callable[[Reply], None],
     ) -> None:
+        """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given."""
         self._loop = loop
         self._wake = on_wakeup
+        self._engage = on_estop
         self._estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._woken_keys: set[str] = set()
@@ -123,7 +82,9 @@ class Inbox:
         self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
         self._look_at: Collection[str] = ()
         self._read_all = False
-        self._look_again: asyncio.TimerHandle | None = None
+        self._look_again = OwnersTimer(loop, owner, self._looked)
+        self._attempt = 0
+        self._closing = OwnersTimer(loop, owner, on_wakeup)
         self._declared: list[Any] = []
         self._replies = ReplySender("answers")
         self._estop_replies = ReplySender("estop-answers")  # nobody else's answers are waited for
@@ -141,9 +102,11 @@ class Inbox:
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
         )
+        estops = (
+            ("estop-put", self._subscriber(session, ESTOP, 1)),
+            ("estop-get", self._queryable(session, ESTOP, RING_DEPTH)),
+        )
         waits: list[tuple[str, Handler[Any], Callable[[Any, int], Deal]]] = [
-            ("estop-put", self._subscriber(session, ESTOP, 1), self._estop),
-            ("estop-get", self._queryable(session, ESTOP, RING_DEPTH), self._estop),
             ("wakeup-put", self._wakeups[0], lambda item, now_ns: partial(self._on_wakeup, item, now_ns)),
             ("wakeup-get", self._wakeups[1], lambda item, now_ns: partial(self._on_wakeup, item, now_ns)),
             (
@@ -152,7 +115,10 @@ class Inbox:
                 lambda query, _: partial(on_state_query, self._replies.to(query, STATE)),
             ),
         ]
-        self._receivers = [ReceiverThread(name, ring, loop, note) for name, ring, note in waits]
+        self._receivers = [
+            *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
+            *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
+        ]
         self._threads = [receiver.thread for receiver in self._receivers]
         self._threads += [self._replies.thread, self._estop_replies.thread]
 
@@ -161,7 +127,7 @@ class Inbox:
 
         The rings are read before the first message is dealt with: what is sent in answer to one of these messages is
         newer than all of them, and belongs to a later instant. Only the emergency stop is asked for before every
-        message (its thread notes it by itself), so that nothing that waits comes before it.
+        message (its thread notes it by itself, and waits for the state), so that nothing that waits comes before it.
         """
         taken: dict[str, int] = {}
         for received in self._take_commands():
@@ -176,7 +142,7 @@ class Inbox:
         self._woken_keys.clear()
         self._read_all = False
         if self._rings.instant_open:
-            self._loop.call_later(FLOOD_PAUSE_S, self._wake)  # to close it, if nothing else comes
+            self._closing.set(self._loop.time() + FLOOD_PAUSE_S)  # to close it, if nothing else comes
 
     @property
     def instant_open(self) -> bool:
@@ -187,6 +153,10 @@ class Inbox:
     def hears(self) -> bool:
         """Whether all receiver threads live; without them no command, and no emergency stop, would be noticed."""
         return all(thread.is_alive() for thread in self._threads)
+
+    def goes_on(self) -> bool:
+        """Whether no receiver thread is stuck with an item. To be asked at each beat of the loop."""
+        return not [receiver for receiver in self._receivers if not receiver.goes_on()]  # each of them is asked
 
     def close(self) -> None:
         """Undeclare everything, which ends the receiver threads, and join them. Blocks; not for the loop's thread."""
@@ -215,9 +185,13 @@ class Inbox:
             # Whoever lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
         self._estops.append(_received(item, ESTOP, received_ns, self._estop_replies))
-        return self._wake
+        return self._engage_all
 
-    # ---- on the loop
+    # ---- as owner of the state
+
+    def _engage_all(self) -> None:
+        while self._estops:
+            self._engage(self._estops.popleft())
 
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
         # Empty the wakeups before the rings are read: a message that comes in between then rings again.
@@ -261,7 +235,7 @@ class Inbox:
         # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
         keys = () if self._read_all else self._woken_keys.union(self._look_at)
         found: list[Received] = []
-        with suppress(zenoh.ZError):  # while the inbox closes, the loop still turns and may find its rings gone
+        with suppress(zenoh.ZError):  # while the inbox closes, a tick may find its rings gone
             found = [
                 _lost(key, now_ns) if item is None else _received(item, key, now_ns, self._replies)
                 for key, item in self._rings.read(keys)
@@ -297,12 +271,13 @@ class Inbox:
                 self._look(0)
 
     def _look(self, attempt: int) -> None:
-        if self._look_again is not None:
-            self._look_again.cancel()
+        self._look_again.cancel()
         if self._missed or self._lost_some:
-            self._look_again = self._loop.call_later(LOOK_AGAIN_S[attempt], self._looked, attempt)
+            self._attempt = attempt
+            self._look_again.set(self._loop.time() + LOOK_AGAIN_S[attempt])
 
-    def _looked(self, attempt: int) -> None:
+    def _looked(self) -> None:
+        attempt = self._attempt
         self._look_at = () if self._lost_some else tuple(self._missed)
         self._wake()
         self._look_at = ()
@@ -329,7 +304,7 @@ def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:
     try:
         while len(found) < depth and (item := ring.try_recv()) is not None:
             found.append(item)
-    except zenoh.ZError:  # while the inbox closes, the loop still turns and may find its rings gone
+    except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
         pass
     return found
 

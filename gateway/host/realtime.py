@@ -26,10 +26,10 @@ from contextlib import suppress
 from typing import Final
 
 LOOP_PRIORITY: Final = 20
-"""Of the loop, which runs the watchdog and writes to SPI. The most that the service unit allows."""
+"""Of the loop, which runs the watchdog, and of the emergency stop's threads. The most that the service unit allows."""
 RECEIVER_PRIORITY: Final = 10
-"""Of the receiver threads. They run some hundred lines of Python for each item, under the interpreter's lock. Without
-priority they could be preempted there, and the loop would wait for them."""
+"""Of the other receiver threads. They write the frames of commands, and own the state meanwhile. Without priority they
+could be preempted there, and whoever writes a Stop would wait for them. (So it is for the interpreter's lock.)"""
 PAGE_PRIORITY: Final = 1
 """Of the metrics page and the log: below the others, but not preempted while they hold the interpreter's lock."""
 NICE: Final = -10

@@ -30,7 +30,7 @@ class SystemdNotifier:
         self._tell(f"READY=1\nSTATUS={status}")
 
     def alive(self) -> None:
-        """The loop turns. Without this for WATCHDOG_USEC, systemd kills the service and runs `stop-servos`."""
+        """The loop turns and can own the state. Without this for WATCHDOG_USEC, systemd kills the service."""
         self._tell("WATCHDOG=1")
 
     def stopping(self) -> None:

@@ -1,6 +1,7 @@
-"""The loop's side: takes what came in, asks the supervisor, writes the frames, answers and tells.
+"""Takes what came in, asks the supervisor, writes the frames, answers and tells.
 
-Everything here runs on the one asyncio loop, which owns all state. Nothing waits but a transfer.
+Everything here is called by the owner of the state (`gateway.host.ownership`), on whatever thread. Nothing waits but a
+transfer.
 """
 
 import asyncio
@@ -33,6 +34,7 @@ from gateway.core.message import Outbox, Received, Reply, Verb
 from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
+from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.protocol.frames import Op
 from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
 from gateway.runtime.metrics import Metrics
@@ -75,11 +77,14 @@ class Conductor:
         clock: Callable[[], int],
         simulated: bool,
         recorder: Recorder = NO_RECORDER,
+        owner: Ownership | None = None,
     ) -> None:
         self._settings = settings
         self.supervisor = supervisor
         self.bus = bus
         self._loop = loop
+        self.owner = owner or Ownership()
+        """Whoever calls anything here holds it."""
         self._clock = clock
         self._simulated = simulated
         self._started_ns = self._instant_ns = clock()
@@ -88,13 +93,13 @@ class Conductor:
         self._sources = Sources()
         self._losses, self._rejected = Losses(), 0  # the number of the last command that was rejected
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
-        self._timer: asyncio.TimerHandle | None = None
-        self._timer_ns = 0  # when it comes
-        self._reopen_timer: asyncio.TimerHandle | None = None
+        self._timer = OwnersTimer(loop, self.owner, self.tick)
+        self._reopen_timer = OwnersTimer(loop, self.owner, self._reopen)
         self._reopen_s = FIRST_REOPEN_S
         self._in_fault = False
-        self._announced = False
-        self._preamble = PreambleInPauses(bus, loop, settings.spi.frame_gap_us / 1e6, clock, self._zero_failed)
+        self._announced = self._closed = False
+        gap_s = settings.spi.frame_gap_us / 1e6
+        self._preamble = PreambleInPauses(bus, loop, self.owner, gap_s, clock, self._zero_failed)
         self._told_mode = Mode.STARTING
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
@@ -126,8 +131,7 @@ class Conductor:
 
     def shut_down(self) -> bool:
         """Reject all commands from now on, and stop all six legs: whether all six Stops were written."""
-        if self._reopen_timer is not None:
-            self._reopen_timer.cancel()
+        self._reopen_timer.cancel()
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
         stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)
@@ -135,22 +139,24 @@ class Conductor:
         return stop_frames >= len(LEGS)
 
     def close(self) -> None:
-        """Release the bus and the timers; no message is taken any more."""
-        self.take = tuple
-        for timer in (self._timer, self._reopen_timer):
-            if timer is not None:
-                timer.cancel()
-        self._timer = None
-        self._preamble.cancel()
+        """Release the bus and the timers. A receiver thread that becomes owner after that does nothing."""
+        self._closed = True
+        for timer in (self._timer, self._reopen_timer, self._preamble):
+            timer.cancel()
         self.bus.close()
 
     # ---- what happens
 
-    def tick(self) -> None:
-        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
+    def tick(self, only: tuple[Received, ...] | None = None) -> None:
+        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came.
+
+        `only` these messages, if given: what waits in the rings belongs to a later instant.
+        """
+        if self._closed:
+            return
         now_ns = self.turned()
         instant_ns = self._instant_ns = self._instant_ns if self.instant_open() else now_ns
-        for received in self.take():
+        for received in self.take() if only is None else only:
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
         if self._losses.key:
@@ -159,7 +165,10 @@ class Conductor:
         self._arm()
 
     def turned(self) -> int:
-        """The loop turns; to be called ten times a second at least. What time it is."""
+        """To be called by each owner before it takes a message, and ten times a second at least. What time it is.
+
+        Whichever thread is the first to go on after the whole process was stopped thus notices it.
+        """
         now_ns = self._clock()
         if self._staleness is not None:
             self._staleness.turned(now_ns)
@@ -294,9 +303,7 @@ class Conductor:
         self._arm()
 
     def _reopen_later(self) -> None:
-        if self._reopen_timer is not None:
-            self._reopen_timer.cancel()
-        self._reopen_timer = self._loop.call_later(self._reopen_s, self._reopen)
+        self._reopen_timer.set(self._loop.time() + self._reopen_s)
         self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)
 
     def _reopen(self) -> None:
@@ -310,8 +317,7 @@ class Conductor:
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False
             self._reopen_s = FIRST_REOPEN_S
-            if self._reopen_timer is not None:
-                self._reopen_timer.cancel()
+            self._reopen_timer.cancel()
         self._arm()
 
     def look_outside(self) -> None:
@@ -324,23 +330,16 @@ class Conductor:
     # ---- time
 
     def _arm(self) -> None:
-        """Wake up when the supervisor wants to. An early timer is left alone: looking is cheaper than changing."""
+        """Wake up when the supervisor wants to."""
         due_ns = self.supervisor.due_ns
         if self.bus.announces:
             due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)
         if due_ns is None:
             if self.supervisor.mode is Mode.STOPPING:
-                self.done.set()
-            return
-        if self._timer is not None:
-            if self._timer_ns <= due_ns:
-                return
+                self._loop.call_soon_threadsafe(self.done.set)
             self._timer.cancel()
-        self._timer, self._timer_ns = self._loop.call_at(due_ns / 1e9, self._woken), due_ns
-
-    def _woken(self) -> None:
-        self._timer = None
-        self.tick()
+        else:
+            self._timer.set(due_ns / 1e9)
 
     # ---- answers and reports
 

@@ -1,4 +1,4 @@
-"""What the service counts and times. Plain numbers, written on the loop; `exposition` shows them to Prometheus."""
+"""What the service counts and times. Plain numbers, written by the state's owner; `prometheus` shows them."""
 
 from collections import Counter
 from dataclasses import dataclass, field

@@ -8,6 +8,7 @@ import asyncio
 from collections.abc import Callable
 
 from gateway.errors import SpiError
+from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.spi.bus import Bus
 
 
@@ -18,6 +19,7 @@ class PreambleInPauses:
         self,
         bus: Bus,
         loop: asyncio.AbstractEventLoop,
+        owner: Ownership,
         gap_s: float,
         clock: Callable[[], int],
         failed: Callable[[SpiError], None],
@@ -27,7 +29,7 @@ class PreambleInPauses:
         self._gap_s = gap_s
         self._clock = clock
         self._failed = failed
-        self._timer: asyncio.Handle | None = None
+        self._timer = OwnersTimer(loop, owner, self._write_zero)
         self._repeat_ns: int | None = None
 
     def arm(self, due_ns: int | None, repeat_ns: int | None) -> int | None:
@@ -36,17 +38,15 @@ class PreambleInPauses:
         Returns when to call again at the latest: for the preamble ahead of those, or at `due_ns`.
         """
         self._repeat_ns = repeat_ns
-        if self._timer is None and self._wanted():
-            self._timer = self._loop.call_soon(self._write_zero)
-        if repeat_ns is None or due_ns is None or self._timer is not None or self._bus.just_resynchronised:
+        if not self._timer.armed and self._wanted():
+            self._timer.set(self._loop.time())  # on the loop, whose turns leave the state to others between two zeros
+        if repeat_ns is None or due_ns is None or self._timer.armed or self._bus.just_resynchronised:
             return due_ns
         return min(due_ns, repeat_ns - self._bus.preamble_ns)
 
     def cancel(self) -> None:
         """No more zeros."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._timer.cancel()
 
     def _wanted(self) -> bool:
         if self._bus.resync_due:
@@ -56,7 +56,6 @@ class PreambleInPauses:
         return self._clock() >= self._repeat_ns - self._bus.preamble_ns
 
     def _write_zero(self) -> None:
-        self._timer = None
         if not self._wanted():
             return  # a frame that had to come behind it has written it
         try:
@@ -65,4 +64,4 @@ class PreambleInPauses:
             self._failed(fault)
             return
         if more:
-            self._timer = self._loop.call_later(self._gap_s, self._write_zero)
+            self._timer.set(self._loop.time() + self._gap_s)

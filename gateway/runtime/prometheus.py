@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 
 class _Numbers(Collector):
-    """Reads the numbers when asked; nothing is counted twice, and the loop pays nothing for it."""
+    """Reads the numbers when asked; nothing is counted twice, and nobody waits for it: it takes no lock."""
 
     def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor

@@ -81,8 +81,16 @@ async def _measure() -> tuple[float, float]:
     session = open_session(service_config(settings.zenoh))
     outbox.open(session)
     threading.setprofile(counter)  # the inbox's threads, which start now
-    inbox = Inbox(session, loop, on_wakeup=conductor.tick, on_state_query=conductor.answer_state)
-    conductor.take = inbox.take
+    with conductor.owner:
+        inbox = Inbox(
+            session,
+            loop,
+            conductor.owner,
+            on_wakeup=conductor.tick,
+            on_estop=lambda received: conductor.tick((received,)),
+            on_state_query=conductor.answer_state,
+        )
+        conductor.take = inbox.take
     beat = asyncio.create_task(_beat(conductor))
     command = [sys.executable, "-m", "tests.benchmarks.publisher", endpoint, "--legs", "3", "--hz", str(HZ)]
     with ExitStack() as stack:
@@ -110,7 +118,8 @@ async def _measure() -> tuple[float, float]:
 async def _beat(conductor: Conductor) -> None:
     """As the service does: a loop that does not turn for long counts as stopped, and what came meanwhile as delayed."""
     while True:
-        conductor.turned()
+        with conductor.owner:
+            conductor.turned()
         await asyncio.sleep(0.1)
 
 

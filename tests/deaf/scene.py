@@ -242,7 +242,8 @@ class Scene:
         """Another one that goes on from here by itself. What only counts, or is never changed, is shared."""
         self.log.clear()
         self.controller.transfers.clear()
-        shared = (self.settings, self._messages, self.conductor.metrics, self.bus.transfer_latency)
+        counts = (self.conductor.metrics, self.bus.transfer_latency)
+        shared = (self.settings, self._messages, *counts, self.conductor.owner)  # one thread needs no lock of its own
         return copy.deepcopy(self, {id(each): each for each in shared})
 
     def stall_at(self, transfer: int, duration_ns: int, *, in_pause: bool) -> None:

@@ -2,7 +2,12 @@
 
 from tests.mutants.mutant import Mutant, Subject
 
-_TESTS = ("tests/zenoh/test_rings.py", "tests/zenoh/test_inbox_parts.py", "tests/zenoh/test_inbox_wakeups.py")
+_TESTS = (
+    "tests/zenoh/test_rings.py",
+    "tests/zenoh/test_inbox_parts.py",
+    "tests/zenoh/test_inbox_wakeups.py",
+    "tests/unit/test_ownership.py",
+)
 
 MESSAGE = Subject(
     "gateway/core/message.py",
@@ -37,21 +42,6 @@ INBOX = Subject(
             "a flood of one key holds all others for 100 ms",
         ),
         Mutant(
-            "        with suppress(zenoh.ZError, RuntimeError):\n            while True:",
-            "        if True:\n            while True:",
-            "each end writes a traceback",
-        ),
-        Mutant(
-            "            if pause_s is None:\n                self._dealt.release()\n            else:\n",
-            "            if pause_s is None:\n                pass\n            else:\n",
-            "a second message of a key is never noticed",
-        ),
-        Mutant(
-            "            pause_s = deal()\n        finally:",
-            "            pause_s = deal()\n        except ZeroDivisionError:",
-            "after one mistake nothing is noticed any more",
-        ),
-        Mutant(
             'self._estop_replies = ReplySender("estop-answers")',
             "self._estop_replies = self._replies",
             "an emergency stop's answer waits behind an asker who does not read",
@@ -67,8 +57,8 @@ INBOX = Subject(
             "of two questions one is never answered",
         ),
         Mutant(
-            '("estop-get", self._queryable(session, ESTOP, RING_DEPTH), self._estop)',
-            '("estop-get", self._queryable(session, ESTOP, 1), self._estop)',
+            '("estop-get", self._queryable(session, ESTOP, RING_DEPTH))',
+            '("estop-get", self._queryable(session, ESTOP, 1))',
             "of two emergency stops one is never answered",
         ),
         Mutant(
@@ -107,10 +97,14 @@ INBOX = Subject(
             "an emergency stop's answer waits behind an asker who does not read",
         ),
         Mutant(
-            "        return self._wake\n\n    # ---- on the loop",
-            "        return lambda: None\n\n    # ---- on the loop",
+            "        return self._engage_all\n",
+            "        return lambda: None\n",
             "an emergency stop waits for the next command",
-            equivalent="the wakeup of all commands hears it as well, at most a flood's pause of 1 ms later",
+        ),
+        Mutant(
+            "    def _engage_all(self) -> None:\n        while self._estops:\n",
+            "    def _engage_all(self) -> None:\n        if True:\n",
+            "an emergency stop that a tick has served already ends the service",
         ),
         Mutant(
             "                self._note(more, received_ns)\n",
@@ -208,7 +202,7 @@ INBOX = Subject(
             "a message that reaches its ring after its wakeup waits for the next one",
         ),
         Mutant(
-            "            self._loop.call_later(FLOOD_PAUSE_S, self._wake)  # to close it",
+            "            self._closing.set(self._loop.time() + FLOOD_PAUSE_S)  # to close it",
             "            pass  # to close it",
             "after a flood, an instant stays open: a start is rejected",
         ),

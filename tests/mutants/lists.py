@@ -8,6 +8,7 @@ from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
 from tests.mutants.legs import LEGS
 from tests.mutants.mutant import Subject
+from tests.mutants.ownership import OWNERSHIP, RECEIVER
 from tests.mutants.pacing import PACING
 from tests.mutants.staleness import STALENESS
 from tests.mutants.supervisor import SUPERVISOR
@@ -17,6 +18,8 @@ SUBJECTS: tuple[Subject, ...] = (
     ACCESS,
     ZENOH_FILES,
     INBOX,
+    RECEIVER,
+    OWNERSHIP,
     RINGS,
     MESSAGE,
     INTAKE,

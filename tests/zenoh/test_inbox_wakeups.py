@@ -1,6 +1,6 @@
-"""Wakeups: no message stays in its ring because its wakeup was lost, or because the loop was busy meanwhile.
+"""Wakeups: no message stays in its ring because its wakeup was lost, or because the state was owned meanwhile.
 
-In one process, so that the loop can be held just while messages come in: a session's own messages take the same rings.
+In one process: a session's own messages take the same rings.
 """
 
 import asyncio
@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.core.message import Reply
+from gateway.core.message import Received, Reply
 from gateway.edge.inbox import OTHER_DEPTH, Inbox
+from gateway.host.ownership import Ownership
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
@@ -28,13 +29,26 @@ class Taker:
         self.taken: list[str] = []
         self.ticks = 0
         self._changed = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        self.inbox = Inbox(session, loop, on_wakeup=self.tick, on_state_query=self._answer)
+        self._loop = asyncio.get_running_loop()
+        self.owner = Ownership()
+        with self.owner:
+            self.inbox = Inbox(
+                session,
+                self._loop,
+                self.owner,
+                on_wakeup=self.tick,
+                on_estop=self._stop,
+                on_state_query=self._answer,
+            )
 
     def tick(self) -> None:
+        """As owner, on any thread."""
         self.ticks += 1
         self.taken += [received.key for received in self.inbox.take()]
-        self._changed.set()
+        self._loop.call_soon_threadsafe(self._changed.set)
+
+    def _stop(self, received: Received) -> None:
+        self.taken.append(received.key)
 
     def _answer(self, reply: Reply) -> None:
         reply(b"{}")
@@ -142,7 +156,8 @@ async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: 
     try:
         for _ in range(early):
             late.rings[key].put(Sample(key))
-            taker.tick()
+            with taker.owner:
+                taker.tick()
         for _ in range(beside):
             late.rings[key].put(Sample(key))
         late.rings[other].put(Sample(other))
