@@ -31,7 +31,7 @@ def pytest_asyncio_loop_factories(
     return {"real": asyncio.new_event_loop}
 
 
-_ORDER = ("attack", "box", "hil", "net", "zenoh", "mutants", "unit", "fuzz")
+_ORDER = ("attack", "box", "hil", "net", "console", "zenoh", "mutants", "unit", "fuzz")
 """First what measures time, with both processors for itself; last what waits for the searches."""
 
 

@@ -89,25 +89,28 @@ export class Picture {
     this.view?.dispose();
     this.view = null;
     this.drawn = "";
+    if (this.solid.checked && !document.createElement("canvas").getContext("webgl2")) this.#cannot();
     if (this.solid.checked) {
       try {
         const { Scene } = await import("./scene.js");
         if (this.geometry !== geometry || this.view) return;
-        this.view = new Scene(this.place, geometry, () => this.#withoutWebGL());
+        this.view = new Scene(this.place, geometry, () => {
+          this.#cannot();
+          void this.#build();
+        });
       } catch {
-        this.#withoutWebGL();
-        return;
+        this.#cannot();
       }
     }
     this.view ??= new Above(this.place, geometry);
     this.refresh(performance.now());
   }
 
-  #withoutWebGL() {
+  /** There is no WebGL, or no more. */
+  #cannot() {
     this.solid.checked = false;
     this.solid.disabled = true;
     /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
     show(byId("no-webgl"), true);
-    void this.#build();
   }
 }

@@ -1,0 +1,132 @@
+"""The console's page in a real browser, as a person uses it."""
+
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
+
+CHROMIUM: Final = Path("/usr/bin/chromium")
+ARGUMENTS: Final = (
+    "--no-sandbox",  # of the tests, which run as root
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+)
+LATE_MS: Final = 20_000
+"""How long is waited for what takes milliseconds: a busy machine must not fail a test."""
+
+WITHOUT_WEBGL: Final = """
+const getContext = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more);
+};
+"""
+HIDE: Final = """
+Object.defineProperty(document, "visibilityState", { value: "hidden", configurable: true });
+document.dispatchEvent(new Event("visibilitychange"));
+"""
+
+expect.set_options(timeout=LATE_MS)
+
+
+class Visitor(AbstractContextManager["Visitor"]):
+    """Opens pages of one console, each in a browser profile of its own; all are closed at the end."""
+
+    def __init__(self, browser: Browser, url: str, cookie: str) -> None:
+        self._browser = browser
+        self._url = url
+        self._name, _, self._value = cookie.partition("=")
+        self._stack = ExitStack()
+        self.faults: list[str] = []
+        """What the pages complained of; a connection that ends is no complaint."""
+
+    def open(self, *, webgl: bool = False, script: str = "", **options: Any) -> "Opened":
+        """A page that shows the robot. Without WebGL unless it is wanted: drawing takes a processor."""
+        context = self._browser.new_context(**options)
+        self._stack.callback(context.close)
+        context.set_default_timeout(LATE_MS)
+        context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
+        if not webgl:
+            context.add_init_script(WITHOUT_WEBGL)
+        if script:
+            context.add_init_script(script)
+        page = context.new_page()
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("console", self._heard)
+        page.goto(self._url)
+        opened = Opened(context, page)
+        opened.expect_live()
+        return opened
+
+    def _heard(self, message: ConsoleMessage) -> None:
+        if (
+            message.type == "error"
+            and "ERR_CONNECTION" not in message.text
+            and "WebSocket" not in message.text
+            and "403" not in message.text
+        ):
+            self.faults.append(message.text)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+        if kind is None:
+            assert not self.faults, self.faults
+
+
+class Opened:
+    """One open page."""
+
+    def __init__(self, context: BrowserContext, page: Page) -> None:
+        self.context = context
+        self.page = page
+
+    def __getitem__(self, name: str) -> Locator:
+        """The element with this id."""
+        return self.page.locator(f"#{name}")
+
+    @property
+    def said(self) -> Locator:
+        """The line that says what happened."""
+        return self["said"]
+
+    def expect_live(self) -> None:
+        """Wait until it shows the robot as it is now."""
+        expect(self.page.locator("body")).to_have_attribute("data-live", "yes")
+
+    def drive(self, *legs: int) -> None:
+        """Get the lease and choose these legs."""
+        self["lease-acquire"].click()
+        expect(self["driver"]).to_have_text("you")
+        self["run-none"].click()
+        for leg in legs:
+            self.page.locator("#run-chooser label").nth(leg - 1).click()
+
+    def select(self, leg: int) -> None:
+        """The leg that the sliders belong to."""
+        self.page.locator("#leg-chooser label").nth(leg - 1).click()
+
+    def expect_status(self, leg: int, word: str) -> None:
+        """Wait until the leg's row says so."""
+        expect(self[f"leg-row-{leg}"]).to_contain_text(word)
+
+    def module(self, name: str, expression: str, argument: Any = None) -> Any:
+        """What an expression over a module of the page's says: `module("kinematics", "(m, a) => m.LEGS")`."""
+        return self.page.evaluate(f"async (a) => ({expression})(await import('/{name}.js'), a)", argument)
+
+    def devtools(self) -> CDPSession:
+        """The browser's own interface to this page."""
+        return self.context.new_cdp_session(self.page)
+
+    def lose_focus(self) -> None:
+        """Another window comes to the front."""
+        self.devtools().send("Emulation.setFocusEmulationEnabled", {"enabled": False})
+        other = self.context.new_page()
+        self.context.new_cdp_session(other).send("Emulation.setFocusEmulationEnabled", {"enabled": False})
+        other.bring_to_front()

@@ -1,0 +1,58 @@
+"""One Chromium for all tests of the console's page; where it is missing they are skipped, but fail in CI."""
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor
+from tests.support.console_process import Console
+from tests.support.gateway_process import Gateway
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip or fail in one line that names the package."""
+    if item.get_closest_marker("browser") and not CHROMIUM.exists():
+        lack = "Debian package missing: chromium"
+        if os.environ.get("CI") == "true":
+            pytest.fail(lack, pytrace=False)
+        pytest.skip(lack)
+
+
+@pytest.fixture(scope="package")
+def browser() -> Iterator[Browser]:
+    """Debian's Chromium, which draws WebGL on the processor."""
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield running
+        running.close()
+
+
+@pytest.fixture(scope="package")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    """With a simulated controller."""
+    with Gateway(tmp_path_factory.mktemp("gateway")) as running:
+        yield running
+
+
+@pytest.fixture(scope="package")
+def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
+        yield running
+
+
+@pytest.fixture(scope="package")
+def cookie(console: Console) -> str:
+    return console.sign_in()
+
+
+@pytest.fixture
+def visitor(browser: Browser, gateway: Gateway, console: Console, cookie: str) -> Iterator[Visitor]:
+    """Opens pages on a robot that is at rest; what they left behind is ended."""
+    with Visitor(browser, console.url, cookie) as pages:
+        yield pages
+    with gateway.client() as robot:
+        robot.stop()
+        if robot.state().mode == "estopped":
+            robot.reset()

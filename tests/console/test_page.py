@@ -1,0 +1,204 @@
+"""What the console's page shows and does, on a real gateway with a simulated controller."""
+
+import math
+import os
+import re
+from pathlib import Path
+from typing import Final
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, expect
+
+from gateway import geometry
+from gateway.geometry.kinematics import foot_m
+from schemas.robot import LEGS, SERVO_IDS
+from tests.console.browser import Visitor
+from tests.support.child import Child
+from tests.support.console_process import Console
+from tests.support.gateway_process import COMMAND, Gateway
+
+pytestmark = pytest.mark.browser
+
+PHONE: Final = {"width": 360, "height": 740}
+
+
+def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open(webgl=True)
+    command = [*COMMAND, "send", "leg", "3", "start", "91", "46", "121", "--hold", "60", "--connect", gateway.endpoint]
+    sender = Child(command, os.environ)
+    try:
+        page.expect_status(3, "runs")
+        expect(page["leg-row-3"]).to_contain_text("91.0°46.0°121.0°")
+        expect(page.page.locator(".label", has_text="3 ▶")).to_have_attribute("data-status", "runs")
+    finally:
+        sender.close()
+    page.expect_status(3, "stopped by the watchdog")
+    page.expect_status(2, "rests")
+    expect(page.page.locator("#picture canvas")).to_have_attribute(
+        "aria-label", re.compile("leg 3 stopped by the watch")
+    )
+    expect(page["events"].locator("li").first).to_contain_text("leg 3 was not heard for 250 ms")
+
+
+def test_without_webgl_it_is_drawn_from_above_and_all_else_works(visitor: Visitor) -> None:
+    page = visitor.open()
+    expect(page.page.locator("#picture svg")).to_be_visible()
+    expect(page["no-webgl"]).to_be_visible()
+    assert page.page.locator("#picture svg .leg circle").count() == len(SERVO_IDS) + len(LEGS)
+    page.page.keyboard.press("Escape")
+    expect(page["stop-known"]).to_contain_text("6 Stops written within")
+
+
+def test_the_page_puts_each_foot_where_the_geometry_does(visitor: Visitor) -> None:
+    page, robot = visitor.open(), geometry.load()
+    degrees = {servo: (37.0 * servo) % 180 for servo in SERVO_IDS}
+    joints = {servo: robot.joint_rad(servo, degrees[servo]) for servo in SERVO_IDS}
+    drawn = page.module(
+        "kinematics",
+        "(m, [geometry, degrees]) => m.LEGS.map((leg) =>"
+        " m.legPoints(geometry, leg, m.JOINTS.map((joint) => degrees[leg * 10 + joint]))[4])",
+        [robot.model_dump(mode="json"), {str(servo): deg for servo, deg in degrees.items()}],
+    )
+    for leg, foot in zip(LEGS, drawn, strict=True):
+        assert foot == pytest.approx(foot_m(robot, leg, joints), abs=1e-9)
+    assert math.dist(drawn[0], drawn[1]) > 0.01
+
+
+@pytest.mark.parametrize("how", ["tap", "Escape", "Space"])
+def test_stop_all_stops_and_says_what_is_known(visitor: Visitor, gateway: Gateway, how: str) -> None:
+    page = visitor.open()
+    with gateway.client() as robot:
+        before = robot.state().estop
+        if how == "tap":
+            page["stop-all"].click()
+        else:
+            page["joint-1"].focus()
+            page.page.keyboard.press(how)
+        expect(page["stop-known"]).to_contain_text("6 Stops written within")
+        expect(page["mode"]).to_have_text("stopped, latched")
+        assert (robot.state().mode, robot.state().estop) == ("estopped", before + 1)
+
+
+def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open()
+    page["stop-all"].click()
+    page["reset"].click()
+    expect(page["question-no"]).to_be_focused()
+    page["stop-all"].click()  # within reach beside the question
+    expect(page["question"]).not_to_be_visible()
+    page["reset"].click()
+    page["question-no"].press("Enter")
+    with gateway.client() as robot:
+        assert robot.state().mode == "estopped"
+        page["reset"].click()
+        page["question-yes"].click()
+        expect(page.said).to_contain_text("Nothing moves until it is started again")
+        assert robot.state().mode == "idle"
+
+
+def test_another_program_stop_is_named(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open()
+    with gateway.client(source="bert") as robot:
+        robot.estop()
+        expect(page["stop-known"]).to_contain_text("stopped by bert")
+        robot.reset()
+        expect(page["stop-known"]).to_have_text("Escape or space, at any time")
+
+
+def test_a_space_that_is_typed_into_a_name_stops_nothing(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open()
+    page["pose-name"].press_sequentially("high h")
+    expect(page["pose-name"]).to_have_value("high h")
+    with gateway.client() as robot:
+        assert robot.state().mode == "idle"
+
+
+def test_poses_are_kept_in_the_browser(visitor: Visitor) -> None:
+    page = visitor.open()
+    page["joint-1"].fill("33")
+    page["pose-name"].fill("bow")
+    page["pose-keep"].click()
+    page["joint-1"].fill("90")
+    page.page.reload()
+    page.expect_live()
+    page["pose-name"].fill("bow")
+    page["pose-load"].click()
+    expect(page["joint-1"]).to_have_value("33")
+
+
+def test_nothing_flickers_while_nothing_changes(visitor: Visitor) -> None:
+    """Ten states come and no text, no attribute changes besides the state's age."""
+    page = visitor.open()
+    page.page.evaluate(
+        """() => {
+          window.touched = [];
+          const watcher = new MutationObserver((all) => {
+            const places = all.map(({ target }) => target.parentElement.closest("[id], .age"));
+            window.touched.push(...places.filter((place) => place.className !== "age").map((place) => place.id));
+          });
+          const options = { subtree: true, childList: true, characterData: true };
+          for (const id of ["leg-rows", "labels", "stop", "said", "events", "controls", "lease", "mode"])
+            watcher.observe(document.getElementById(id), options);
+        }"""
+    )
+    for _ in range(3):
+        before = page["age"].inner_text()
+        expect(page["age"]).not_to_have_text(before)
+    assert page.page.evaluate("window.touched") == []
+
+
+def test_a_phone_has_all_of_it(visitor: Visitor) -> None:
+    page = visitor.open(viewport=PHONE, has_touch=True, is_mobile=True)
+    assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    box = page["stop-all"].bounding_box()
+    assert box is not None
+    assert (box["height"] >= 44, box["y"] + box["height"] <= PHONE["height"]) == (True, True)
+    page["events"].scroll_into_view_if_needed()
+    page["stop-all"].tap()
+    expect(page["stop-known"]).to_contain_text("6 Stops written within")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(visitor: Visitor, scheme: str) -> None:
+    page = visitor.open(color_scheme=scheme)
+    page["lease-acquire"].click()
+    page["stop-all"].click()
+    expect(page["stop-known"]).to_contain_text("6 Stops written within")
+    page["reset"].click()
+    expect(page["question"]).to_be_visible()
+    found = Axe().run(page.page).response["violations"]
+    assert [(each["id"], each["nodes"][0]["html"]) for each in found if each["impact"] in ("serious", "critical")] == []
+
+
+def test_a_session_that_was_ended_says_how_to_go_on(browser: Browser, gateway: Gateway, tmp_path: Path) -> None:
+    with (
+        Console(tmp_path, "--connect", gateway.endpoint) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+    ):
+        page = visitor.open()
+        assert console.run("--revoke").returncode == 0
+        expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
+        expect(page["stop-known"]).to_contain_text("You are not signed in")
+
+
+def test_a_foreign_page_reaches_nothing(visitor: Visitor, console: Console) -> None:
+    page = visitor.open().context.new_page()
+    page.goto("about:blank")
+    ended = page.evaluate(
+        "(url) => new Promise((done) => { const socket = new WebSocket(url);"
+        " socket.onopen = () => done('open'); socket.onclose = () => done('closed'); })",
+        console.url.replace("http", "ws") + "/ws",
+    )
+    assert ended == "closed"
+
+
+def test_how_late_a_state_is_shows_although_clocks_differ(visitor: Visitor) -> None:
+    """States that waited in a frozen page, or behind it, are as old as they are, not as new as their arrival."""
+    page = visitor.open()
+    late = page.module(
+        "model",
+        "(m, heard) => { const lateness = new m.Lateness(); return heard.map(([up, at]) => lateness.heard(up, at)); }",
+        [[1000, 5000], [1100, 5100], [1200, 6300], [1300, 6301], [2400, 6400], [50, 6500], [150, 6601]],
+    )
+    assert late == [0, 0, 1100, 1001, 0, 0, 1]
