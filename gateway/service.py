@@ -16,11 +16,13 @@ from typing import Any, NoReturn, TypeVar
 import zenoh
 
 from gateway import __version__
+from gateway.certs.proof import ProofChecker
 from gateway.core.legs import Rules
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.supervisor import Supervisor
 from gateway.edge.doorkeeper import Doorkeeper
 from gateway.edge.inbox import Inbox
+from gateway.edge.lease_desk import LeaseDesk, checker_of
 from gateway.edge.outbox import ZenohOutbox
 from gateway.edge.session import open_session, service_config
 from gateway.edge.strangers import Strangers
@@ -34,7 +36,9 @@ from gateway.recorder.place import folder_of
 from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime import prometheus as exposition
 from gateway.runtime.conductor import Conductor
-from gateway.settings import Settings, WatchdogSettings
+from gateway.runtime.lease_answers import LeaseAnswers
+from gateway.runtime.report import wall_clock
+from gateway.settings import Settings, WatchdogSettings, ZenohSettings
 from gateway.spi import SpiDevice
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
@@ -72,6 +76,9 @@ def rules(settings: Settings) -> Rules:
             int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))
             for servo, limits in settings.limits.servos.items()
         },
+        lease_required=settings.lease.required,
+        lease_ttl_ns=round(settings.lease.ttl_ms * NS_PER_MS),
+        lease_takeover=settings.lease.takeover == "stop",
     )
 
 
@@ -109,12 +116,22 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
         runner.run(_run(settings, simulated=simulated, on_ready=on_ready))
 
 
+def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, ProofChecker | None]:
+    """Zenoh's configuration, and what checks who asks for the lease, where it names a CA. Raises ConfigError."""
+    config = service_config(settings)
+    checker = checker_of(config)
+    fault = None if checker is None else checker.clock_fault(wall_clock())
+    if fault is not None:
+        logger.warning(fault)
+    return config, checker
+
+
 async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]) -> None:
     loop, owner = asyncio.get_running_loop(), Ownership()
     recorder = _recorder(settings, simulated=simulated)
     end = _End(loop, owner, recorder)
     notifier = SystemdNotifier()
-    config = service_config(settings.zenoh)
+    config, checker = _configured(settings.zenoh)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
     outbox = ZenohOutbox()
     conductor = Conductor(
@@ -145,7 +162,7 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh
         session = opening.result()
         outbox.open(session)
         with owner:  # its threads hear at once, and have to wait until it is connected
-            inbox = _inbox(session, loop, conductor)
+            inbox = _inbox(session, loop, conductor, checker, settings.lease.ttl_ms)
         doorkeeper = Doorkeeper(session)
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
@@ -187,8 +204,15 @@ def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zen
     return open_session(config)
 
 
-def _inbox(session: zenoh.Session, loop: asyncio.AbstractEventLoop, conductor: Conductor) -> Inbox:
+def _inbox(
+    session: zenoh.Session,
+    loop: asyncio.AbstractEventLoop,
+    conductor: Conductor,
+    checker: ProofChecker | None,
+    ttl_ms: float,
+) -> Inbox:
     """What comes in, connected with the conductor."""
+    desk = LeaseDesk(LeaseAnswers(conductor, ttl_ms), checker, wall_clock=wall_clock)
     inbox = Inbox(
         session,
         loop,
@@ -196,6 +220,7 @@ def _inbox(session: zenoh.Session, loop: asyncio.AbstractEventLoop, conductor: C
         on_wakeup=conductor.tick,
         on_estop=lambda received: conductor.tick((received,)),
         on_state_query=conductor.answer_state,
+        read_lease=desk.note,
     )
     conductor.take = inbox.take
     conductor.instant_open = lambda: inbox.instant_open

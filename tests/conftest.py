@@ -12,7 +12,8 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from tests.support.model_check import CONFIGURATIONS, Report, check
+from tests.support.model_check import Report, check
+from tests.support.small_robots import CONFIGURATIONS
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(

@@ -1,5 +1,8 @@
 """The supervisor's vocabulary: what happens to it (events), and what it wants done (effects)."""
 
+from dataclasses import field
+from enum import StrEnum
+
 from gateway.core.value import value
 from gateway.protocol.frames import Frame, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
@@ -31,6 +34,8 @@ class Command:
     targets: tuple[tuple[int, ServoOp], ...]
     source: str | None = None
     """For people: it decides nothing that is sent."""
+    lease: str | None = field(default=None, repr=False)
+    """The token that it carries."""
 
 
 @value
@@ -49,6 +54,32 @@ class Reset:
     source: str | None = None
     key: str | None = None
     estop: int | None = None
+    lease: str | None = field(default=None, repr=False)
+
+
+class Do(StrEnum):
+    """What somebody wants of the lease."""
+
+    ACQUIRE = "acquire"
+    ASK = "ask"
+    TAKE = "take"
+    RENEW = "renew"
+    RELEASE = "release"
+
+
+@value
+class LeaseRequest:
+    """Somebody wants something of the lease; where names have to be proved, `source` is.
+
+    `fresh_token` is 128 random bits, for a lease that it may give.
+    """
+
+    do: Do
+    source: str | None = None
+    verified: bool = False
+    token: str | None = field(default=None, repr=False)
+    to: str | None = None
+    fresh_token: str = field(default="", repr=False)
 
 
 @value
@@ -68,7 +99,7 @@ class ShutDown:
     """The service ends."""
 
 
-Event = BusOpened | BusFailed | Command | EmergencyStop | Reset | StoppedOutside | TimePassed | ShutDown
+Event = BusOpened | BusFailed | Command | EmergencyStop | Reset | LeaseRequest | StoppedOutside | TimePassed | ShutDown
 
 # ---- effects, to be carried out in their order
 
@@ -109,4 +140,15 @@ class Announce:
     key: str | None = None
 
 
-Effect = Transmit | Completed | Rejected | Announce
+@value
+class LeaseAnswer:
+    """The answer to a LeaseRequest: granted, if there is no `reason`. `token` is that of the lease that it gives."""
+
+    reason: Reason | None = None
+    detail: str | None = None
+    holder: str | None = None
+    token: str | None = field(default=None, repr=False)
+    verified: bool = False
+
+
+Effect = Transmit | Completed | Rejected | Announce | LeaseAnswer

@@ -28,6 +28,10 @@ class Rules:
     unnumbered_reset_ns: int = 2 * NS_PER_S
     """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
+    lease_required: bool = False
+    lease_ttl_ns: int = NS_PER_S
+    lease_takeover: bool = True
+    """Whether the lease may be taken from its holder, with a Stop of all legs."""
 
 
 @dataclass(slots=True)

@@ -21,6 +21,9 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
  7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
     only then gets its Stops too.
 
+ 9. While somebody holds the lease, what moves and resets needs its token (`lease`). Whoever takes the lease from its
+    holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
+
 `StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
 Set is taken: one of its Stops may still come, and would undo it unseen.
@@ -29,7 +32,7 @@ Within one instant, the order of what came by different channels is unknown. So 
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
-from typing import Final
+from typing import Final, get_args
 
 from gateway.core.events import (
     Announce,
@@ -40,6 +43,8 @@ from gateway.core.events import (
     Effect,
     EmergencyStop,
     Event,
+    LeaseAnswer,
+    LeaseRequest,
     Rejected,
     Reset,
     ShutDown,
@@ -47,6 +52,7 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
+from gateway.core.lease import Lease
 from gateway.core.legs import Legs, Rules
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.protocol.frames import Op
@@ -65,6 +71,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.IDLE: {
         Command: _QUIET,
         Reset: _QUIET,
+        LeaseRequest: _QUIET,
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
         StoppedOutside: _QUIET,
@@ -74,6 +81,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.ACTIVE: {
         Command: _QUIET,
         Reset: _QUIET,
+        LeaseRequest: _QUIET,
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
         StoppedOutside: _QUIET,
@@ -83,6 +91,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.ESTOPPED: {
         Command: frozenset({Mode.ESTOPPED}),
         Reset: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        LeaseRequest: frozenset({Mode.ESTOPPED}),
         EmergencyStop: frozenset({Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
         StoppedOutside: frozenset({Mode.ESTOPPED}),
@@ -92,6 +101,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.BUS_FAULT: {
         Command: frozenset({Mode.BUS_FAULT}),
         Reset: frozenset({Mode.BUS_FAULT}),
+        LeaseRequest: frozenset({Mode.BUS_FAULT}),
         EmergencyStop: frozenset({Mode.BUS_FAULT}),
         BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
         BusFailed: frozenset({Mode.BUS_FAULT}),
@@ -99,10 +109,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         TimePassed: frozenset({Mode.BUS_FAULT}),
         ShutDown: frozenset({Mode.STOPPING}),
     },
-    Mode.STOPPING: {
-        event: frozenset({Mode.STOPPING})
-        for event in (Command, Reset, EmergencyStop, BusOpened, BusFailed, StoppedOutside, TimePassed, ShutDown)
-    },
+    Mode.STOPPING: {event: frozenset({Mode.STOPPING}) for event in get_args(Event)},
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
 
@@ -128,6 +135,7 @@ class Supervisor:
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
         self.legs = Legs(rules)
+        self.lease = Lease(rules)
         self._opened = False  # ever
         self._bus_ok = False
         self._latched_ns: int | None = None
@@ -157,9 +165,13 @@ class Supervisor:
         if type(event) not in TRANSITIONS[self.mode]:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
+        lease_due_ns = self.lease.due_ns
+        ended = self.lease.expire(now_ns) if lease_due_ns is not None and now_ns >= lease_due_ns else []
         match event:
             case Command() | Reset() | TimePassed() | StoppedOutside(at_work=False):
                 effects = self._in_time(event, now_ns)
+            case LeaseRequest():
+                effects = self._lease_request(event, now_ns)
             # All else stops everything, or finds a bus that sends nothing: what was due has no meaning any more.
             case EmergencyStop():
                 effects = self._emergency_stop(event, now_ns)
@@ -174,6 +186,9 @@ class Supervisor:
         self.legs.look()
         self.mode = self._mode_now()
         self.due_ns = self.legs.due_ns if self._bus_ok else None
+        if self.lease.due_ns is not None:
+            self.due_ns = self.lease.due_ns if self.due_ns is None else min(self.due_ns, self.lease.due_ns)
+        effects = ended + effects if ended else effects
         return sorted(effects, key=_after_stops) if self.legs.stops else effects
 
     def _mode_now(self) -> Mode:
@@ -186,15 +201,19 @@ class Supervisor:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
-    def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
+    def _in_time(
+        self, event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside, now_ns: int
+    ) -> list[Effect]:
         """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
-        due = self.due_ns is not None and now_ns >= self.due_ns
+        due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
         effects = self._expire(now_ns) if due else []
         match event:
             case Command():
                 effects += self._command(event, now_ns)
             case Reset():
-                effects += self._reset(event)
+                effects += self._reset(event, now_ns)
+            case LeaseRequest():
+                effects += self._without_takeover(event, now_ns)
             case StoppedOutside():
                 self.stopped_outside = False
         if due:
@@ -208,6 +227,8 @@ class Supervisor:
         rejection = self._rejection(command)
         if rejection is not None:
             return [Rejected(command.number, *rejection)]
+        if command.lease is not None:
+            self.lease.heard(command.lease, now_ns)
         return self.legs.apply(command, now_ns)
 
     def _rejection(self, command: Command) -> tuple[Reason, str] | None:
@@ -215,8 +236,12 @@ class Supervisor:
         if self.mode in _REJECTING:
             return _REJECTING[self.mode]
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
-        if moves and self.stopped_outside:
-            return Reason.SERVO_STOPPED, _OUTSIDE
+        if moves and (self.stopped_outside or self.lease.guards or command.lease is not None):
+            rejection = (
+                (Reason.SERVO_STOPPED, _OUTSIDE) if self.stopped_outside else self.lease.rejection(command.lease)
+            )
+            if rejection is not None:
+                return rejection
         for servo_id, op in moves:
             limits = self._rules.joint_limits_cdeg.get(servo_id)
             if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
@@ -245,14 +270,19 @@ class Supervisor:
             effects.append(Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key))
         return effects
 
-    def _reset(self, event: Reset) -> list[Effect]:
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:
             return [Rejected(event.number, *_REJECTING[self.mode])]
-        if self._latched_ns is None:
-            return [Completed(event.number)]
-        older = self._may_be_older(event, self._latched_ns)
+        no_lease = self.lease.rejection(event.lease, reset=True)
+        if no_lease is not None:
+            return [Rejected(event.number, *no_lease)]
+        older = None if self._latched_ns is None else self._may_be_older(event, self._latched_ns)
         if older is not None:
             return [Rejected(event.number, Reason.ESTOPPED, older)]
+        if event.lease is not None:
+            self.lease.heard(event.lease, now_ns)
+        if self._latched_ns is None:
+            return [Completed(event.number)]
         self._latched_ns = None
         detail = "emergency stop left; nothing moves until it is started again"
         return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event.number)]
@@ -274,6 +304,25 @@ class Supervisor:
         if reset.estop > self.estops:
             return f"no such emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
         return None
+
+    def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
+        if self._ended or not self.lease.is_takeover(request):
+            return self._in_time(request, now_ns)
+        taken = f"{request.source} has taken the lease"
+        stops = self._stop_all(Cause.COMMAND, now_ns, Reason.NOT_HOLDER, taken)
+        told, answer = self.lease.grant(request, now_ns)
+        return [*stops, *told, answer]
+
+    def _without_takeover(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
+        if self._ended:
+            return [LeaseAnswer(Reason.STOPPING, _STOPPING)]
+        told, answer = self.lease.grant(request, now_ns)
+        dropped: list[Effect] = []
+        if answer.token is not None:
+            # What others had waiting would move under the new holder.
+            detail = f"{answer.holder} has acquired the lease"
+            dropped = self.legs.drop(self.legs.servos.values(), Reason.NOT_HOLDER, detail)
+        return [*dropped, *told, answer]
 
     def _stop_with_outside(self, now_ns: int) -> list[Effect]:
         first, self.stopped_outside = not self.stopped_outside, True
@@ -299,6 +348,7 @@ class Supervisor:
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
         self._ended = True
+        self.lease.end()
         stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
         announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
         return [*self._stop_all(Cause.SHUTDOWN, now_ns, Reason.STOPPING, _STOPPING), announcement]

@@ -28,11 +28,13 @@ from gateway.edge.rings import PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.host.realtime import LOOP_PRIORITY
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, LEASE, STATE
 from schemas.telemetry import Ack, Reason
 
 OTHER_DEPTH: Final = 16
 """The same for what names no key of ours; it is rejected one by one, so there is no use in more."""
+LEASE_DEPTH: Final = 32
+"""Questions about the lease that wait to be read. One that is pushed out stays unanswered, which its sender notices."""
 LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """The wakeup can ring before the message has reached its key's own ring (two deliveries, one after the other, by a
 thread that may be interrupted in between). So a wakeup whose key had nothing is followed by some more looks."""
@@ -64,8 +66,12 @@ class Inbox:
         on_wakeup: Callable[[], None],
         on_estop: Callable[[Received], None],
         on_state_query: Callable[[Reply], None],
+        read_lease: Callable[[zenoh.Query, int, Reply], Deal] | None = None,
     ) -> None:
-        """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given."""
+        """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given.
+
+        `read_lease` owns nothing yet, and says what is to be done with a question about the lease.
+        """
         self._loop = loop
         self._wake = on_wakeup
         self._engage = on_estop
@@ -115,6 +121,10 @@ class Inbox:
                 lambda query, _: partial(on_state_query, self._replies.to(query, STATE)),
             ),
         ]
+        if read_lease is not None:
+            read = read_lease
+            ring = self._queryable(session, LEASE, LEASE_DEPTH)
+            waits.append(("lease-get", ring, lambda query, ns: read(query, ns, self._replies.to(query, LEASE))))
         self._receivers = [
             *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
             *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
@@ -213,7 +223,7 @@ class Inbox:
         if key in _RING_KEYS:
             self._woken_keys.add(key)
             self._heard[key] = self._heard.get(key, 0) + 1
-        elif key != ESTOP:
+        elif key != ESTOP and not (key == LEASE and isinstance(item, zenoh.Query)):
             named = (
                 {known for known in COMMAND_KEYS if item.key_expr.intersects(zenoh.KeyExpr(known))}
                 if "*" in key

@@ -20,6 +20,7 @@ from gateway.core.events import (
     Effect,
     EmergencyStop,
     Event,
+    LeaseRequest,
     Rejected,
     Reset,
     ShutDown,
@@ -205,11 +206,21 @@ class Conductor:
         self._pending[number] = received.key, source, received.reply
         self.recorder.command(number, received.verb, received.key, source, intent, received.received_ns)
         if received.key == keys.RESET:
-            self._step(Reset(number, source, received.key, intent.estop), instant_ns)
+            self._step(Reset(number, source, received.key, intent.estop, intent.lease), instant_ns)
         else:
-            self._step(Command(number, received.channel, intent.targets, source), instant_ns)
+            self._step(Command(number, received.channel, intent.targets, source, intent.lease), instant_ns)
             if self._losses.key and self._rejected != number:
                 self._losses.accepted(intent.targets)
+
+    def ask_lease(self, request: LeaseRequest) -> list[Effect]:
+        """Let the supervisor take a request for the lease. Returns its effects, which are carried out."""
+        effects = self.supervisor.step(request, self._clock())
+        fault = self._carry_out(effects)[1]
+        if fault is not None:
+            self._bus_failed(fault)
+        self._arm()
+        self._tell_mode()
+        return effects
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
         key, targets = self._losses.take()
@@ -356,9 +367,9 @@ class Conductor:
         key, source, reply = self._pending.pop(number)
         self._reject(key, source, reply, reason, detail, number)
 
-    def reject_unread(self, key: str, source: str | None, detail: str) -> None:
-        """Tell of a message on a key that nothing reads."""
-        self._reject(key[:MAX_KEY], source, None, Reason.INVALID, detail)
+    def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
+        """Tell of a message that is rejected without being taken: on a key that nothing reads, or about the lease."""
+        self._reject(key[:MAX_KEY], source, None, reason, detail)
 
     def _reject(
         self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str, number: int = 0

@@ -11,7 +11,13 @@ from typing import Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
-from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client.metrics_core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    Metric,
+)
 from prometheus_client.registry import Collector
 
 from gateway.core.latency import BOUNDS_US, Latency
@@ -20,12 +26,14 @@ from gateway.errors import ConfigError
 from gateway.host import logs
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.runtime.conductor import Conductor
-from schemas.telemetry import Cause, Mode, Reason
+from schemas.telemetry import Cause, Kind, Mode, Reason
 
 MOST_REQUESTS: Final = 8
 """At once: one Prometheus needs one, and a person who looks another."""
 REQUEST_S: Final = 5.0
 """A scrape takes 5 ms; Prometheus itself gives up after ten seconds."""
+
+LEASE_KINDS: Final = [kind for kind in Kind if kind.startswith("lease_")]
 
 _PREFIX: Final = "hexapod"
 
@@ -61,6 +69,16 @@ class _Numbers(Collector):
             "Lines of the log that were not written, since nobody read it",
             logs.dropped(),
         )
+        lease = self._conductor.supervisor.lease
+        holder = InfoMetricFamily(f"{_PREFIX}_lease", "Who holds the lease, or to whom it is handed over")
+        name = lease.holder  # read once: this thread owns nothing
+        if name is not None:
+            holder.add_metric([], {"holder": name, "verified": str(lease.verified).lower()})
+        yield holder
+        changes = CounterMetricFamily(f"{_PREFIX}_lease_changes", "What happened to the lease", labels=["kind"])
+        for kind in LEASE_KINDS:
+            changes.add_metric([kind], lease.changes[kind])
+        yield changes
         modes = GaugeMetricFamily(f"{_PREFIX}_mode", "1 for the mode the gateway is in", labels=["mode"])
         for mode in Mode:
             modes.add_metric([mode], float(mode is self._conductor.supervisor.mode))

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway import __version__
+from gateway.core.lease import Lease
 from gateway.core.legs import Leg, Servo
 from gateway.core.supervisor import Supervisor
 from gateway.protocol import VERSION
@@ -14,6 +15,7 @@ from schemas.telemetry import (
     CommandCounts,
     GatewayState,
     Kind,
+    LeaseReport,
     LegReport,
     ServoReport,
     SpiReport,
@@ -71,6 +73,17 @@ def report(
         estop=supervisor.estops,
         estop_source=estop_source,
         incident=incident,
+        lease=_lease(supervisor.lease, now_ns),
+    )
+
+
+def _lease(lease: Lease, now_ns: int) -> LeaseReport:
+    return LeaseReport(
+        holder=lease.holder,
+        verified=lease.verified,
+        held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
+        expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
+        asked_by=lease.asked_by,
     )
 
 

@@ -1,6 +1,7 @@
 """Who commands, for people: nothing of it decides what is sent."""
 
 from collections.abc import Callable
+from typing import Final
 
 from gateway.core.events import Announce
 from gateway.core.intake import named_source
@@ -9,6 +10,12 @@ from gateway.core.rejection_limit import RejectionLimit
 from schemas.telemetry import Kind, Reason
 
 Tell = Callable[[Kind, str, str | None, str | None, Reason | None, int], None]
+
+
+_LIMITED: Final = frozenset(
+    {Kind.SOURCE_CHANGED, Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED, Kind.LEASE_TAKEN, Kind.LEASE_ASKED}
+)
+"""What others can bring about as often as they like."""
 
 
 class Sources:
@@ -33,8 +40,8 @@ class Sources:
         return self._estop
 
     def announce(self, announce: Announce, now_ns: int, tell: Tell) -> None:
-        """Tell it, with its source; of legs that change hands at most ten a second and source."""
+        """Tell it, with its source; of legs and leases that change hands at most ten a second and source."""
         source = self.estop if announce.kind is Kind.ESTOP_ENGAGED else announce.source
-        left_out = self._handovers.admit(source, now_ns) if announce.kind is Kind.SOURCE_CHANGED else 0
+        left_out = self._handovers.admit(source, now_ns) if announce.kind in _LIMITED else 0
         if left_out is not None:
             tell(announce.kind, announce.detail, source, announce.key, None, left_out)

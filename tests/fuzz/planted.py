@@ -3,7 +3,17 @@
 from dataclasses import replace
 from typing import Any
 
-from gateway.core.events import Command, Effect, EmergencyStop, Event, Rejected, Reset, StoppedOutside, TimePassed
+from gateway.core.events import (
+    Command,
+    Effect,
+    EmergencyStop,
+    Event,
+    LeaseRequest,
+    Rejected,
+    Reset,
+    StoppedOutside,
+    TimePassed,
+)
 from gateway.core.legs import Leg, Legs, Rules, Servo
 from gateway.core.pacing import RateSlots, StartQueue
 from gateway.core.supervisor import Supervisor
@@ -56,24 +66,24 @@ class LatchedWhenDealtWith(Supervisor):
 class AnyNumberResets(Supervisor):
     """A reset leaves newer emergency stops than the one that it names."""
 
-    def _reset(self, event: Reset) -> list[Effect]:
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         older = event.estop is not None and event.estop < self.estops
-        return super()._reset(replace(event, estop=self.estops) if older else event)
+        return super()._reset(replace(event, estop=self.estops) if older else event, now_ns)
 
 
 class NumbersToComeReset(Supervisor):
     """A reset may name an emergency stop that nobody has requested yet."""
 
-    def _reset(self, event: Reset) -> list[Effect]:
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         newer = event.estop is not None and event.estop > self.estops
-        return super()._reset(replace(event, estop=self.estops) if newer else event)
+        return super()._reset(replace(event, estop=self.estops) if newer else event, now_ns)
 
 
 class UnnumberedResetsAtOnce(Supervisor):
     """A reset without a number is taken as soon as one that names the latest."""
 
-    def _reset(self, event: Reset) -> list[Effect]:
-        return super()._reset(replace(event, estop=self.estops) if event.estop is None else event)
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+        return super()._reset(replace(event, estop=self.estops) if event.estop is None else event, now_ns)
 
 
 class CountsOnlyTheFirst(Supervisor):
@@ -224,7 +234,9 @@ class LatchLostInFault(Supervisor):
 class LateCommandsCount(Supervisor):
     """A command that comes after the deadline, but before anyone looked, saves its leg."""
 
-    def _in_time(self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int) -> list[Effect]:
+    def _in_time(
+        self, event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside, now_ns: int
+    ) -> list[Effect]:
         if isinstance(event, Command) and self._rejection(event) is None:
             for servo_id, _ in event.targets:
                 self.legs.by_number[servo_id // 10].heard_ns = now_ns
@@ -262,9 +274,9 @@ class EmergencyStopAfterSlots(Supervisor):
 class ResetInTheSameInstant(Supervisor):
     """A reset leaves an emergency stop of the same instant, which may be the newer of the two."""
 
-    def _reset(self, event: Reset) -> list[Effect]:
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         self.legs.instant_ns += 1
-        return super()._reset(event)
+        return super()._reset(event, now_ns)
 
 
 class RecoversWithoutStops(Supervisor):

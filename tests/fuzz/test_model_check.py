@@ -10,7 +10,8 @@ from gateway.core.legs import Rules
 from gateway.core.supervisor import Supervisor
 from tests.fuzz import planted
 from tests.support.history import Violation
-from tests.support.model_check import CONFIGURATIONS, Configuration, Key, Report, State, check, start, successors
+from tests.support.model_check import Key, Report, State, check, start, successors
+from tests.support.small_robots import CONFIGURATIONS, Configuration
 
 BY_NAME = {configuration.name: configuration for configuration in CONFIGURATIONS}
 ONE_SERVO = BY_NAME["one servo, two channels"]

@@ -15,8 +15,8 @@ SUPERVISOR = Subject(
     ),
     mutants=(
         Mutant(
-            "        if moves and self.stopped_outside:\n",
-            "        if False:\n",
+            "(Reason.SERVO_STOPPED, _OUTSIDE) if self.stopped_outside else self.lease",
+            "self.lease",
             "a start is accepted, and stop-servos undoes it unseen",
         ),
         Mutant(
@@ -39,7 +39,11 @@ SUPERVISOR = Subject(
             "        self.legs.instant_ns = now_ns\n",
             "where time passes in an instant, a start overtakes a Stop, and a reset an emergency stop",
         ),
-        Mutant("return sorted(effects, key=_after_stops)", "return effects", "a start goes out before a Stop"),
+        Mutant(
+            "return sorted(effects, key=_after_stops)",
+            "return effects",
+            "a start goes out before a Stop",
+        ),
         Mutant(
             "self.due_ns = self.legs.due_ns if self._bus_ok else None",
             "self.due_ns = self.legs.due_ns()",
@@ -191,7 +195,7 @@ SUPERVISOR = Subject(
             "effects: list[Effect] = []\n        if first:",
             "what was pending before a fault is sent after it",
         ),
-        Mutant("        self._ended = True\n        stopped", "        stopped", "a gateway that ends takes commands"),
+        Mutant("        self._ended = True\n        self", "        self", "a gateway that ends takes commands"),
         Mutant(
             "return [*self._stop_all(Cause.SHUTDOWN, now_ns, Reason.STOPPING, _STOPPING), announcement]",
             "return [announcement]",

@@ -5,11 +5,13 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Self
 
-from gateway.core.events import Announce, Command, Effect, StoppedOutside
+from gateway.core.events import Announce, Command, Effect, Rejected, Reset, StoppedOutside
 from gateway.core.legs import Rules
 from gateway.protocol.frames import Op, leg_of
-from schemas.telemetry import Kind
+from schemas.telemetry import Kind, Mode, Reason
 
+CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
+"""Modes in which every command is rejected, and for what."""
 NOBODY = "somebody without a name"
 STOP_SERVOS = {
     "stop-servos at work": StoppedOutside(at_work=True),
@@ -25,6 +27,23 @@ def demand(condition: bool, promise: str) -> None:
     """Raise Violation unless the promise was kept."""
     if not condition:
         raise Violation(promise)
+
+
+def told(effects: Iterable[Effect], kind: Kind) -> bool:
+    """Whether somebody is told of this."""
+    return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)
+
+
+def rejections_of(number: int, effects: Iterable[Effect]) -> list[Reason]:
+    """Why this command is rejected."""
+    return [effect.reason for effect in effects if isinstance(effect, Rejected) and effect.number == number]
+
+
+def is_newer(reset: Reset, age_ns: int, estops: int, rules: Rules) -> bool:
+    """Whether a reset was certainly sent after the latest emergency stop, which is so old."""
+    if reset.estop is None:
+        return age_ns >= rules.unnumbered_reset_ns
+    return reset.estop == estops and age_ns > 0
 
 
 @dataclass(frozen=True, slots=True)

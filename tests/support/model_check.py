@@ -18,35 +18,28 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Final
 
-from gateway.core.events import BusFailed, BusOpened, Command, EmergencyStop, Event, Reset, ShutDown, TimePassed
+from gateway.core.events import (
+    BusFailed,
+    BusOpened,
+    Command,
+    EmergencyStop,
+    Event,
+    LeaseRequest,
+    Reset,
+    ShutDown,
+    TimePassed,
+)
+from gateway.core.lease import TRANSITIONS as LEASE_TRANSITIONS
+from gateway.core.lease import LeaseState
 from gateway.core.legs import Leg, Legs, Rules, Servo, _PendingCommand
 from gateway.core.pacing import RateSlots, StartQueue
 from gateway.core.supervisor import TRANSITIONS, Supervisor
-from gateway.protocol.frames import STOP, Op, ServoOp
 from schemas.telemetry import Mode
 from tests.support.history import STOP_SERVOS, Violation, demand
+from tests.support.lease_history import LeaseHistory
+from tests.support.lease_model import copied_lease, lease_key, lease_requests, tokens
 from tests.support.oracle import Oracle
-
-TICK: Final = 10
-"""Nanoseconds, in a world where a leg's period is two ticks, or four, of which a quarter is one."""
-
-Targets = tuple[tuple[int, ServoOp], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Configuration:
-    """A small robot, its rules, what may be asked of it, and how far apart events may be (in nanoseconds)."""
-
-    name: str
-    rules: Rules
-    legs: tuple[int, ...]
-    commands: tuple[tuple[str, Targets], ...]
-    """(channel, targets)"""
-    waits_ns: tuple[int, ...]
-    within_ns: tuple[int, ...] = ()
-    """The same for events of the same instant: to deal with those before them takes time."""
-    ends: bool = True
-    """Whether the service may be shut down, too."""
+from tests.support.small_robots import CONFIGURATIONS, Configuration
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +82,7 @@ _pending_fields = _getter(_PendingCommand, "targets", "coalesced")
 _SUPERVISOR_FIELDS: Final = {
     "_rules",
     "legs",
+    "lease",
     "_opened",
     "_bus_ok",
     "estops",
@@ -134,6 +128,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
         _, _, _, *rest = _leg_fields(leg)
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
+    other.lease = copied_lease(supervisor.lease)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     legs._pending = {
@@ -161,6 +156,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
+        lease_key(supervisor.lease, now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
         tuple((rank[number], *_pending_fields(pending)) for number, pending in sorted(legs._pending.items())),
         tuple(
@@ -188,21 +184,27 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 # ---- the search
 
 
-def events(configuration: Configuration, mode: Mode, number: int, estops: int) -> Iterator[tuple[str, Event]]:
+def events(
+    configuration: Configuration, mode: Mode, number: int, estops: int, lease: LeaseHistory
+) -> Iterator[tuple[str, Event]]:
     """Everything that can happen, with a name. The next command is `number`, the latest emergency stop `estops`."""
     # Where every command is rejected, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
-        yield f"{channel} command {which}", Command(number, channel, targets)
+        for whose, token in tokens(configuration.drivers, lease):
+            yield f"{channel} command {which}{whose}", Command(number, channel, targets, lease=token)
     yield "time passed", TimePassed()
     yield "emergency stop", EmergencyStop()
-    yield "reset", Reset(number, estop=estops)
+    for whose, token in tokens(configuration.drivers, lease):
+        yield f"reset{whose}", Reset(number, estop=estops, lease=token)
+    yield from lease_requests(configuration.drivers, number, lease)
     if mode is Mode.ESTOPPED:
         yield "reset of an older one", Reset(number, estop=estops - 1)
         yield "reset of none that was", Reset(number, estop=estops + 1)
         yield "reset without a number", Reset(number)
-    yield from STOP_SERVOS.items()
-    yield "bus failed", BusFailed("a test's fault")
+    if not configuration.calm:
+        yield from STOP_SERVOS.items()
+        yield "bus failed", BusFailed("a test's fault")
     yield "bus opened", BusOpened()
     if configuration.ends:
         yield "shut down", ShutDown()
@@ -244,7 +246,7 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
     mode = state.supervisor.mode
     waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
     waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
-    for name, event in events(configuration, mode, state.number, state.supervisor.estops):
+    for name, event in events(configuration, mode, state.number, state.supervisor.estops, state.oracle.lease):
         if type(event) not in TRANSITIONS[mode]:
             continue
         for wait_ns, same_instant in waits:
@@ -263,8 +265,12 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
 
 def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:
     """One step, judged. Raises Violation."""
-    mode, due_ns = supervisor.mode, supervisor.due_ns
+    mode, due_ns, lease = supervisor.mode, supervisor.due_ns, supervisor.lease
+    held = lease.state if lease.due_ns is None or now_ns < lease.due_ns else LeaseState.FREE
     effects = supervisor.step(event, now_ns, instant_ns)
+    if isinstance(event, LeaseRequest) and mode is not Mode.STOPPING:
+        after = supervisor.lease.state
+        demand(after in LEASE_TRANSITIONS[held][event.do], f"{event.do} leads the lease from {held} to {after}")
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
     oracle.judge(
@@ -302,103 +308,6 @@ def check(configuration: Configuration, make: Callable[[Rules], Supervisor] = Su
                 seen.add(found)
                 frontier.append(state)
     return Report(len(seen), steps, time.monotonic() - started)
-
-
-# ---- the robots
-
-LOW, HIGH = 10_00, 20_00
-START, SET = ServoOp(Op.START, LOW), ServoOp(Op.SET, HIGH)
-
-
-def _rules(**changes: Any) -> Rules:
-    defaults: dict[str, Any] = {
-        "timeout_ns": 4 * TICK,
-        "repeats": 1,
-        "repeat_interval_ns": TICK,
-        "period_ns": 2 * TICK,
-        "unnumbered_reset_ns": 2 * TICK,
-    }
-    return Rules(**{**defaults, **changes})
-
-
-def _each(op: ServoOp, *servo_ids: int) -> Targets:
-    return tuple((servo_id, op) for servo_id in servo_ids)
-
-
-_ONE_SERVO = tuple((f"{verb} servo/11", _each(op, 11)) for verb in ("put", "get") for op in (START, SET, STOP))
-_WHOLE_LEG = (
-    *(("leg", _each(op, 11, 12, 13)) for op in (START, SET, STOP)),
-    ("leg", ((11, STOP), (12, START), (13, START))),
-    ("servo", _each(START, 11)),
-    ("servo", _each(STOP, 11)),
-)
-_EACH_JOINT = (
-    *(("put servo", _each(START, joint)) for joint in (12, 13)),
-    *(("put servo", _each(STOP, joint)) for joint in (12, 13)),
-    ("put leg", ((11, STOP), (12, STOP), (13, SET))),
-)
-_TWO_LEGS = (
-    *(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)),
-    ("legs", _each(START, 11, 21)),
-    ("legs", ((11, START), (21, STOP))),
-)
-_WAITS = (0, TICK, 5 * TICK)
-
-CONFIGURATIONS: Final = (
-    Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
-    Configuration(
-        "one servo, instants in which time passes",
-        _rules(repeats=0),
-        (1,),
-        (*_ONE_SERVO[:3], *_ONE_SERVO[3::2]),
-        _WAITS,
-        within_ns=(TICK,),
-        ends=False,
-    ),
-    Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS, ends=False),
-    Configuration("one leg, its joints apart", _rules(repeats=0), (1,), _EACH_JOINT, _WAITS, ends=False),
-    Configuration(
-        "one leg, frames a quarter of a period apart",
-        _rules(timeout_ns=6 * TICK, period_ns=4 * TICK, repeats=0),
-        (1,),
-        (("servo", _each(START, 11)), ("servo", _each(SET, 11)), ("servo", _each(STOP, 11))),
-        (*_WAITS, 4 * TICK),
-        ends=False,
-    ),
-    Configuration(
-        "a rate slot later than the watchdog",
-        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK),
-        (1,),
-        _WHOLE_LEG,
-        _WAITS[1:],
-    ),
-    Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS[1:], _WAITS[1:], ends=False),
-    Configuration("two legs, repeated Stops", _rules(), (1, 2), _TWO_LEGS[:4], _WAITS[1:], ends=False),
-    Configuration(
-        "two legs, rate slots later than the watchdog",
-        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, repeats=0),
-        (1, 2),
-        (("legs", _each(START, 11, 21, 22)), ("servo", _each(START, 21)), ("servo", _each(STOP, 11))),
-        (TICK, 3 * TICK),
-        ends=False,
-    ),
-    Configuration(
-        "two legs, one silent leg stops both",
-        _rules(repeats=0, whole_robot=True),
-        (1, 2),
-        _TWO_LEGS,
-        _WAITS[1:],
-        ends=False,
-    ),
-    Configuration(
-        "two legs, started one after the other",
-        _rules(repeats=0, start_pause_ns=3 * TICK),
-        (1, 2),
-        (*_TWO_LEGS[:3], _TWO_LEGS[4]),
-        _WAITS[1:],
-        ends=False,
-    ),
-)
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from typing import Self
 
 from gateway.core.events import (
-    Announce,
     BusFailed,
     BusOpened,
     Command,
@@ -17,6 +16,7 @@ from gateway.core.events import (
     Effect,
     EmergencyStop,
     Event,
+    LeaseRequest,
     Rejected,
     Reset,
     ShutDown,
@@ -28,10 +28,18 @@ from gateway.core.legs import Rules
 from gateway.protocol.frames import Op, leg_of, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
-from tests.support.history import LegHistory, ServoHistory, Want, change_hands, demand
-
-_CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
-"""Modes in which every command is rejected, and for what."""
+from tests.support.history import (
+    CLOSED,
+    LegHistory,
+    ServoHistory,
+    Want,
+    change_hands,
+    demand,
+    is_newer,
+    rejections_of,
+    told,
+)
+from tests.support.lease_history import LeaseHistory
 
 
 class Oracle:
@@ -49,6 +57,7 @@ class Oracle:
         self.latched_ns: int | None = None
         self.instant_ns = 0
         """When the present instant began: that of all that was collected together."""
+        self.lease = LeaseHistory(rules)
         self.energised_leg: int | None = None
         self.energised_ns = 0
         self.queue: tuple[int, ...] = ()
@@ -63,6 +72,7 @@ class Oracle:
         other.legs = {number: leg.clone() for number, leg in self.legs.items()}
         other.servos = {servo_id: servo.clone() for servo_id, servo in self.servos.items()}
         other.pending = dict(self.pending)
+        other.lease = self.lease.clone()
         return other
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -74,7 +84,8 @@ class Oracle:
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
         pending = tuple(self.pending[number] for number in sorted(self.pending))
-        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos
+        lease = self.lease.key(now_ns)
+        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos, lease
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
         """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
@@ -118,26 +129,33 @@ class Oracle:
         self._lost.clear()
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
+        self.lease.pass_time(now_ns, effects)
         match event:
             case Command() | Reset() | TimePassed():
                 self._in_time(event, now_ns, effects)
+            case LeaseRequest() if self.lease.judge(event, now_ns, effects, ended=self.ended):
+                self._all_stopped(effects, Cause.COMMAND, Reason.NOT_HOLDER, now_ns)
+            case LeaseRequest():
+                self._in_time(event, now_ns, effects)
+                demand(not self.lease.is_new or not self.pending, "what waited of others moves under no new holder")
             case EmergencyStop():
                 engaged, self.latched_ns = self.latched_ns is not None, self.instant_ns
                 self.estops += 1
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
-                demand(_told(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
+                demand(told(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
             case StoppedOutside(at_work=False):
                 self.outside = False
                 self._in_time(event, now_ns, effects)
             case StoppedOutside():
                 known, self.outside = self.outside, True
                 self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
-                demand(_told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
+                demand(told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
             case BusOpened():
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
             case ShutDown():
                 self.ended = True
+                self.lease.end()
                 self._all_stopped(effects, Cause.SHUTDOWN, Reason.STOPPING, now_ns)
             case BusFailed():
                 self.opened, self.bus_ok = True, False
@@ -167,7 +185,10 @@ class Oracle:
         demand(not self.pending, "nothing waits any more")
 
     def _in_time(
-        self, event: Command | Reset | TimePassed | StoppedOutside, now_ns: int, effects: Sequence[Effect]
+        self,
+        event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside,
+        now_ns: int,
+        effects: Sequence[Effect],
     ) -> None:
         frames = [effect for effect in effects if isinstance(effect, Transmit)]
         if not self.bus_ok:
@@ -181,7 +202,7 @@ class Oracle:
         if isinstance(event, Command):
             stops = self._command(event, now_ns, effects)
         elif isinstance(event, Reset):
-            self._reset(event, effects)
+            self._reset(event, effects, now_ns)
         for effect in effects:
             match effect:
                 case Transmit(cause=Cause.COMMAND):
@@ -242,13 +263,12 @@ class Oracle:
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
         reason = self._reason_to_reject(command)
-        reasons = [
-            effect.reason for effect in effects if isinstance(effect, Rejected) and effect.number == command.number
-        ]
+        reasons = rejections_of(command.number, effects)
         demand(reasons == ([] if reason is None else [reason]), f"rejected for {reason}, not for {reasons}")
         self.pending[command.number] = False
         if reason is not None:
             return frozenset()
+        self.lease.heard(command.lease, now_ns)
         running = [number for number in self.legs if self._armed(number)]
         change_hands(self.legs, running, command, effects)
         told_to_stop: set[int] = set()
@@ -271,11 +291,12 @@ class Oracle:
         return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
 
     def _reason_to_reject(self, command: Command) -> Reason | None:
-        if self.mode in _CLOSED:
-            return _CLOSED[self.mode]
+        if self.mode in CLOSED:
+            return CLOSED[self.mode]
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
-        if moves and self.outside:
-            return Reason.SERVO_STOPPED
+        no_lease = self.lease.reason_to_reject(command.lease) if moves else None
+        if moves and (self.outside or no_lease is not None):
+            return Reason.SERVO_STOPPED if self.outside else no_lease
         for _, servo_id, op in moves:
             low, high = self.rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
             if not low <= op.angle_cdeg <= high:
@@ -287,25 +308,19 @@ class Oracle:
                 return Reason.SERVO_STOPPED
         return None
 
-    def _reset(self, reset: Reset, effects: Sequence[Effect]) -> None:
+    def _reset(self, reset: Reset, effects: Sequence[Effect], now_ns: int) -> None:
         self.pending[reset.number] = False
-        reason = _CLOSED.get(self.mode)
-        if reason is Reason.ESTOPPED and self._is_newer(reset):
-            reason = None
-        reasons = [
-            effect.reason for effect in effects if isinstance(effect, Rejected) and effect.number == reset.number
-        ]
+        reason = CLOSED.get(self.mode)
+        if reason in (None, Reason.ESTOPPED):
+            reason = self.lease.reason_to_reject(reset.lease, reset=True) or reason
+        if reason is Reason.ESTOPPED and self.latched_ns is not None:
+            age_ns = self.instant_ns - self.latched_ns
+            reason = None if is_newer(reset, age_ns, self.estops, self.rules) else reason
+        reasons = rejections_of(reset.number, effects)
         demand(reasons == ([] if reason is None else [reason]), f"a reset rejected for {reason}, not for {reasons}")
         if reason is None:
             self.latched_ns = None
-
-    def _is_newer(self, reset: Reset) -> bool:
-        """Whether a reset was certainly sent after the latest emergency stop."""
-        assert self.latched_ns is not None
-        age_ns = self.instant_ns - self.latched_ns
-        if reset.estop is None:
-            return age_ns >= self.rules.unnumbered_reset_ns
-        return reset.estop == self.estops and age_ns > 0
+            self.lease.heard(reset.lease, now_ns)
 
     # ---- frames
 
@@ -372,9 +387,9 @@ class Oracle:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
         demand(waited_for == self.pending.keys(), f"every command is answered: {waited_for} wait, not {self.pending}")
         if not self.bus_ok:
-            demand(due_ns is None, "no time is awaited while the bus is at fault")
+            demand(due_ns == self.lease.due_ns, "no time but the lease's is awaited while the bus is at fault")
             return
-        latest = self._head_of_queue(now_ns)
+        latest = self._head_of_queue(now_ns) + ([] if self.lease.due_ns is None else [self.lease.due_ns])
         for number, leg in self.legs.items():
             servos = self._servos_of(number)
             if self._armed(number):
@@ -389,11 +404,5 @@ class Oracle:
                 if servo.owed:
                     demand(now_ns < servo.owed_ns, "a Stop is repeated in time")
                     latest.append(servo.owed_ns)
-        if latest:
-            demand(due_ns is not None and due_ns <= min(latest), f"wakes up in time: {due_ns}, not {min(latest)}")
-        else:
-            demand(due_ns is None, f"has nothing to wake up for: {due_ns}")
-
-
-def _told(effects: Sequence[Effect], kind: Kind) -> bool:
-    return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)
+        in_time = due_ns is None if not latest else due_ns is not None and due_ns <= min(latest)
+        demand(in_time, f"wakes up in time, if for anything: {due_ns}, not {latest}")

@@ -5,22 +5,27 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 """
 
 import asyncio
+import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 from pydantic import BaseModel
 
 from gateway.core.message import Received, Verb
 from gateway.core.supervisor import Supervisor
+from gateway.edge.lease_desk import LeaseDesk
 from gateway.protocol.frames import Frame, decode
 from gateway.recorder.recorder import NO_RECORDER, Recorder
 from gateway.runtime.conductor import Conductor
+from gateway.runtime.lease_answers import LeaseAnswers
 from gateway.service import BEAT_S, rules
 from gateway.settings import Settings
 from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
 from schemas import keys
+from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind
 
 MS = 1_000_000
@@ -58,6 +63,9 @@ class Robot:
             recorder=NO_RECORDER if record is None else record(self.settings, {}, self.now_ns, lambda: WALL_NS),
         )
         self.conductor.take = self._take
+        fresh = (f"{number:032x}" for number in itertools.count(1))
+        answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
+        self.desk = LeaseDesk(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
         self._beat()
 
     def _beat(self) -> None:
@@ -132,6 +140,15 @@ class Robot:
         """An acknowledged command that is answered at once."""
         (ack,) = self.get(key, payload, **more)
         return ack
+
+    def lease(self, do: str, source: str | None = None, **more: Any) -> LeaseAck:
+        """A request for the lease, and its answer."""
+        self._instants += 1
+        answers: list[bytes] = []
+        fields = {"do": do, **({} if source is None else {"source": source}), **more}
+        self.desk.read(json.dumps(fields).encode(), self.now_ns(), answers.append)()
+        (answer,) = answers
+        return LeaseAck.model_validate_json(answer)
 
     # ---- what came of it
 

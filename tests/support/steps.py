@@ -6,9 +6,12 @@ from gateway.core.events import (
     BusOpened,
     Command,
     Completed,
+    Do,
     Effect,
     EmergencyStop,
     Event,
+    LeaseAnswer,
+    LeaseRequest,
     Rejected,
     Reset,
     ShutDown,
@@ -61,6 +64,8 @@ def said(effect: Effect) -> str:
             return f"rejected {effect.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
+        case LeaseAnswer():
+            return f"lease {effect.reason or 'granted'}"
 
 
 def _word(command: ServoOp) -> str:
@@ -106,15 +111,22 @@ class Steps:
         )
         return [said(effect) for effect in self.effects]
 
-    def command(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
+    def command(self, at_ms: float, targets: Targets, channel: str = "leg", *, lease: str | None = None) -> list[str]:
         """A command with the next number."""
         self.number += 1
-        return self.take(at_ms, Command(self.number, channel, targets))
+        return self.take(at_ms, Command(self.number, channel, targets, lease=lease))
 
-    def reset(self, at_ms: float, *, newer: int = 0) -> list[str]:
+    def lease(self, at_ms: float, words: str, token: str | None = None, *, fresh: str = "") -> list[str]:
+        """A request such as `acquire anna`, `renew` or `release to bert`."""
+        verb, _, name = words.partition(" ")
+        to = name.removeprefix("to ") if name.startswith("to ") else None
+        source = name if name and to is None else None
+        return self.take(at_ms, LeaseRequest(Do(verb), source, token=token, to=to, fresh_token=fresh))
+
+    def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
         self.number += 1
-        return self.take(at_ms, Reset(self.number, estop=self.supervisor.estops + newer))
+        return self.take(at_ms, Reset(self.number, estop=self.supervisor.estops + newer, lease=lease))
 
     def reset_without_number(self, at_ms: float) -> list[str]:
         self.number += 1

@@ -15,9 +15,11 @@ from gateway.core.events import (
     BusFailed,
     BusOpened,
     Command,
+    Do,
     Effect,
     EmergencyStop,
     Event,
+    LeaseRequest,
     Reset,
     ShutDown,
     StoppedOutside,
@@ -56,7 +58,13 @@ RULES = st.builds(
     unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
     start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
     joint_limits_cdeg=st.sampled_from([{}, {11: (10_00, 90_00), 62: (0, 0)}]),
+    lease_required=st.sampled_from([False, False, True]),
+    lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
+    lease_takeover=st.booleans(),
 )
+DRIVERS = st.sampled_from(["anna", "ben"])
+WHOSE = st.sampled_from(["now", "now", "now", "before", "nobody's"])
+"""Of the lease as it is now, as it was before, or of none."""
 
 
 def is_handover(effect: Effect) -> bool:
@@ -74,7 +82,8 @@ class SupervisorMachine(RuleBasedStateMachine):
         """Takes the same, and hears of no source."""
         self.oracle = Oracle(rules)
         self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
-        self.number = 0
+        self.number = self.tokens = 0
+        self.carries = "now"
         self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
             self.step(BusOpened())
@@ -116,7 +125,30 @@ class SupervisorMachine(RuleBasedStateMachine):
     def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
         if Command in TRANSITIONS[self.supervisor.mode]:
             self.number += 1
-            self.step(Command(self.number, channel, targets, ("anna", "ben", None)[self.number % 3]), wait_ns)
+            source = ("anna", "ben", None)[self.number % 3]
+            self.step(Command(self.number, channel, targets, source, self.token(self.carries)), wait_ns)
+
+    def token(self, whose: str) -> str | None:
+        """None where there is no such lease."""
+        lease = self.oracle.lease
+        return {"now": lease.token, "before": lease.old_token, "nobody's": None}[whose]
+
+    @rule(whose=WHOSE)
+    def commands_carry(self, whose: str) -> None:
+        """From now on."""
+        self.carries = whose
+
+    @rule(do=st.sampled_from([Do.ACQUIRE, Do.ACQUIRE, Do.ASK, Do.TAKE]), name=DRIVERS, wait_ns=WAITS_NS)
+    def wants_the_lease(self, do: Do, name: str, wait_ns: int) -> None:
+        if LeaseRequest in TRANSITIONS[self.supervisor.mode]:
+            self.tokens += 1
+            self.step(LeaseRequest(do, name, fresh_token=f"{self.tokens:032x}"), wait_ns)
+
+    @rule(whose=WHOSE, to=st.one_of(st.none(), st.none(), DRIVERS), renew=st.booleans(), wait_ns=WAITS_NS)
+    def keeps_or_releases_it(self, whose: str, to: str | None, renew: bool, wait_ns: int) -> None:
+        if LeaseRequest in TRANSITIONS[self.supervisor.mode]:
+            do = Do.RENEW if renew else Do.RELEASE
+            self.step(LeaseRequest(do, token=self.token(whose), to=None if renew else to), wait_ns)
 
     @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
     def command_servo(self, servo_id: int, op: ServoOp, wait_ns: int) -> None:
@@ -159,7 +191,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         if Reset in TRANSITIONS[self.supervisor.mode]:
             self.number += 1
             estop = None if newer is None else self.supervisor.estops + newer
-            self.step(Reset(self.number, estop=estop), wait_ns)
+            self.step(Reset(self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
 
     @rule()
     def an_instant_begins(self) -> None:

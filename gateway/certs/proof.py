@@ -1,0 +1,133 @@
+"""Proofs of who asks for the lease: a laptop signs with the key of its certificate, and the gateway checks.
+
+The person's name stands in the certificate beside the role (see `authority`). Zenoh has checked the certificate of the
+link, but behind a router that is the router's; so the gateway checks the person's here, once for each lease.
+"""
+
+import base64
+import datetime as dt
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+
+from gateway.certs.authority import role_and_name
+from gateway.certs.reading import read_certificate, read_certificates
+from gateway.errors import ConfigError
+from schemas.lease import Proof, signed_text
+
+OPERATOR: Final = "operator"
+
+
+def prove(certificate: Path, key: Path, do: str, source: str, nonce: str) -> Proof:
+    """Sign with the key of a certificate, both PEM files. Raises ConfigError where they cannot be used."""
+    pem = read_certificate(certificate).public_bytes(serialization.Encoding.PEM).decode()
+    try:
+        loaded = serialization.load_pem_private_key(key.read_bytes(), password=None)
+    except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise ConfigError(f"{key} holds no unencrypted key in PEM form: {error}") from error
+    text = signed_text(do, source, nonce)
+    match loaded:
+        case ec.EllipticCurvePrivateKey():
+            signature = loaded.sign(text, ec.ECDSA(hashes.SHA256()))
+        case rsa.RSAPrivateKey():
+            signature = loaded.sign(text, padding.PKCS1v15(), hashes.SHA256())
+        case _:
+            raise ConfigError(f"{key} is neither an elliptic-curve nor an RSA key")
+    return Proof(nonce=nonce, certificate=pem, signature=base64.b64encode(signature).decode())
+
+
+class ProofChecker:
+    """Checks proofs against the CAs of one gateway. Holds nothing that changes."""
+
+    def __init__(self, cas: Sequence[x509.Certificate], robot: str = "") -> None:
+        """`robot`: its name in a fleet, whose people have certificates for one robot each."""
+        self._cas = [ca for ca in cas if _is_ca(ca)]
+        self._role = f"{OPERATOR}.{robot}" if robot else OPERATOR
+
+    @classmethod
+    def of(cls, ca_file: Path, own_certificate: Path | None) -> "ProofChecker":
+        """From the gateway's own files. Raises ConfigError where one cannot be read."""
+        common_name = role_and_name(read_certificate(own_certificate))[0] if own_certificate is not None else ""
+        kind, _, robot = common_name.partition(".")
+        return cls(read_certificates(ca_file), robot if kind == "robot" else "")
+
+    def clock_fault(self, now: dt.datetime) -> str | None:
+        """Why this robot's clock must be wrong; None: it may be right."""
+        if any(now >= ca.not_valid_before_utc for ca in self._cas) or not self._cas:
+            return None
+        first = min(ca.not_valid_before_utc for ca in self._cas)
+        return (
+            f"this robot's clock is wrong: it says {_minute(now)} UTC, before its CA was made ({_minute(first)}); "
+            "until it is set, no certificate can be checked"
+        )
+
+    def fault(self, proof: Proof, do: str, source: str, now: dt.datetime) -> str | None:
+        """Why the proof does not show that `source` wants this; None: it does. The nonce is not looked at."""
+        wrong_clock = self.clock_fault(now)
+        if wrong_clock is not None:
+            return wrong_clock
+        try:
+            certificate = x509.load_pem_x509_certificates(proof.certificate.encode())[0]
+            fault = self._certificate_fault(certificate, source, now)
+            if fault is None and not _signed(certificate, proof.signature, signed_text(do, source, proof.nonce)):
+                fault = "proof.signature is not made with the certificate's key, for this do, source and nonce"
+        except (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion, x509.DuplicateExtension):
+            return "proof.certificate is no X.509 certificate in PEM form that can be read"
+        return fault
+
+    def _certificate_fault(self, certificate: x509.Certificate, source: str, now: dt.datetime) -> str | None:
+        role, person = role_and_name(certificate)
+        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        if not any(_issued(certificate, ca, now) for ca in self._cas):
+            return "proof.certificate is not signed by this gateway's CA"
+        if now < start:
+            return f"proof.certificate is valid from {start:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
+        if now > end:
+            return f"proof.certificate expired at {end:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
+        if role != self._role:
+            return f"proof.certificate is not that of an operator of this robot (its common name must be {self._role})"
+        if person != source:
+            return "source is not the person of proof.certificate"
+        return None
+
+
+def _issued(certificate: x509.Certificate, ca: x509.Certificate, now: dt.datetime) -> bool:
+    if not ca.not_valid_before_utc <= now <= ca.not_valid_after_utc:
+        return False
+    try:
+        certificate.verify_directly_issued_by(ca)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
+def _signed(certificate: x509.Certificate, signature: str, text: bytes) -> bool:
+    key = certificate.public_key()
+    try:
+        made = base64.b64decode(signature, validate=True)
+        match key:
+            case ec.EllipticCurvePublicKey():
+                key.verify(made, text, ec.ECDSA(hashes.SHA256()))
+            case rsa.RSAPublicKey():
+                key.verify(made, text, padding.PKCS1v15(), hashes.SHA256())
+            case _:
+                return False
+    except (ValueError, InvalidSignature):
+        return False
+    return True
+
+
+def _is_ca(certificate: x509.Certificate) -> bool:
+    try:
+        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    except x509.ExtensionNotFound:
+        return False
+
+
+def _minute(now: dt.datetime) -> str:
+    return f"{now:%Y-%m-%d %H:%M}"

@@ -1,0 +1,134 @@
+"""What a judge of the supervisor remembers of the lease, and what it demands of each request; see `oracle.py`."""
+
+from collections.abc import Sequence
+from typing import Self
+
+from gateway.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
+from gateway.core.legs import Rules
+from schemas.telemetry import Kind, Reason
+from tests.support.history import demand
+
+MOST_ASKERS = 8
+_KINDS = frozenset({Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED, Kind.LEASE_TAKEN, Kind.LEASE_ASKED, Kind.LEASE_EXPIRED})
+
+
+class LeaseHistory:
+    """Who holds the lease and until when, who may acquire it after a handover, and who has asked."""
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self.token: str | None = None
+        """The one that is good now."""
+        self.old_token: str | None = None
+        """The latest that is not good any more."""
+        self.holder: str | None = None
+        self.due_ns: int | None = None
+        self.askers: tuple[str, ...] = ()
+        self.is_new = False
+        """Whether somebody has acquired it in this step."""
+
+    def clone(self) -> Self:
+        """A copy."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
+    def key(self, now_ns: int) -> tuple[object, ...]:
+        """What of it still matters; one token is as good as another."""
+        left_ns = None if self.due_ns is None else self.due_ns - now_ns
+        return self.holder, self.token is not None, self.old_token is not None, left_ns, self.askers
+
+    def end(self) -> None:
+        """It is free."""
+        self._give(None, None, None)
+
+    def _give(self, holder: str | None, token: str | None, now_ns: int | None) -> None:
+        self.old_token = self.token or self.old_token
+        self.holder, self.token, self.askers = holder, token, ()
+        self.due_ns = None if now_ns is None else now_ns + self.rules.lease_ttl_ns
+
+    # ---- time and commands
+
+    def pass_time(self, now_ns: int, effects: Sequence[Effect]) -> None:
+        """Whoever is silent for the ttl loses it, and it is told once."""
+        self.is_new = False
+        late = self.due_ns is not None and now_ns >= self.due_ns
+        expired = [each.source for each in _told(effects) if each.kind is Kind.LEASE_EXPIRED]
+        demand(expired == ([self.holder] if late else []), "a holder that falls silent loses the lease in its ttl")
+        if late:
+            self.end()
+
+    def reason_to_reject(self, token: str | None, *, reset: bool = False) -> Reason | None:
+        """Of what moves, and of a reset."""
+        if token is None:
+            if self.holder is not None:
+                return Reason.NOT_HOLDER
+            return Reason.NO_LEASE if self.rules.lease_required and not reset else None
+        return None if token == self.token else Reason.NOT_HOLDER
+
+    def heard(self, token: str | None, now_ns: int) -> None:
+        """A command with this token was accepted."""
+        if token is not None and token == self.token:
+            self.due_ns = now_ns + self.rules.lease_ttl_ns
+
+    # ---- requests
+
+    def judge(self, request: LeaseRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> bool:
+        """Judge the answer to a request, and what is told of it. Whether all legs must be stopped by it."""
+        reason, kind = (Reason.STOPPING, None) if ended else self._outcome(request)
+        answers = [effect for effect in effects if isinstance(effect, LeaseAnswer)]
+        reasons = [answer.reason for answer in answers]
+        demand(reasons == [reason], f"{request.do} is answered with {reason}, not {reasons}")
+        by = self.holder if request.do is Do.RELEASE else request.source
+        if kind is not None and reason is None:
+            told = [(each.kind, each.source) for each in _told(effects) if each.kind is not Kind.LEASE_EXPIRED]
+            demand(told == [(kind, by)], f"a change of the lease is told once: {told}")
+        if reason is None:
+            self._carry_out(request, now_ns)
+        (answer,) = answers
+        gives = reason is None and request.do in (Do.ACQUIRE, Do.TAKE)
+        demand(answer.token == (self.token if gives else None), "who acquires it hears the token, and nobody else")
+        demand(ended or answer.holder == self.holder, "the answer names the holder")
+        return reason is None and request.do is Do.TAKE
+
+    def _outcome(self, request: LeaseRequest) -> tuple[Reason | None, Kind | None]:
+        """Why it must be rejected, or what is told of it."""
+        reason, kind = None, None
+        free, handed_over = self.holder is None, self.holder is not None and self.token is None
+        match request.do:
+            case Do.ACQUIRE:
+                kind = Kind.LEASE_ACQUIRED
+                if not free and not (handed_over and request.source == self.holder):
+                    reason = Reason.LEASE_HELD
+            case Do.TAKE:
+                kind = Kind.LEASE_ACQUIRED if free else Kind.LEASE_TAKEN
+                if not free and not self.rules.lease_takeover:
+                    reason = Reason.LEASE_DENIED
+            case Do.ASK:
+                kind = Kind.LEASE_ASKED
+                if self.token is None:
+                    reason = Reason.LEASE_HELD if handed_over else Reason.NO_LEASE
+            case Do.RENEW | Do.RELEASE:
+                kind = Kind.LEASE_RELEASED if request.do is Do.RELEASE else None
+                if request.token is None or request.token != self.token:
+                    reason = Reason.NOT_HOLDER
+                elif request.to is not None and request.to not in self.askers:
+                    reason = Reason.LEASE_DENIED
+        return reason, kind
+
+    def _carry_out(self, request: LeaseRequest, now_ns: int) -> None:
+        match request.do:
+            case Do.ACQUIRE | Do.TAKE:
+                self._give(request.source, request.fresh_token, now_ns)
+                self.is_new = True
+            case Do.ASK:
+                others = tuple(name for name in self.askers if name != request.source)
+                self.askers = (*others, request.source or "")[-MOST_ASKERS:]
+            case Do.RENEW:
+                self.due_ns = now_ns + self.rules.lease_ttl_ns
+            case Do.RELEASE:
+                self._give(request.to, None, now_ns if request.to is not None else None)
+
+
+def _told(effects: Sequence[Effect]) -> list[Announce]:
+    return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in _KINDS]

@@ -1,0 +1,145 @@
+"""The small robots of the model check: their rules, and what may be asked of them."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from gateway.core.legs import Rules
+from gateway.protocol.frames import STOP, Op, ServoOp
+
+TICK: Final = 10
+"""Nanoseconds, in a world where a leg's period is two ticks, or four, of which a quarter is one."""
+
+Targets = tuple[tuple[int, ServoOp], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """A small robot, its rules, what may be asked of it, and how far apart events may be (in nanoseconds)."""
+
+    name: str
+    rules: Rules
+    legs: tuple[int, ...]
+    commands: tuple[tuple[str, Targets], ...]
+    """(channel, targets)"""
+    waits_ns: tuple[int, ...]
+    within_ns: tuple[int, ...] = ()
+    """The same for events of the same instant: to deal with those before them takes time."""
+    ends: bool = True
+    """Whether the service may be shut down, too."""
+    drivers: tuple[str, ...] = ()
+    """Who wants the lease."""
+    calm: bool = False
+    """Whether the bus answers, and no other program stops servos."""
+
+
+LOW, HIGH = 10_00, 20_00
+START, SET = ServoOp(Op.START, LOW), ServoOp(Op.SET, HIGH)
+
+
+def _rules(**changes: Any) -> Rules:
+    defaults: dict[str, Any] = {
+        "timeout_ns": 4 * TICK,
+        "repeats": 1,
+        "repeat_interval_ns": TICK,
+        "period_ns": 2 * TICK,
+        "unnumbered_reset_ns": 2 * TICK,
+    }
+    return Rules(**{**defaults, **changes})
+
+
+def _each(op: ServoOp, *servo_ids: int) -> Targets:
+    return tuple((servo_id, op) for servo_id in servo_ids)
+
+
+_ONE_SERVO = tuple((f"{verb} servo/11", _each(op, 11)) for verb in ("put", "get") for op in (START, SET, STOP))
+_WHOLE_LEG = (
+    *(("leg", _each(op, 11, 12, 13)) for op in (START, SET, STOP)),
+    ("leg", ((11, STOP), (12, START), (13, START))),
+    ("servo", _each(START, 11)),
+    ("servo", _each(STOP, 11)),
+)
+_EACH_JOINT = (
+    *(("put servo", _each(START, joint)) for joint in (12, 13)),
+    *(("put servo", _each(STOP, joint)) for joint in (12, 13)),
+    ("put leg", ((11, STOP), (12, STOP), (13, SET))),
+)
+_TWO_LEGS = (
+    *(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)),
+    ("legs", _each(START, 11, 21)),
+    ("legs", ((11, START), (21, STOP))),
+)
+_WAITS = (0, TICK, 5 * TICK)
+
+CONFIGURATIONS: Final = (
+    Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
+    Configuration(
+        "one servo, instants in which time passes",
+        _rules(repeats=0),
+        (1,),
+        (*_ONE_SERVO[:3], *_ONE_SERVO[3::2]),
+        _WAITS,
+        within_ns=(TICK,),
+        ends=False,
+    ),
+    Configuration("one leg, commands for all of it and for a servo", _rules(), (1,), _WHOLE_LEG, _WAITS, ends=False),
+    Configuration("one leg, its joints apart", _rules(repeats=0), (1,), _EACH_JOINT, _WAITS, ends=False),
+    Configuration(
+        "one leg, frames a quarter of a period apart",
+        _rules(timeout_ns=6 * TICK, period_ns=4 * TICK, repeats=0),
+        (1,),
+        (("servo", _each(START, 11)), ("servo", _each(SET, 11)), ("servo", _each(STOP, 11))),
+        (*_WAITS, 4 * TICK),
+        ends=False,
+    ),
+    Configuration(
+        "a rate slot later than the watchdog",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK),
+        (1,),
+        _WHOLE_LEG,
+        _WAITS[1:],
+    ),
+    Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS[1:], _WAITS[1:], ends=False),
+    Configuration("two legs, repeated Stops", _rules(), (1, 2), _TWO_LEGS[:4], _WAITS[1:], ends=False),
+    Configuration(
+        "two legs, rate slots later than the watchdog",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, repeats=0),
+        (1, 2),
+        (("legs", _each(START, 11, 21, 22)), ("servo", _each(START, 21)), ("servo", _each(STOP, 11))),
+        (TICK, 3 * TICK),
+        ends=False,
+    ),
+    Configuration(
+        "two legs, one silent leg stops both",
+        _rules(repeats=0, whole_robot=True),
+        (1, 2),
+        _TWO_LEGS,
+        _WAITS[1:],
+        ends=False,
+    ),
+    Configuration(
+        "two drivers and one lease",
+        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+        ends=False,
+        drivers=("anna", "bert"),
+        calm=True,
+    ),
+    Configuration(
+        "a lease that must be held and is never taken, and whatever else may happen",
+        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK, lease_required=True, lease_takeover=False),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+        drivers=("anna",),
+    ),
+    Configuration(
+        "two legs, started one after the other",
+        _rules(repeats=0, start_pause_ns=3 * TICK),
+        (1, 2),
+        (*_TWO_LEGS[:3], _TWO_LEGS[4]),
+        _WAITS[1:],
+        ends=False,
+    ),
+)
