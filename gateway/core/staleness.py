@@ -108,7 +108,7 @@ class Staleness:
         self.turned(now_ns)
         now_ms = now_ns / 1e6
         if sent_ms is None:
-            return self._after_a_pause(now_ms, now_ms)
+            return self._after_a_pause(now_ms, now_ms) if self._woke_ms is not None else None
         clocks = self._clocks_of(name, instant_ns / 1e6)
         if clocks is None:
             return (

@@ -242,8 +242,9 @@ class Supervisor:
             )
             if rejection is not None:
                 return rejection
-        for servo_id, op in moves:
-            limits = self._rules.joint_limits_cdeg.get(servo_id)
+        limited = self._rules.joint_limits_cdeg
+        for servo_id, op in moves if limited else ():
+            limits = limited.get(servo_id)
             if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
                 low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
                 detail = f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"

@@ -85,6 +85,7 @@ class Inbox:
         self._early: dict[str, int] = {}
         """How many were taken before their wakeup was heard."""
         self._early_until_s = 0.0
+        self._taken_ns = 0  # when the rings were looked into
         self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
         self._look_at: Collection[str] = ()
         self._read_all = False
@@ -103,7 +104,7 @@ class Inbox:
             for key in COMMAND_KEYS
             if key != ESTOP
         }
-        self._rings = Rings[_Item](receivers, _words_of_stop)
+        self._rings = Rings[_Item, Received](receivers, self._made, _words_of_stop)
         self._wakeups = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
@@ -208,14 +209,23 @@ class Inbox:
         self._note(item, received_ns)
         del item
         for wakeup in self._wakeups:
-            waiting = _waiting_in(wakeup, OTHER_DEPTH)
-            for more in waiting:
-                self._note(more, received_ns)
+            waiting = self._note_all(wakeup, received_ns)
             # Of a full wakeup two may have been taken out after another was lost: this one, and its thread's.
-            self._read_all = self._read_all or len(waiting) >= OTHER_DEPTH - 2
+            self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2
         flooded = self._read_all
         self._wake()
         return FLOOD_PAUSE_S if flooded else None
+
+    def _note_all(self, wakeup: Handler[Any], received_ns: int) -> int:
+        """Note what waits there, and say how much; what comes meanwhile is left for the next time."""
+        count = 0
+        try:
+            while count < OTHER_DEPTH and (item := wakeup.try_recv()) is not None:
+                self._note(item, received_ns)
+                count += 1
+        except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
+            pass
+        return count
 
     def _note(self, item: _Item, received_ns: int) -> None:
         """A key of ours is read from its own ring; what names none of ours is rejected from here."""
@@ -240,19 +250,21 @@ class Inbox:
             (self._estop_replies if key == ESTOP else self._replies).let_go(item)
 
     def _take_commands(self) -> list[Received]:
-        now_ns = time.monotonic_ns()
         # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
         # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
         keys = () if self._read_all else self._woken_keys.union(self._look_at)
-        found: list[Received] = []
-        with suppress(zenoh.ZError):  # while the inbox closes, a tick may find its rings gone
-            found = [
-                _lost(key, now_ns) if item is None else _received(item, key, now_ns, self._replies)
-                for key, item in self._rings.read(keys)
-            ]
-        found.extend(self._others)
-        self._others.clear()
+        self._taken_ns = time.monotonic_ns()
+        try:
+            found = [_lost(key, self._taken_ns) if each is None else each for key, each in self._rings.read(keys)]
+        except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
+            found = []
+        if self._others:
+            found.extend(self._others)
+            self._others.clear()
         return found
+
+    def _made(self, key: str, item: _Item) -> Received:
+        return _received(item, key, self._taken_ns, self._replies)
 
     def _compare(self, taken: dict[str, int]) -> None:
         """Look again, if more messages were heard of than taken: one of them has not reached its key's ring yet.
@@ -308,25 +320,11 @@ _NOT_BY_WILDCARD: Final = (
 )
 
 
-def _waiting_in(ring: Handler[Any], depth: int) -> list[Any]:
-    """What waits in a ring of this depth, oldest first; what comes meanwhile is left for the next time."""
-    found: list[Any] = []
-    try:
-        while len(found) < depth and (item := ring.try_recv()) is not None:
-            found.append(item)
-    except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
-        pass
-    return found
-
-
-def _words_of_stop(item: _Item) -> bytes | None:
-    """In JSON a word may be written with escapes, and each of them has a backslash."""
-    if isinstance(item, zenoh.Sample) and item.kind == zenoh.SampleKind.DELETE:
+def _words_of_stop(received: Received) -> bytes | None:
+    """In JSON a word may be written with escapes, and each of them has a backslash. What is too large is rejected."""
+    if received.verb is Verb.DELETE:
         return b""
-    payload = item.payload
-    if payload is None or len(payload) > MAX_PAYLOAD_BYTES:
-        return None  # it is rejected
-    words = payload.to_bytes()
+    words = received.payload
     return words if b"stop" in words or b"\\" in words else None
 
 

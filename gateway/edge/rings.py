@@ -5,6 +5,9 @@ from one ring, every older message of its session has been taken as well, or wai
 hold a command for one of the same servos are therefore read again after it, and again until nothing new is found. What
 was found in one go is one instant, in which a Stop wins over a Start or Set of another ring (supervisor).
 
+After a Start or Set, only the rings are read again whose commands apply before it (`legs` before `leg` before `servo`):
+an older one of these must not come later. What waits in the others applies after it, now or in a later instant.
+
 A flood of several keys could go on like this for ever, so the passes are limited. If the last one leaves rings to be
 read, and a Stop may be among what was taken, then the instant stays open: what is read next still belongs to it. Mere
 setpoints close it all the same, since a servo that was stopped once could not be started again while they come.
@@ -30,16 +33,19 @@ PASSES: Final = 4
 """How often the rings are read for one instant at most. Without a flood the second pass finds nothing."""
 
 Item = TypeVar("Item")
+"""What Zenoh gives."""
+Message = TypeVar("Message")
+"""What is made of it."""
 Receive = Callable[[], Item | None]
 """Takes a ring's oldest message; None: it is empty."""
-WordsOfStop = Callable[[Item], bytes | None]
+WordsOfStop = Callable[[Message], bytes | None]
 """The words of a message that may be a Stop (it may take others for one, but misses none); None: it is not."""
 
 
 class Ring(Generic[Item]):
     """The messages of one key and kind (`put` and `delete`, or `get`), in the order in which they came."""
 
-    __slots__ = ("depth", "key", "others", "place", "receive")
+    __slots__ = ("before", "depth", "key", "others", "place", "receive")
 
     def __init__(self, key: str, place: int, receive: Receive[Item], depth: int) -> None:
         self.key = key
@@ -48,7 +54,9 @@ class Ring(Generic[Item]):
         self.receive = receive
         self.depth = depth
         self.others: frozenset[Ring[Item]] = frozenset()
-        """The rings that are read after something was taken from this one: an older message may be in them."""
+        """The rings that are read after a Stop was taken from this one: an older message may be in them."""
+        self.before: frozenset[Ring[Item]] = frozenset()
+        """Those of them whose commands apply before its own: they are read after anything else, too."""
 
     def rest(self, first: Item) -> list[Item]:
         """`first`, and what came after it, at most the ring's depth: what comes meanwhile is left for the next time."""
@@ -58,10 +66,16 @@ class Ring(Generic[Item]):
         return found
 
 
-class Rings(Generic[Item]):
+class Rings(Generic[Item, Message]):
     """All rings of commands; `receivers` has two for each key, `put` (of PUT_DEPTH) and `get` (of RING_DEPTH)."""
 
-    def __init__(self, receivers: Mapping[str, tuple[Receive[Item], Receive[Item]]], words_of_stop: WordsOfStop[Item]):
+    def __init__(
+        self,
+        receivers: Mapping[str, tuple[Receive[Item], Receive[Item]]],
+        make: Callable[[str, Item], Message],
+        words_of_stop: WordsOfStop[Message],
+    ):
+        self._make = make
         self._words_of_stop = words_of_stop
         places = {key: place for place, key in enumerate(COMMAND_KEYS)}
         self._of = {
@@ -73,10 +87,11 @@ class Rings(Generic[Item]):
             ring.others = frozenset(
                 other for other in self._all if other is not ring and _concerns(ring.key, other.key)
             )
+            ring.before = frozenset(other for other in ring.others if other.place < ring.place)
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
 
-    def read(self, keys: Collection[str] = ()) -> list[tuple[str, Item | None]]:
+    def read(self, keys: Collection[str] = ()) -> list[tuple[str, Message | None]]:
         """What waits in the rings of these keys (of all, if none is named) and of those that they concern.
 
         `legs` first, then `leg`, then `servo`, then resets; of one ring in its order. None: a Stop may
@@ -85,7 +100,8 @@ class Rings(Generic[Item]):
         due: Collection[Ring[Item]] = self._all
         if keys and not self.instant_open:
             due = [ring for key in keys for ring in self._of[key]]
-        taken: list[tuple[Ring[Item], Sequence[Item | None]]] = []
+        taken: list[tuple[Ring[Item], Sequence[Message | None]]] = []
+        stops = False
         for _ in range(PASSES):
             again: set[Ring[Item]] = set()
             for ring in due:
@@ -93,39 +109,46 @@ class Rings(Generic[Item]):
                     again.discard(ring)  # it is read now, after what made it due
                 first = ring.receive()
                 if first is not None:
-                    found = ring.rest(first)
-                    taken.append((ring, found if len(found) <= RING_DEPTH else self._thinned(ring, found)))
-                    again |= ring.others
+                    items = self._made(ring, ring.rest(first))
+                    taken.append((ring, items))
+                    if self._may_stop(ring, items):
+                        stops = True
+                        again |= ring.others
+                    else:
+                        again |= ring.before
             due = again
             if not due:
                 break
-        self.instant_open = bool(due) and self._may_have_stopped(taken)
+        self.instant_open = bool(due) and stops
         if len(taken) > 1:
             taken.sort(key=_place)
         return [(ring.key, item) for ring, items in taken for item in items]
 
-    def _may_have_stopped(self, taken: list[tuple[Ring[Item], Sequence[Item | None]]]) -> bool:
-        # A reset is no Stop, although its payload names the emergency stop.
-        items = (item for ring, items in taken if ring.key != RESET for item in items)
-        return any(item is None or self._words_of_stop(item) is not None for item in items)
+    def _may_stop(self, ring: Ring[Item], items: Sequence[Message | None]) -> bool:
+        """Whether a Stop may be among them. A reset is none, although its payload names the emergency stop."""
+        for item in items:
+            if item is None or self._words_of_stop(item) is not None:
+                return ring.key != RESET
+        return False
 
-    def _thinned(self, ring: Ring[Item], found: list[Item]) -> Sequence[Item | None]:
+    def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
         """The newest, and before them the older Stops, or None where some may have been lost."""
-        newest = found[-RING_DEPTH:]
-        if ring.key == RESET:
+        newest = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
+        if len(found) <= RING_DEPTH or ring.key == RESET:
             return newest
         if len(found) == ring.depth:
             return [None, *newest]
-        stops: dict[bytes, Item] = {}
+        stops: dict[bytes, Message] = {}
         for item in found[:-RING_DEPTH]:
-            words = self._words_of_stop(item)
+            older = self._make(ring.key, item)
+            words = self._words_of_stop(older)
             if words is not None:
                 stops.pop(words, None)  # of the same, the last: a flood of Stops is not to be dealt with one by one
-                stops[words] = item
+                stops[words] = older
         return [*stops.values(), *newest]
 
 
-def _place(taken: tuple[Ring[Item], Sequence[Item | None]]) -> int:
+def _place(taken: tuple[Ring[Item], Sequence[Message | None]]) -> int:
     return taken[0].place
 
 

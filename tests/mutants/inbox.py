@@ -107,17 +107,17 @@ INBOX = Subject(
             "an emergency stop that a tick has served already ends the service",
         ),
         Mutant(
-            "                self._note(more, received_ns)\n",
-            "                pass\n",
+            "                self._note(item, received_ns)\n                count",
+            "                count",
             "of several messages at once, only the first is taken in time",
         ),
         Mutant(
-            "self._read_all = self._read_all or len(waiting) >= OTHER_DEPTH - 2",
+            "self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2",
             "pass",
             "a message whose wakeup was lost is never taken",
         ),
         Mutant(
-            "self._read_all = self._read_all or len(waiting) >= OTHER_DEPTH - 2",
+            "self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2",
             "self._read_all = True",
             "each message looks into all rings, and waits a millisecond",
         ),
@@ -143,13 +143,13 @@ INBOX = Subject(
             "an emergency stop's answer waits behind an asker who does not read",
         ),
         Mutant(
-            "        found.extend(self._others)\n        self._others.clear()\n",
-            "        self._others.clear()\n",
+            "            found.extend(self._others)\n            self._others.clear()\n",
+            "            self._others.clear()\n",
             "an unknown key is never answered",
         ),
         Mutant(
-            "        found.extend(self._others)\n        self._others.clear()\n",
-            "        found.extend(self._others)\n",
+            "            found.extend(self._others)\n            self._others.clear()\n",
+            "            found.extend(self._others)\n",
             "an unknown key is answered again and again",
         ),
         Mutant(
@@ -172,7 +172,7 @@ INBOX = Subject(
         ),
         Mutant("if item.source_info is not None else None", "if False else None", "nobody knows who commanded"),
         Mutant(
-            '    if isinstance(item, zenoh.Sample) and item.kind == zenoh.SampleKind.DELETE:\n        return b""\n',
+            '    if received.verb is Verb.DELETE:\n        return b""\n',
             "",
             "a delete in a flood does not keep the instant open: an older start follows it",
         ),
@@ -259,9 +259,24 @@ RINGS = Subject(
             "a ring is read twice for nothing",
         ),
         Mutant(
-            "                    again |= ring.others\n",
-            "                    pass\n",
-            "an older start overtakes a newer Stop of another key",
+            "                        again |= ring.others\n",
+            "                        again |= ring.before\n",
+            "an older start overtakes a newer Stop of a wider key",
+        ),
+        Mutant(
+            "                        again |= ring.before\n",
+            "                        pass\n",
+            "a set of several legs overtakes a newer one of its leg",
+        ),
+        Mutant(
+            "if other.place < ring.place)",
+            "if other.place > ring.place)",
+            "a set of several legs overtakes a newer one of its leg",
+        ),
+        Mutant(
+            "if other.place < ring.place)",
+            "if True)",
+            "each setpoint looks into eleven rings",
         ),
         Mutant(
             "            due = again\n            if not due:\n                break\n",
@@ -269,21 +284,21 @@ RINGS = Subject(
             "an older start overtakes a newer Stop of another key",
         ),
         Mutant(
-            "        self.instant_open = bool(due) and self._may_have_stopped(taken)",
+            "        self.instant_open = bool(due) and stops",
             "        self.instant_open = False",
             "in a flood, an older start overtakes a Stop",
         ),
         Mutant(
-            "        self.instant_open = bool(due) and self._may_have_stopped(taken)",
-            "        self.instant_open = self._may_have_stopped(taken)",
+            "        self.instant_open = bool(due) and stops",
+            "        self.instant_open = stops",
             "after each Stop its instant stays open: a start is rejected",
         ),
         Mutant(
-            "        self.instant_open = bool(due) and self._may_have_stopped(taken)",
+            "        self.instant_open = bool(due) and stops",
             "        self.instant_open = bool(due)",
             "in a flood of setpoints, nothing that was stopped can be started",
         ),
-        Mutant("if ring.key != RESET for item in items", "for item in items", "a reset keeps an instant open"),
+        Mutant("return ring.key != RESET", "return True", "a reset keeps an instant open"),
         Mutant(
             "            taken.sort(key=_place)\n",
             "            pass\n",

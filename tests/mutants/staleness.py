@@ -30,7 +30,7 @@ STALENESS = Subject(
         Mutant("> self._pause_ms:", "> 2 * self._pause_ms:", "pauses just above the limit are not noticed"),
         Mutant("        self.turned(now_ns)\n", "", "a pause between two messages of an instant is not noticed"),
         Mutant(
-            "            return self._after_a_pause(now_ms, now_ms)\n",
+            "            return self._after_a_pause(now_ms, now_ms) if self._woke_ms is not None else None\n",
             "            return None\n",
             "after a pause, what says nothing of its age is executed",
         ),

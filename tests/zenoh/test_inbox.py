@@ -245,4 +245,4 @@ def test_a_flood_of_one_leg_reaches_the_wire_at_the_legs_rate(gateway: Gateway, 
         heard.wait(lambda record: record.cause == "command", count=50)
     times_ns = [record.monotonic_ns for record in heard.all]
     in_any_second = max(sum(0 <= later - first < 1e9 for later in times_ns) for first in times_ns)
-    assert in_any_second <= 51
+    assert in_any_second <= 53, "the rate, and the three slots of the bucket"

@@ -335,7 +335,9 @@ async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) ->
             session.put(LEG_1, payload)
         session.delete(LEG_1)
         samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
-    assert [_words_of_stop(sample) is not None for sample in samples] == [True, True, False, False, True]
+    answers: Any = None
+    messages = [_received(sample, LEG_1, 0, answers) for sample in samples]
+    assert [_words_of_stop(message) is not None for message in messages] == [True, True, False, False, True]
 
 
 async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.Session, held: Held) -> None:

@@ -75,8 +75,9 @@ class ReadRings:
     """Rings and the supervisor that is given what they hold: a tick is an instant, unless the last is still open."""
 
     def __init__(self, deliveries: Deliveries, keys: Iterable[str] = KEYS) -> None:
-        self.rings = Rings[Message](
+        self.rings = Rings[Message, Message](
             {key: (deliveries.receiver(key, "put"), deliveries.receiver(key, "get")) for key in keys},
+            lambda _, item: item,
             lambda item: item.words_of_stop,
         )
         self.supervisor = Supervisor(Rules(repeats=0, period_ns=1))
@@ -218,11 +219,12 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
 
 
 def test_an_ordinary_command_looks_into_few_rings() -> None:
-    """Each key has two rings; a leg's command concerns its own, `legs` and three servos."""
-    deliveries = Deliveries(deque([(0, message((LEG, "put"), START))]))
-    robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
-    robot.rings.read([LEG])
-    assert deliveries.reads <= 12
+    """Each key has two rings; a leg's command concerns its own, `legs` and, if it stops, three servos."""
+    for op, most in ((START, 5), (STOP, 12)):
+        deliveries = Deliveries(deque([(0, message((LEG, "put"), op))]))
+        robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
+        robot.rings.read([LEG])
+        assert deliveries.reads <= most
 
 
 def thinned(waiting: list[tuple[ServoOp, int]], verb: str = "put") -> list[Message | None]:
