@@ -1,4 +1,4 @@
-"""The command line of recordings: `record` and `replay`."""
+"""The command line of recordings and viewers: `record`, `replay` and `foxglove`."""
 
 import sys
 from pathlib import Path
@@ -77,3 +77,25 @@ def replay(
 
     connection = reach.connection(connect, zenoh_config, timeout, source=SOURCE)
     sys.exit(replay(connection, file, speed=speed, check=check, agreed=yes, tolerance_ms=tolerance))
+
+
+@app.command()
+def foxglove(
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="On 127.0.0.1; 0: any free one.")
+    ] = 8765,
+    geometry: GeometryOption = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Show the robot live in Foxglove or Lichtblick, with the channels of a recording. Read only.
+
+    Exit codes: 0 ended on request, 2 the extra [foxglove] is missing or a file is faulty, 4 no gateway answers,
+    5 the address is taken.
+    """
+    from gateway.tools import reach
+    from gateway.tools.foxglove_server import serve
+
+    connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway foxglove")
+    sys.exit(serve(connection, port=port, geometry=geometry))

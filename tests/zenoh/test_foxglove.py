@@ -1,0 +1,90 @@
+"""`foxglove` against a real gateway, with a viewer's side of its WebSocket."""
+
+import json
+import os
+import re
+import signal
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from websockets import Subprotocol
+from websockets.sync.client import ClientConnection, connect
+
+from gateway.recordings import REPORTS
+from gateway.recordings.drawing import DRAWN_SCHEMAS
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+
+PATIENCE_S = 10
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway"), {"telemetry": {"frames": True}}) as running:
+        yield running
+
+
+def address_of(child: Child) -> str:
+    found = re.search(r"ws://127\.0\.0\.1:\d+", child.wait_for_output("ws://"))
+    assert found is not None
+    return found[0]
+
+
+def text(viewer: ClientConnection, op: str) -> dict[str, Any]:
+    while True:
+        message = viewer.recv(PATIENCE_S)
+        if isinstance(message, str) and (found := json.loads(message))["op"] == op:
+            assert isinstance(found, dict)
+            return found
+
+
+def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> None:
+    command = [*COMMAND, "foxglove", "--port", "0", "--connect", gateway.endpoint]
+    with closing(Child(command, os.environ)) as child, gateway.client() as robot:
+        address = address_of(child)
+        with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
+            assert text(viewer, "serverInfo")["capabilities"] == []
+            channels: dict[int, Any] = {}
+            while len(channels) < len(REPORTS) + len(DRAWN_SCHEMAS):
+                channels |= {channel["id"]: channel for channel in text(viewer, "advertise")["channels"]}
+            assert {channel["topic"] for channel in channels.values()} == REPORTS.keys() | DRAWN_SCHEMAS.keys()
+
+            viewer.send(json.dumps({"op": "advertise", "channels": [
+                {"id": 1, "topic": "hexapod/legs/cmd", "encoding": "json", "schemaName": "LegsCommand"}
+            ]}))  # fmt: skip
+            assert "clientPublish" in text(viewer, "status")["message"]
+            viewer.send(b"\x01\x01\x00\x00\x00" + json.dumps({"legs": {"1": {}}}).encode())
+            assert text(viewer, "status")["level"] == 2, "an error"
+
+            subscriptions = [{"id": each, "channelId": each} for each in channels]
+            viewer.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
+            seen: set[str] = set()
+            while seen < {channel["topic"] for channel in channels.values()}:
+                message = viewer.recv(PATIENCE_S)
+                if isinstance(message, str):
+                    continue
+                channel = channels[int.from_bytes(message[1:5], "little")]
+                jsonschema.validate(json.loads(message[13:]), json.loads(channel["schema"]))
+                if channel["topic"] == "hexapod/state" and "hexapod/frame" not in seen:
+                    robot.stop()  # something to see
+                    assert not robot.set_leg(1, 90, 90, 90).accepted
+                seen.add(channel["topic"])
+            assert robot.state().commands.rejected > 0
+            assert robot.state().mode == "idle"
+
+        taken = gateway.run("foxglove", "--port", address.rpartition(":")[2])
+        assert taken.returncode == 5, str(taken)
+        child.send_signal(signal.SIGINT)
+        assert child.wait() == 0, str(child)
+
+
+def test_without_its_extra_it_says_what_to_install(tmp_path: Path, gateway: Gateway) -> None:
+    (tmp_path / "foxglove.py").write_text("raise ImportError('not installed')\n")
+    command = [*COMMAND, "foxglove", "--connect", gateway.endpoint]
+    with closing(Child(command, {**os.environ, "PYTHONPATH": str(tmp_path)})) as child:
+        assert child.wait() == 2, str(child)
+        assert "pip install 'hexapod-gateway[foxglove]'" in child.stderr
