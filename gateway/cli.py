@@ -194,18 +194,16 @@ def console(
 
     if revoke or link:
         sys.exit(command.revoke() if revoke else command.link(listen))
-    sys.exit(
-        command.console(
-            listen=listen,
-            connect=connect,
-            zenoh_config=zenoh_config,
-            timeout_s=timeout,
-            cert=cert,
-            key=key,
-            role=role,
-            geometry=geometry,
-            open_browser=open_browser,
-        )
+    command.console(
+        listen=listen,
+        connect=connect,
+        zenoh_config=zenoh_config,
+        timeout_s=timeout,
+        cert=cert,
+        key=key,
+        role=role,
+        geometry=geometry,
+        open_browser=open_browser,
     )
 
 

@@ -57,14 +57,23 @@ class Console:
     """What all pages share."""
 
     def __init__(
-        self, site: Site, register: Register, link: GatewayLink, pages: Pages, *, person: str, role: Role, geometry: Any
+        self,
+        site: Site,
+        register: Register,
+        link: GatewayLink,
+        stops: Stops,
+        pages: Pages,
+        *,
+        person: str,
+        role: Role,
+        geometry: Any,
     ) -> None:
         """`role` is what a page may do at most; `geometry` goes into its first message."""
         self._site = site
         self._register = register
         self._link = link
         self._pages = pages
-        self._stops = Stops(link.estop)
+        self._stops = stops
         self._person = person
         self._role = role
         self._geometry = geometry

@@ -3,7 +3,7 @@
 import importlib.util
 import socket
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 from gateway.console import register
 from gateway.console.messages import ROLES
@@ -27,14 +27,14 @@ def console(
     role: str,
     geometry: Path | None,
     open_browser: bool,
-) -> int:
-    """Serve the page; the exit code. Raises GatewayError."""
+) -> NoReturn:
+    """Serve the page until the process is asked to end. Raises GatewayError."""
     _need_extra()
     if role not in ROLES:
         raise ConfigError(f"--role {role}: a page is for an operator (drives and watches) or an observer (only looks)")
     from gateway.console.serve import Options, serve  # noqa: PLC0415 (does not load without them)
 
-    return serve(
+    serve(
         Options(
             site=site(listen, cert, key),
             connect=connect,

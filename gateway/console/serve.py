@@ -6,17 +6,20 @@ import getpass
 import os
 import signal
 import socket
+import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import segno
 import uvicorn
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from gateway import certs
 from gateway.client import DEFAULT_ENDPOINT
@@ -27,6 +30,7 @@ from gateway.console.messages import MAX_BYTES, Role
 from gateway.console.pages import Pages
 from gateway.console.register import LINK_ELSEWHERE_S, LINK_S, Register
 from gateway.console.site import DEFAULT_PORT, Site
+from gateway.console.stops import Stops
 from gateway.edge.config_file import get
 from gateway.edge.session import client_config
 from gateway.errors import AddressTakenError, ConfigError
@@ -39,6 +43,10 @@ MAX_CONNECTIONS: Final = 256
 DEAD_MS: Final = 15_000
 """A connection that takes nothing for so long is given up: a page that is frozen, or whose machine is gone."""
 END_S: Final = 1
+RECEIVE_BYTES: Final = MAX_BYTES
+"""Of the kernel's buffer: what has come from one page is taken at once, and meanwhile a STOP ALL of another waits."""
+MAX_BYTES_A_SECOND: Final = 131_072.0
+"""From one page; one that drives each leg by a message of its own sends 40 000."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +62,8 @@ class Options:
     open_browser: bool
 
 
-def serve(options: Options) -> int:
-    """Serve until SIGTERM or Ctrl-C; the exit code. Raises ConfigError, AddressTakenError, ZenohError."""
+def serve(options: Options) -> NoReturn:
+    """Serve until SIGTERM or Ctrl-C, and end the process with 0. Raises ConfigError, AddressTakenError, ZenohError."""
     connect = options.connect
     if connect is None and options.zenoh_config is None:
         connect = DEFAULT_ENDPOINT
@@ -65,7 +73,7 @@ def serve(options: Options) -> int:
         found = Register(register.folder(), options.site.port)
         found.begin(options.site.url, LINK_S if options.site.certificate is None else LINK_ELSEWHERE_S)
         link = found.new_link(options.role)
-        return asyncio.run(_run(options, listening, found, link, connect, person, _least(role, options.role), geometry))
+        asyncio.run(_run(options, listening, found, link, connect, person, _least(role, options.role), geometry))
 
 
 def show(link: str) -> None:
@@ -86,14 +94,15 @@ async def _run(
     person: str,
     role: Role,
     geometry: Any,
-) -> int:
+) -> NoReturn:
     pages = Pages()
     gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, pages)
-    console = Console(options.site, found, gateway, pages, person=person, role=role, geometry=geometry)
+    stops = Stops(gateway.estop)
+    console = Console(options.site, found, gateway, stops, pages, person=person, role=role, geometry=geometry)
     server = _Server(
         uvicorn.Config(
             console.app(),
-            ws="websockets-sansio",
+            ws=_WebSocket,
             http="h11",
             lifespan="off",
             log_config=None,
@@ -123,9 +132,32 @@ async def _run(
     failed = None if watching.cancelled() or not watching.done() else watching.exception()
     watching.cancel()
     await gateway.close()
+    if stops.unconfirmed:
+        hint("STOP ALL was NOT confirmed: switch the servos' power off.")
     if failed is not None:
         raise failed
-    return 0
+    # Not by the interpreter's own end: it would wait for threads that ask a gateway which does not answer.
+    sys.stdout.flush()
+    os._exit(0)
+
+
+class _WebSocket(WebSocketsSansIOProtocol):
+    """Gives up on a page that floods, also after it was told to go: it may not listen, and all it sends costs time."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._allowed = MAX_BYTES_A_SECOND
+        self._counted_s = time.monotonic()
+
+    def data_received(self, data: bytes) -> None:
+        now_s = time.monotonic()
+        refilled = self._allowed + (now_s - self._counted_s) * MAX_BYTES_A_SECOND
+        self._allowed = min(MAX_BYTES_A_SECOND, refilled) - len(data)
+        self._counted_s = now_s
+        if self._allowed < 0:
+            self.transport.abort()
+        else:
+            super().data_received(data)
 
 
 class _Server(uvicorn.Server):
@@ -152,6 +184,7 @@ def _listening(site: Site) -> Iterator[socket.socket]:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         try:
             listening.bind(address)
             listening.listen(BACKLOG)

@@ -46,6 +46,11 @@ class Stops:
         self._requests: set[asyncio.Task[None]] = set()
         self._newest_began_ns = 0
 
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether a press waits for its confirmation."""
+        return bool(self._unconfirmed)
+
     def press(self, page: Teller, press_id: int) -> None:
         """A page asks for it, now."""
         press = _Press(page, press_id, time.monotonic_ns())

@@ -258,6 +258,21 @@ def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
             page.wait("link", lambda message: message["status"] == "gone")
 
 
+def test_it_ends_beside_a_frozen_gateway(tmp_path: Path) -> None:
+    """In time, although a stop is asked for; and whoever ends it is told that this one was not confirmed."""
+    with Gateway(tmp_path) as gateway, Console(tmp_path, "--connect", gateway.endpoint) as console:
+        with console.page(console.sign_in()) as page:
+            page.state()
+            gateway.child.send_signal(signal.SIGSTOP)
+            page.send(type="stop_all", id=1)
+            page.wait("stop")
+            began_s = time.monotonic()
+            console.child.terminate()
+            assert console.child.wait() == 0
+        assert time.monotonic() - began_s < 5
+        assert "STOP ALL was NOT confirmed" in console.child.stderr
+
+
 def test_the_address_is_taken(console: Console) -> None:
     child = console.run()
     assert child.returncode == 5
