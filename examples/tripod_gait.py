@@ -82,7 +82,7 @@ def walk(stream: Stream, seconds: float, start_again: bool) -> None:
 
 def main(endpoint: str, seconds: float, start_again: bool) -> None:
     with Client(endpoint, source="tripod gait") as robot:
-        with robot.stream(RATE_HZ) as stream:
+        with robot.lease(), robot.stream(RATE_HZ) as stream:  # nobody else moves it meanwhile
             walk(stream, seconds, start_again)
         counts = robot.state().commands
         print(f"walked for {seconds:g} s, {stream.missed} ticks missed; ", end="")

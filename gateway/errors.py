@@ -50,6 +50,19 @@ class RejectedError(GatewayError):
         self.detail = detail
 
 
+class LeaseError(RejectedError):
+    """The gateway rejected what was asked about its lease: `holder` drives, as far as it said."""
+
+    def __init__(self, reason: str, detail: str, holder: str | None = None) -> None:
+        """As RejectedError."""
+        super().__init__(reason, detail)
+        self.holder = holder
+
+
+class LeaseLostError(LeaseError):
+    """The lease that a program held is no longer its own."""
+
+
 class StoppedError(GatewayError):
     """What a program moved was stopped, by the watchdog, by somebody else or by a fault: `legs` names the legs."""
 

@@ -15,20 +15,34 @@ True
 from typing import TYPE_CHECKING
 
 from gateway.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
+from gateway.client.lease import Lease
 from gateway.client.payloads import leg_payload, legs_payload, servo_payload
 from gateway.client.stream import Stream
-from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError, ZenohError
+from gateway.errors import (
+    DisconnectedError,
+    GatewayError,
+    LeaseError,
+    LeaseLostError,
+    RejectedError,
+    StoppedError,
+    ZenohError,
+)
 
 if TYPE_CHECKING:
     from gateway.client.aio import AsyncClient, AsyncStream
+    from gateway.client.aio_lease import AsyncLease
 
 __all__ = [
     "DEFAULT_ENDPOINT",
     "AsyncClient",
+    "AsyncLease",
     "AsyncStream",
     "Client",
     "DisconnectedError",
     "GatewayError",
+    "Lease",
+    "LeaseError",
+    "LeaseLostError",
     "RejectedError",
     "StoppedError",
     "Stream",
@@ -41,8 +55,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """AsyncClient and AsyncStream: loaded on use, since asyncio's import would delay `hexapod-gateway estop`."""
-    if name in ("AsyncClient", "AsyncStream"):
+    """What is for asyncio: loaded on use, since asyncio's import would delay `hexapod-gateway estop`."""
+    if name in ("AsyncClient", "AsyncLease", "AsyncStream"):
         from gateway.client import aio  # noqa: PLC0415
 
         return getattr(aio, name)

@@ -9,16 +9,20 @@ from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 from weakref import WeakSet
 
 import zenoh
 
+from gateway.client.aio_lease import AsyncLease
 from gateway.client.blocking import Client
 from gateway.client.payloads import Angle
 from gateway.client.stream import Stream
-from gateway.errors import GatewayError, ZenohError
+from gateway.errors import GatewayError, LeaseLostError, ZenohError
 from schemas.telemetry import Ack, Event, GatewayState
+
+if TYPE_CHECKING:
+    from schemas.lease import LeaseAck
 
 T = TypeVar("T")
 
@@ -101,6 +105,25 @@ class AsyncClient:
     def stream(self, hz: float = 50) -> "AsyncStream":
         """Setpoints of a gait: `async with robot.stream(50) as stream: await stream.set(…)`; see `Client.stream`."""
         return AsyncStream(self.client.stream(hz), self._threads)
+
+    def lease(
+        self,
+        *,
+        take: bool = False,
+        wait_s: float = 0.0,
+        source: str | None = None,
+        on_lost: Callable[[LeaseLostError], None] | None = None,
+        on_asked: Callable[[str], None] | None = None,
+    ) -> AsyncLease:
+        """The right to drive: `async with robot.lease(): …`; see `Client.lease`. It calls back on the loop."""
+        lost = None if on_lost is None else _on_this_loop(on_lost)
+        asked = None if on_asked is None else _on_this_loop(on_asked)
+        lease = self.client.lease(take=take, wait_s=wait_s, source=source, on_lost=lost, on_asked=asked)
+        return AsyncLease(lease, self._threads.run)
+
+    async def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
+        """See `Client.ask_for_lease`."""
+        return await self._ask(self.client.ask_for_lease, source)
 
     async def start_leg(self, leg: int, *angles_deg: Angle) -> Ack:
         """See `Client.start_leg`."""

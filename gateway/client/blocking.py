@@ -4,24 +4,31 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
 import zenoh
 from pydantic import BaseModel, Field, ValidationError
 
 from gateway.client.ending import close_at_the_end
+from gateway.client.lease import Lease
+from gateway.client.lease_requests import LeaseRequests
 from gateway.client.payloads import Angle, leg_payload, legs_payload, servo_payload
+from gateway.client.proof import Identity
 from gateway.client.stream import Stream
 from gateway.edge.config_file import get, one_line
 from gateway.edge.hosts import Hosts
 from gateway.edge.question import JSON, Question
 from gateway.edge.session import client_config
-from gateway.errors import ConfigError, StoppedError, UnansweredError, ZenohError
+from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, ZenohError
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Mode
+
+if TYPE_CHECKING:
+    from schemas.lease import LeaseAck
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 R = TypeVar("R", bound=BaseModel)
@@ -66,6 +73,8 @@ class Client:
             endpoint = DEFAULT_ENDPOINT
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
+        self.robot = (str(get(config, "namespace") or ""), *self._hosts.endpoints)
+        """What is dialled: the namespace ("" for none), and the endpoints."""
         if not self._hosts.endpoints and get(config, "scouting/multicast/enabled") is not True:
             raise ConfigError(f"{file} names no gateway: set connect.endpoints in it, or give an endpoint")
         self._timeout_s = timeout_s
@@ -76,6 +85,9 @@ class Client:
         """Lives until `close`: when its link breaks, it comes back by any of the hosts, with all that is declared."""
         self.name = str(self.session.info.zid()) if source is None else source
         """Who this is in events: `source`, or the session's Zenoh id (which only a stream's commands tell)."""
+        self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
+        """For the lease, and for tools that keep one."""
+        self._lease: Lease | None = None
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
@@ -87,10 +99,12 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Disconnect. A leg that is left running is stopped by the gateway's watchdog.
+        """Disconnect. A leg that is left running is stopped by the gateway's watchdog, and a lease is released.
 
         A program that forgets it ends all the same.
         """
+        if self._lease is not None:
+            self._lease.release()
         self._closed = True
         with suppress(zenoh.ZError):  # a frozen gateway did not say good-bye within ten seconds
             self.session.close()
@@ -122,6 +136,39 @@ class Client:
     def stream(self, hz: float = 50) -> Stream:
         """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`."""
         return Stream(self, hz)
+
+    # ---- who is driving
+
+    def lease(
+        self,
+        *,
+        take: bool = False,
+        wait_s: float = 0.0,
+        source: str | None = None,
+        on_lost: Callable[[LeaseLostError], None] | None = None,
+        on_asked: Callable[[str], None] | None = None,
+    ) -> Lease:
+        """The right to drive, for the time of a `with`: `with robot.lease(): …`; see `Lease`.
+
+        While somebody else drives, it raises LeaseError with the `holder`. With `wait_s` it asks the holder, and waits
+        that long to be handed it. With `take` it takes it by force: the gateway stops all six legs first.
+        `on_lost` is called (on a thread of its own) once it is lost, `on_asked` with the name of whoever asks for it.
+        A client has one lease at a time. With a certificate you are its person; without, `source`, or the client's.
+        """
+        return Lease(self, take=take, wait_s=wait_s, source=source, on_lost=on_lost, on_asked=on_asked)
+
+    def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
+        """Tell the holder that you would like to drive, once; `Lease.hand_over` is the holder's answer."""
+        return self.lease_requests.as_person("ask", source)
+
+    def carry(self, lease: Lease) -> None:
+        """From now on commands carry this lease."""
+        self._lease = lease
+
+    @property
+    def carried_lease(self) -> Lease | None:
+        """The lease that commands carry; also one that was lost, until its `with` ends."""
+        return self._lease if self._lease is not None and self._lease.token is not None else None
 
     # ---- commands, acknowledged
 
@@ -169,11 +216,17 @@ class Client:
     ) -> Ack:
         """Send one acknowledged command. Raises DisconnectedError when nobody answers in time.
 
+        Raises LeaseLostError when it was rejected because the lease that it carries has been lost.
+
         `again`: where the link is lost meanwhile, or no answer comes, ask again until `timeout_s` is over, also by a
         session of its own through whichever host answers. Only for what may safely happen twice, a Stop: a reset or a
         start that is asked again could undo what someone else stopped in between.
         """
-        return self._get(key, self._payload(key, payload), Ack, again=again, priority=priority)
+        lease = self.carried_lease
+        ack = self._get(key, self._payload(key, payload), Ack, again=again, priority=priority)
+        if lease is not None:
+            lease.judge(ack)
+        return ack
 
     def answerers(self, key: str, wait_s: float = 0.0) -> frozenset[str]:
         """Zenoh ids of the programs that replied to the latest question on `key` that got its answer.
@@ -237,6 +290,8 @@ class Client:
         named = {} if self._source is None else {"source": self._source}
         if key == keys.ESTOP:
             return json.dumps({**named, **payload})
+        if self._lease is not None and (token := self._lease.token) is not None:
+            named["lease"] = token
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})
 
     def _get(

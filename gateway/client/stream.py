@@ -16,14 +16,16 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import zenoh
 
+from gateway.client.lease import NOT_OURS
 from gateway.client.pace import Pace
 from gateway.client.payloads import Angle, legs_payload
-from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError, ZenohError
+from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 
 if TYPE_CHECKING:
     from gateway.client.blocking import Client
+    from gateway.client.lease import Lease
 
 MAX_HZ: Final = 1000
 """As `limits.leg_rate_hz`."""
@@ -45,7 +47,8 @@ class Stream:
 
     The first setpoint of a leg starts it. At the end of the `with` what was moved is stopped, also after an error.
     Nothing is ever sent but what `set` is given: a program that stalls is stopped by the gateway's watchdog. So is a
-    leg that is left out for longer than that. For one thread at a time.
+    leg that is left out for longer than that. Inside `Client.lease`, legs whose lease was handed over, or taken, are no
+    longer this stream's: it does not stop them at its end. For one thread at a time.
 
     >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
     ...     for step in range(10):
@@ -64,6 +67,7 @@ class Stream:
         self._pace = Pace(hz)
         self._started: frozenset[int] = frozenset()
         self._moved: frozenset[int] = frozenset()
+        self._lease: Lease | None = None  # under which it started them
         self._since: datetime | None = None  # by the gateway's clock: since when all that is started runs
         self._over: GatewayError | None = None
         self._timeout_s = 0.0
@@ -101,13 +105,15 @@ class Stream:
         one is told by a later call. Where `limits.start_stagger_ms` spreads starts over longer than the watchdog's
         timeout, give one leg more at each call. Raises, without sending:
 
+        - LeaseLostError: somebody else drives now.
         - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent).
         - StoppedError: the watchdog (this program stalled, or left a leg out), another's Stop, an emergency stop, a bus
           fault or the gateway's end has stopped what this stream moves.
         - DisconnectedError: the link is lost, or the gateway has fallen silent.
         - ValueError, TypeError: these are no three angles of a leg.
 
-        After StoppedError, DisconnectedError and a rejected start each call raises the same again, until `start_again`.
+        After LeaseLostError, StoppedError, DisconnectedError and a rejected start each call raises the same again,
+        until `start_again`.
         """
         angles = self.read(angles_deg)
         self.check_open()
@@ -138,12 +144,10 @@ class Stream:
         self._open = False
         if not self._sending.acquire(blocking=False):
             # A start of another thread's may be under way: a Stop now, and one more that is newer than it.
-            if self._moved:
-                self._stop()
+            self._stop()
             self._sending.acquire()
         try:
-            if self._moved:
-                self._stop()
+            self._stop()
         finally:
             self._sending.release()
             subscribers, self._subscribers = self._subscribers, []
@@ -187,14 +191,28 @@ class Stream:
             self.check_open()
             try:
                 if self._started:
+                    if self._lease is not None:
+                        self._lease.check()
                     self._check()
                 if angles.keys() <= self._started:
                     self._publish(angles)
                 else:
                     self._start(angles)
-            except (StoppedError, DisconnectedError) as error:
-                self._over = error
+            except (StoppedError, RejectedError, DisconnectedError) as error:
+                lost = self._lost_lease(error)
+                if lost is not None:
+                    self._over = lost
+                    raise lost from (None if lost is error else error)
+                if not isinstance(error, RejectedError):
+                    self._over = error
                 raise
+
+    def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
+        """Whether that is behind it: a forced take stops all legs, and what was sent after it is rejected."""
+        if isinstance(error, LeaseLostError):
+            return error
+        may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
+        return self._lease.confirm() if may_be and self._lease is not None else None
 
     def _publish(self, angles: Angles) -> None:
         self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, **legs_payload("set", angles)})
@@ -205,6 +223,7 @@ class Stream:
         old = {leg: each for leg, each in angles.items() if leg in self._started}
         legs = {**legs_payload("start", new)["legs"], **legs_payload("set", old)["legs"]}
         self._moved |= new.keys()
+        self._lease = self._client.carried_lease
         ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
         if not ack.accepted:
             self._over = _rejected(ack)
@@ -217,6 +236,8 @@ class Stream:
             self._pace.begin(self._sent_s)
 
     def _stop(self) -> None:
+        if not self._moved or (self._lease is not None and self._lease.elsewhere):
+            return
         payload = {"source": self._client.name, **legs_payload("stop", dict.fromkeys(sorted(self._moved), ()))}
         ack = self._client.ask(keys.LEGS_COMMAND, payload, again=True)
         if not ack.accepted and ack.reason not in _STOPPED_ALREADY:

@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway import client as client_module
-from gateway.client import Client, aio, blocking, leg_payload, pace, payloads, stream
+from gateway.client import Client, aio, aio_lease, blocking, lease, leg_payload, pace, payloads, stream
 from gateway.errors import ZenohError
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
@@ -19,7 +19,8 @@ from tests.support.gateway_process import Gateway, free_port
 
 
 @pytest.mark.parametrize(
-    ("module", "examples"), [(client_module, 2), (blocking, 1), (stream, 2), (aio, 4), (pace, 5), (payloads, 1)]
+    ("module", "examples"),
+    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 4), (aio_lease, 4), (pace, 5), (payloads, 1)],
 )
 def test_the_examples_run(tmp_path: Path, module: ModuleType, examples: int) -> None:
     with Gateway(tmp_path) as gateway:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.client import AsyncClient, AsyncStream, Client, DisconnectedError, StoppedError, Stream
+from gateway.client import AsyncClient, AsyncLease, AsyncStream, Client, DisconnectedError, Lease, StoppedError, Stream
 from gateway.client.aio import KEPT_EVENTS, MAX_QUESTIONS, _Threads
 from gateway.errors import ZenohError
 from schemas import keys
@@ -47,10 +47,17 @@ def public(kind: type) -> dict[str, list[str]]:
     }
 
 
-@pytest.mark.parametrize(("twin", "own"), [(AsyncClient, Client), (AsyncStream, Stream)])
+STEPS = {
+    Client: {"carry", "carried_lease"},
+    Stream: {"open", "close", "read", "check_open", "due_s", "must_ask", "send"},
+    Lease: {"acquire", "release", "token", "elsewhere", "check", "confirm", "judge"},
+}
+"""What they take of one another."""
+
+
+@pytest.mark.parametrize(("twin", "own"), [(AsyncClient, Client), (AsyncStream, Stream), (AsyncLease, Lease)])
 def test_both_have_the_same_names_and_arguments(twin: type, own: type) -> None:
-    steps = {"open", "close", "read", "check_open", "due_s", "must_ask", "send"} if own is Stream else set()
-    wanted = {name: taken for name, taken in public(own).items() if name not in steps}
+    wanted = {name: taken for name, taken in public(own).items() if name not in STEPS[own]}
     assert {name: taken for name, taken in public(twin).items() if name in wanted} == wanted
 
 
@@ -197,7 +204,10 @@ async def test_errors_are_the_same(gateway: Gateway) -> None:
     assert not client.connected
 
 
-def test_the_commands_load_no_asyncio_for_it() -> None:
+def test_the_commands_load_neither_asyncio_nor_what_only_a_lease_needs() -> None:
     """A `hexapod-gateway estop` has better use for the time."""
-    code = "import sys, gateway.client; assert 'asyncio' not in sys.modules; gateway.client.AsyncClient"
+    late = "{'asyncio', 'cryptography', 'schemas.lease', 'gateway.tools.driving'}"
+    code = (
+        f"import sys, gateway.tools.send; assert not {late} & set(sys.modules), sys.modules; gateway.client.AsyncClient"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

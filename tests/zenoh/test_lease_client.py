@@ -1,0 +1,271 @@
+"""Programs that hold the lease, on a real gateway: what their commands carry, and how it ends."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import AsyncClient, Client, Lease, LeaseError, LeaseLostError, Stream, leg_payload
+from gateway.protocol.frames import decode
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import FrameRecord, Kind, Mode, Reason
+from tests.support.gateway_process import Gateway, free_port
+from tests.support.heard import events, frames, states
+from tests.support.secured import Secured
+
+POSE = (90, 45, 120)
+LATE_S = 10
+HZ = 50
+TTL_MS = 600.0
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"frames": True},
+        "lease": {"ttl_ms": TTL_MS},
+        "watchdog": {"timeout_ms": 1000, "repeats": 0},
+    }
+    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+        yield running
+
+
+@pytest.fixture
+def anna(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="anna") as client:
+        client.reset()
+        client.stop()
+        assert client.state().lease.holder is None
+        yield client
+
+
+@pytest.fixture
+def bert(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="bert") as client:
+        yield client
+
+
+def is_stop(frame: FrameRecord) -> bool:
+    return decode(bytes.fromhex(frame.bytes)).is_stop
+
+
+def running(client: Client) -> list[int]:
+    return [leg.leg for leg in client.state().legs if leg.servos[0].running]
+
+
+def walk_on(stream: Stream) -> None:
+    for _ in range(LATE_S * HZ):
+        stream.set({1: POSE, 4: POSE})
+
+
+def test_inside_every_command_counts_and_nobody_elses(anna: Client, bert: Client) -> None:
+    heard = events(bert)
+    with anna.lease() as lease:
+        assert (lease.holder, lease.verified, lease.ttl_ms) == ("anna", False, TTL_MS)
+        assert anna.start_leg(1, *POSE).accepted
+        assert anna.servo(11, "set", 91).accepted
+        for ack in (bert.start_leg(2, *POSE), bert.set_leg(1, *POSE), bert.servo(11, "set", 1)):
+            assert (ack.accepted, ack.reason) == (False, Reason.NOT_HOLDER)
+            assert "anna" in (ack.detail or "")
+        bert.publish(keys.leg_command(1), leg_payload("set", POSE))
+        heard.wait(lambda event: event.kind == Kind.COMMAND_REJECTED and event.key == keys.leg_command(1), count=2)
+        anna.publish(keys.leg_command(1), leg_payload("set", (12, 45, 120)))
+        states(anna).wait(lambda state: state.legs[0].servos[0].angle_deg == 12)
+        with anna.stream(HZ) as stream:
+            for _ in range(3):
+                stream.set({2: POSE})
+        assert anna.estop().accepted
+        assert bert.reset().reason == Reason.NOT_HOLDER
+        assert anna.reset().accepted
+    assert bert.start_leg(2, *POSE).accepted
+
+
+def test_it_lives_on_without_commands(anna: Client, bert: Client) -> None:
+    """For longer than it lives unrenewed, by the gateway's own time."""
+    with anna.lease():
+        until_s = bert.state().uptime_s + 2 * TTL_MS / 1000
+        while (state := bert.state()).uptime_s < until_s:
+            assert state.lease.holder == "anna"
+
+
+def test_it_is_released_at_the_end_and_by_a_client_that_closes(gateway: Gateway, bert: Client) -> None:
+    with gateway.client(source="anna") as anna:
+        lease = anna.lease()
+        lease.acquire()
+        assert bert.state().lease.holder == "anna"
+    assert bert.state().lease.holder is None
+
+
+def test_whoever_drives_is_named_to_who_would_like_to(anna: Client, bert: Client) -> None:
+    with anna.lease():
+        with pytest.raises(LeaseError, match="anna") as caught:
+            bert.lease().acquire()
+        assert (caught.value.reason, caught.value.holder) == (Reason.LEASE_HELD, "anna")
+    with bert.lease():
+        pass
+
+
+def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: Client, bert: Client) -> None:
+    """Neither the handover nor the end of the stream that handed over stops a leg."""
+    written = frames(bert)
+    handed = threading.Event()
+    asked: list[str] = []
+
+    def on_asked(who: str) -> None:
+        asked.append(who)
+        lease.hand_over(who)
+        handed.set()
+
+    walks, begun = threading.Event(), threading.Event()
+    lease = anna.lease(on_asked=on_asked)
+
+    def walk() -> None:
+        with lease, anna.stream(HZ) as stream:
+            while not handed.is_set():
+                stream.set({1: POSE, 4: POSE})
+                walks.set()
+            assert begun.wait(LATE_S)
+
+    walking = threading.Thread(target=walk)
+    walking.start()
+    assert walks.wait(LATE_S)
+    with bert.lease(wait_s=LATE_S) as theirs, bert.stream(HZ) as stream:
+        assert theirs.held
+        while walking.is_alive():
+            stream.set({1: (91, 45, 120), 4: (91, 45, 120)})
+            begun.set()
+        for _ in range(5):
+            stream.set({1: (92, 45, 120), 4: (92, 45, 120)})
+        stopped = [frame for frame in written.all if is_stop(frame)]
+        assert running(bert) == [1, 4]
+    walking.join(LATE_S)
+    assert asked == ["bert"]
+    assert not stopped
+    assert running(bert) == [], "the end of the stream of whoever drives does stop them"
+    del gateway
+
+
+def test_a_forced_take_stops_all_legs_and_ends_the_other_ones_gait(anna: Client, bert: Client) -> None:
+    lost: list[LeaseLostError] = []
+    told = threading.Event()
+
+    def on_lost(error: LeaseLostError) -> None:
+        lost.append(error)
+        told.set()
+
+    with anna.lease(on_lost=on_lost), anna.stream(HZ) as stream:
+        stream.set({1: POSE, 4: POSE})
+        written = frames(bert)
+        with bert.lease(take=True):
+            written.wait(is_stop, count=len(LEGS))
+            assert {decode(bytes.fromhex(frame.bytes)).servos[0][0] // 10 for frame in written.all} == {*LEGS}
+            with pytest.raises(LeaseLostError, match="bert") as caught:
+                walk_on(stream)
+            assert caught.value.holder == "bert"
+            with pytest.raises(LeaseLostError):
+                stream.set({1: POSE})
+            with pytest.raises(LeaseLostError):
+                anna.start_leg(1, *POSE)
+            assert told.wait(LATE_S)
+            assert anna.servo(11, "stop").accepted
+            assert anna.stop().accepted
+            assert anna.estop().accepted
+            assert bert.reset().accepted
+            assert bert.start_leg(1, *POSE).accepted
+            stream.close()
+            assert running(bert) == [1], "it is not anna's any more"
+    assert len(lost) == 1
+
+
+def test_a_take_is_told_as_such_though_its_event_is_lost(
+    anna: Client, bert: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All legs stand still, and what was sent is rejected; why, the gateway is asked."""
+    monkeypatch.setattr(Lease, "_hear", lambda *_: None)
+    with anna.lease(), anna.stream(HZ) as stream:
+        stream.set({1: POSE})
+        with bert.lease(take=True), pytest.raises(LeaseLostError, match="bert holds it now"):
+            walk_on(stream)
+
+
+def test_a_gait_goes_on_after_a_loss_once_it_is_acquired_again(anna: Client, bert: Client) -> None:
+    with anna.stream(HZ) as stream:
+        with anna.lease():
+            stream.set({1: POSE})
+            with bert.lease(take=True), pytest.raises(LeaseLostError):
+                walk_on(stream)
+        with anna.lease():
+            with pytest.raises(LeaseLostError):
+                stream.set({1: POSE})
+            stream.start_again()
+            stream.set({1: POSE})
+            assert running(bert) == [1]
+    assert running(bert) == []
+
+
+def test_what_was_published_after_a_loss_moves_nothing_though_nobody_drives(anna: Client, bert: Client) -> None:
+    heard = events(bert)
+    with anna.lease() as lease:
+        assert anna.start_leg(1, *POSE).accepted
+        with bert.lease(take=True):
+            pass
+        anna.publish(keys.leg_command(1), leg_payload("start", POSE))
+        rejected = heard.wait(lambda event: event.key == keys.leg_command(1))
+        assert (rejected.source, rejected.reason) == ("anna", Reason.NOT_HOLDER)
+        assert running(bert) == []
+        with pytest.raises(LeaseLostError):
+            anna.start_leg(1, *POSE)
+        assert lease.lost is not None
+    assert anna.start_leg(1, *POSE).accepted, "outside it is a program that does nothing about leases"
+
+
+def test_a_gateway_that_is_started_again_knows_of_no_lease(tmp_path: Path) -> None:
+    settings = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    told = threading.Event()
+    with (
+        Gateway(tmp_path, settings) as first,
+        first.client(source="anna") as anna,
+        anna.lease(on_lost=lambda _: told.set()) as lease,
+    ):
+        first.child.kill()
+        with Gateway(tmp_path, settings):
+            assert told.wait(LATE_S)
+            assert not lease.held
+
+
+def test_the_same_for_asyncio(gateway: Gateway, bert: Client) -> None:
+    async def main() -> None:
+        lost = asyncio.Event()
+        asked: asyncio.Queue[str] = asyncio.Queue()
+        async with AsyncClient(gateway.endpoint, source="anna", timeout_s=5) as anna:
+            async with anna.lease(on_lost=lambda _: lost.set(), on_asked=asked.put_nowait) as lease:
+                assert (lease.held, lease.holder, lease.verified, lease.lost) == (True, "anna", False, None)
+                assert (await anna.start_leg(1, *POSE)).accepted
+                async with anna.stream(HZ) as stream:
+                    await stream.set({1: POSE})
+                assert (await asyncio.to_thread(bert.ask_for_lease)).accepted
+                assert await asyncio.wait_for(asked.get(), LATE_S) == "bert"
+                await lease.hand_over("bert")
+                assert not lease.held
+                theirs = bert.lease()
+                await asyncio.to_thread(theirs.acquire)
+                assert (await anna.start_leg(1, *POSE)).reason == Reason.NOT_HOLDER
+                assert (await anna.ask_for_lease()).accepted
+                await asyncio.to_thread(theirs.release)
+            assert not lost.is_set()
+
+    asyncio.run(main())
+
+
+def test_with_certificates_it_is_the_person_and_not_what_somebody_writes(tmp_path: Path) -> None:
+    with Secured(tmp_path) as secured, secured.client("anna") as anna:
+        with anna.lease(source="bert") as lease:
+            assert (lease.holder, lease.verified) == ("anna", True)
+            state = anna.state()
+            assert (state.lease.holder, state.lease.verified) == ("anna", True)
+            assert anna.start_leg(1, *POSE).accepted
+        assert anna.state().mode is not Mode.ESTOPPED
