@@ -12,7 +12,7 @@ import typer
 
 from gateway import __version__, protocol
 from gateway.errors import GatewayError
-from gateway.tools import certs, recordings
+from gateway.tools import certs, lease, recordings
 from gateway.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer(
@@ -223,12 +223,13 @@ def decode(
 
 
 app.add_typer(certs.app, name="certs")
+app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "The watchdog stops a leg that hears no further command (after watchdog.timeout_ms); --hold repeats the command "
-    "every 50 ms.\n\n"
+    "every 50 ms, and drives meanwhile (see `lease`), if nobody else does.\n\n"
     "Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,
 )

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from functools import partial
 
-from gateway.client import Client, leg_payload, servo_payload, several_answer
+from gateway.client import Client, LeaseError, leg_payload, servo_payload, several_answer
 from gateway.errors import ConfigError
 from gateway.tools import reach
 from gateway.tools.reach import Connection
@@ -57,23 +57,34 @@ def send_stop(connect: Connection) -> int:
 
 def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
     """Send an acknowledged command, repeat it for `hold_s`, and say what became of it. Returns the exit code."""
+    from gateway.tools import driving  # a Stop does not wait for what this loads
+
     with connect() as client:
-        code = _report(client.ask(key, payload, again=not moves), "accepted")
-        end = time.monotonic() + hold_s
-        while code == 0 and time.monotonic() < end:
-            time.sleep(HOLD_PERIOD_S)
-            ack = client.ask(key, payload)
-            if not ack.accepted:
-                code = _report(ack, "")
-        if code == 0 and moves:
-            timeout_ms = client.state().watchdog.timeout_ms
-            hint(
-                f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout_ms:g} ms."
-                if hold_s
-                else f"The watchdog stops it {timeout_ms:g} ms after a command; --hold S repeats it for S seconds."
-            )
+        try:
+            with driving.drives(client, hold_s, moves=moves) as lease:
+                code = _send_for(client, key, {**payload, **lease}, moves=moves, hold_s=hold_s)
+        except LeaseError as error:
+            code = driving.rejected(error)
         _tell_of_others(client, key)
         return code
+
+
+def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
+    code = _report(client.ask(key, payload, again=not moves), "accepted")
+    end = time.monotonic() + hold_s
+    while code == 0 and time.monotonic() < end:
+        time.sleep(HOLD_PERIOD_S)
+        ack = client.ask(key, payload)
+        if not ack.accepted:
+            code = _report(ack, "")
+    if code == 0 and moves:
+        timeout_ms = client.state().watchdog.timeout_ms
+        hint(
+            f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout_ms:g} ms."
+            if hold_s
+            else f"The watchdog stops it {timeout_ms:g} ms after a command; --hold S repeats it for S seconds."
+        )
+    return code
 
 
 def estop(connect: Connection) -> int:
@@ -93,8 +104,12 @@ def estop(connect: Connection) -> int:
 
 def reset(connect: Connection) -> int:
     """Leave the emergency stop."""
+    from gateway.tools import driving
+
     with connect() as client:
-        code = _report(client.reset(), "reset; nothing moves until it is started again")
+        with driving.drives(client, 0, moves=True) as lease:
+            ack = client.ask(keys.RESET, {"estop": client.state().estop, **lease})
+        code = _report(ack, "reset; nothing moves until it is started again")
         _tell_of_others(client, keys.RESET)
         return code
 
@@ -115,5 +130,8 @@ def _report(ack: Ack, accepted: str) -> int:
     if ack.accepted:
         say(accepted + (" (a newer command replaced it while it waited)" if ack.coalesced else ""))
         return 0
+    from gateway.tools import driving
+
     say(f"rejected: {ack.reason}: {ack.detail}")
+    driving.advise(ack.reason)
     return 1
