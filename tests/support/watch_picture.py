@@ -1,7 +1,7 @@
 """The picture of `watch` in the README, from a real run: `python -m tests.support.watch_picture docs/watch.svg`.
 
-A gateway on the simulated controller, one program that lets five legs step at 50 Hz, one that lets leg 2 fall silent,
-one that gets rejections; and `watch`'s own link, model and view.
+A gateway on the simulated controller, with certificates. Bert's program lets leg 2 fall silent. Then Anna's holds the
+lease and lets five legs step at 50 Hz, and Bert's gets rejections. And `watch`'s own link, model and view.
 """
 
 import html
@@ -18,18 +18,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.terminal_theme import MONOKAI
 
+from gateway import certs
 from gateway.client import Client, leg_payload
 from gateway.tools.watch.link import Link
 from gateway.tools.watch.model import Model
 from gateway.tools.watch.view import picture
 from schemas import keys
-from tests.support.gateway_process import Gateway
+from tests.support.secured import Secured
 
 COLUMNS, ROWS = 84, 24
 WALKING = (1, 3, 4, 5, 6)
 SECONDS = 4.0
 BLANK = "&#160;"
-SHOWN = "tcp/robot.local:7447"
+SHOWN = "tls/robot.local:7447"
 """The address on the picture; the run's own is a port of the moment."""
 
 
@@ -50,28 +51,26 @@ def walk(client: Client) -> None:
         time.sleep(0.02)
 
 
-def run(endpoint: str) -> str:
+def run(secured: Secured) -> str:
     """Let the gateway be busy, and draw what `watch` knows of it then."""
     model, lock = Model(), threading.Lock()
-    link = Link(partial(Client, endpoint, source="watch"), model, lock, lambda: None)
+    link = Link(partial(secured.client, "anna"), model, lock, lambda: None)
     link.start()
-    with (
-        Client(endpoint, source="gait") as gait,
-        Client(endpoint, source="anna") as anna,
-        Client(endpoint, source="balance") as balance,
-    ):
-        anna.start_leg(2, 90, 45, 120)  # and then no more: the watchdog stops it
-        walking = threading.Thread(target=walk, args=(gait,))
-        walking.start()
-        time.sleep(SECONDS / 2)
-        balance.servo(22, "set", 100)
-        anna.servo(21, "set", 100)
-        anna.ask(keys.leg_command(3), {"servos": [{"op": "set", "angle_deg": 200}] * 3})
+    with secured.client("bert") as bert, secured.client("anna") as anna:
+        bert.start_leg(2, 90, 45, 120)  # and then no more: the watchdog stops it
         time.sleep(SECONDS / 4)
-        with lock:
-            text = picture(model, time.monotonic_ns(), SHOWN, COLUMNS, ROWS)
-            walked = model.running_legs() == len(WALKING)
-        walking.join()
+        with anna.lease():
+            walking = threading.Thread(target=walk, args=(anna,))
+            walking.start()
+            time.sleep(SECONDS / 2)
+            bert.servo(22, "set", 100)
+            anna.servo(21, "set", 100)
+            anna.ask(keys.leg_command(3), {"servos": [{"op": "set", "angle_deg": 200}] * 3})
+            time.sleep(SECONDS / 4)
+            with lock:
+                text = picture(model, time.monotonic_ns(), SHOWN, COLUMNS, ROWS)
+                walked = model.running_legs() == len(WALKING)
+            walking.join()
     link.close()
     if not walked:
         sys.exit("this machine was so busy that the watchdog stopped the gait; try again")
@@ -99,8 +98,9 @@ def without_edge_blanks(svg: str) -> str:
 
 def main() -> None:
     """Write the picture to the file named."""
-    with tempfile.TemporaryDirectory() as folder, Gateway(Path(folder)) as gateway:
-        svg = run(gateway.endpoint)
+    with tempfile.TemporaryDirectory() as folder, Secured(Path(folder)) as secured:
+        certs.issue(secured.folder, "bert", "operator")
+        svg = run(secured)
     Path(sys.argv[1]).write_text(svg + "\n")
 
 

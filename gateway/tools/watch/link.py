@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.client import Client, several_answer
 from gateway.errors import GatewayError
+from gateway.tools.watch.lease_keys import LeaseKeys
 from gateway.tools.watch.model import Model, Presence, visible
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState
@@ -63,6 +64,7 @@ class Link:
         self._ended = threading.Event()
         self._stops = threading.Semaphore(STOPS_AT_ONCE)
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+        self.lease = LeaseKeys(lambda: self._client, model, lock, changed)
 
     def start(self) -> None:
         """Begin to connect."""
@@ -245,6 +247,7 @@ class Link:
 
     def _close(self) -> None:
         with suppress(*_ERRORS):
+            self.lease.close()
             for subscriber in self._subscribers:
                 subscriber.undeclare()
             if self._client is not None:

@@ -119,7 +119,10 @@ class Model:
     _back: bool = False
     """It was silent, and no state has come since."""
     _warned: set[str] = field(default_factory=set)
+    drives: bool = False
+    """We hold the lease."""
     _asked_ns: int | None = None
+    _take_ns: int | None = None
     _pressed_ns: int = 0
     _reset_ns: int = 0
 
@@ -164,7 +167,7 @@ class Model:
             if event.reason is not None:
                 self.reasons[known] = event.reason
             text = f"{source}: {text}"
-        elif event.source is not None:
+        elif event.source is not None and source not in text:
             text = f"{text} ({source})"
         self.lines.appendleft(Line(event.time, visible(event.kind), text, event.kind in _BAD))
 
@@ -190,6 +193,8 @@ class Model:
             self._note(wall, "silent", "the gateway fell silent", bad=True)
         if self._asked_ns is not None and not self.asking(now_ns):
             self._asked_ns = None
+        if self._take_ns is not None and not self.asking_to_take(now_ns):
+            self._take_ns = None
         remark = self.remark
         if remark is not None and remark.tone is not Tone.BAD and now_ns - remark.since_ns > REMARK_NS:
             self.remark = None
@@ -253,7 +258,7 @@ class Model:
 
     def stop_pressed(self, now_ns: int) -> None:
         """The stop key was pressed. The stop is wanted until it is confirmed, or until a reset is requested."""
-        self._asked_ns = None
+        self._asked_ns = self._take_ns = None
         self.remark = None
         if self.stop_wanted_ns is None:
             self.stop_wanted_ns = self._pressed_ns = now_ns
@@ -301,7 +306,7 @@ class Model:
         if self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None:
             self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
             return
-        self._asked_ns = now_ns
+        self._asked_ns, self._take_ns = now_ns, None
 
     def asking(self, now_ns: int) -> bool:
         """Whether the question about the reset is on the screen."""
@@ -328,6 +333,46 @@ class Model:
             self.remark = Remark(Tone.GOOD, "reset; nothing moves until it is started again", now_ns)
         else:
             self.remark = Remark(Tone.BAD, f"NO RESET: {ack.reason}: {visible(ack.detail or '')}", now_ns)
+
+    # ---- who is driving
+
+    @property
+    def holder(self) -> str | None:
+        """Who drives, in the last state."""
+        return None if self.state is None else self.state.lease.holder
+
+    def take_pressed(self, now_ns: int) -> None:
+        """The key to take the lease was pressed: ask whether it is meant."""
+        self._asked_ns, self._take_ns = None, now_ns
+
+    def asking_to_take(self, now_ns: int) -> bool:
+        """Whether the question about the lease is on the screen."""
+        return self._take_ns is not None and now_ns - self._take_ns < QUESTION_NS
+
+    def take_question(self, now_ns: int) -> str | None:
+        """That question, or None."""
+        if not self.asking_to_take(now_ns):
+            return None
+        if self.holder is None:
+            return "Drive? Nobody else's starts, sets and resets count then, until t is pressed again.  y: yes  n: no"
+        return f"Take it from {visible(self.holder)}? All six legs stop first.  y: yes  n: no"
+
+    def take_declined(self, now_ns: int) -> None:
+        """The question was answered with anything else."""
+        self._take_ns = None
+        self.remark = Remark(Tone.NOTE, "not taken", now_ns)
+
+    def take_confirmed(self, now_ns: int) -> None:
+        """The question was answered with yes."""
+        self._take_ns = None
+        self.remark = Remark(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
+
+    def lease_answered(self, trouble: str | None, done: str, now_ns: int) -> None:
+        """What became of a key about the lease: `trouble`, or `done`."""
+        if trouble is None:
+            self.remark = Remark(Tone.GOOD, visible(done), now_ns)
+        else:
+            self.remark = Remark(Tone.BAD, visible(trouble), now_ns)
 
 
 _BAD: Final = frozenset(

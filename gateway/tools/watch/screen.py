@@ -84,20 +84,34 @@ class Watch:
         if pressed.startswith(b"\x1b"):  # an arrow key, a mouse: bytes that are no letters
             return True
         for key in pressed.lower():
-            with self._lock:
-                asking = self._model.asking(time.monotonic_ns())
-            if asking and key == ord("y"):
-                self._link.reset()
-            elif key in (ord("q"), _INTERRUPT):
+            if key in (ord("q"), _INTERRUPT):
                 return False
-            else:
-                with self._lock:
-                    if asking:
-                        self._model.reset_declined(time.monotonic_ns())
-                    elif key == ord("r"):
-                        self._model.reset_pressed(time.monotonic_ns())
+            self._press_key(chr(key))
             self._news.set()
         return True
+
+    def _press_key(self, key: str) -> None:
+        now_ns = time.monotonic_ns()
+        with self._lock:
+            asking, taking = self._model.asking(now_ns), self._model.asking_to_take(now_ns)
+            drives = self._model.drives
+            if asking and key != "y":
+                self._model.reset_declined(now_ns)
+            elif taking and key != "y":
+                self._model.take_declined(now_ns)
+            elif key == "r":
+                self._model.reset_pressed(now_ns)
+            elif key == "t" and not drives:
+                self._model.take_pressed(now_ns)
+        match key:
+            case "y" if asking:
+                self._link.reset()
+            case "y" if taking:
+                self._link.lease.take()
+            case "a" if not (asking or taking):
+                self._link.lease.ask()
+            case "t" if drives and not (asking or taking):
+                self._link.lease.release()
 
     # ---- drawing
 

@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_rejected, visible
-from schemas.telemetry import GatewayState, LegReport, Mode, ServoReport, WatchdogState
+from schemas.telemetry import GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
     Mode.STARTING: "bold black on yellow",
@@ -72,8 +72,20 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
         running = model.running_legs()
         legs = f"{running} leg{'' if running == 1 else 's'} running"
         line.append(f"  {legs}", "bold green" if running and presence is Presence.LIVE else "dim")
+        line.append_text(_driver(state.lease))
         line.append(f"  {where}  up {dt.timedelta(seconds=int(state.uptime_s))}  {state.version}", "dim")
     return line
+
+
+def _driver(lease: LeaseReport) -> Text:
+    """Who drives, and who asks for it."""
+    if lease.holder is None:
+        return Text()
+    holder = _clipped(lease.holder, _SOURCE_COLUMNS) + ("" if lease.verified else "?")
+    text = Text(f"  {holder} drives" if lease.held_s is not None else f"  handed to {holder}", "bold")
+    if lease.asked_by is not None:
+        text.append(f", {_clipped(lease.asked_by, _SOURCE_COLUMNS)} asks", "bold yellow")
+    return text
 
 
 def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
@@ -86,6 +98,8 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
         messages.append(("EMERGENCY STOP sent, waiting for its confirmation", _ALARM))
     if model.asking(now_ns):
         messages.append(("Leave the emergency stop? Nothing moves until it is started again.  y: yes  n: no", _ASK))
+    if (question := model.take_question(now_ns)) is not None:
+        messages.append((question, _ASK))
     if model.presence(now_ns) is Presence.SILENT:
         messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
     if model.remark is not None:
@@ -121,8 +135,8 @@ def _keys() -> Text:
     return (
         Text()
         .append(" SPACE or e: EMERGENCY STOP ", "bold white on red")
-        .append("   r: reset   q: quit", "bold")
-        .append("   (● runs  ○ off)", "dim")
+        .append("  r: reset  q: quit  a: ask  t: take", "bold")
+        .append("  (● on  ○ off)", "dim")
     )
 
 
