@@ -44,20 +44,31 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         limits: Mapping[str, float] | None = None,
         lease_ms: int = LEASE_MS,
         port: int = PORT,
+        certificates: Path | None = None,
+        settings: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
+        """With `certificates`, a folder as `certs init` makes it, laptops need one; the observer does not."""
         observer = f"unixsock-stream/{folder / f'{port}.sock'}"
-        listen = [f"tcp/{network.robot_address(number)}:{port}" for number in network.laptops]
+        link = "tcp" if certificates is None else "tls"
+        listen = [f"{link}/{network.robot_address(number)}:{port}" for number in network.laptops]
         config = folder / str(port)
         config.mkdir()
-        (config / "zenoh.json5").write_text(f"{{transport: {{link: {{tx: {{lease: {lease_ms}}}}}}}}}")
+        file = config / "zenoh.json5"
+        if certificates is None:
+            file.write_text(f"{{transport: {{link: {{tx: {{lease: {lease_ms}}}}}}}}}")
+        else:
+            file = with_observer(certificates, lease_ms)
+        zenoh = {"listen": [*listen, observer], "allow_insecure": certificates is None, "config": str(file)}
         sections: dict[str, dict[str, Any]] = {
-            "zenoh": {"listen": [*listen, observer], "allow_insecure": True, "config": str(config / "zenoh.json5")},
+            "zenoh": zenoh,
             "telemetry": {"frames": True, "state_hz": 50},
             "limits": {"leg_rate_hz": 1000, "max_age_ms": 0, **(limits or {})},
             "watchdog": {"timeout_ms": TIMEOUT_MS, "repeats": 0},
         }
+        for section, values in (settings or {}).items():
+            sections[section] = {**sections.get(section, {}), **values}
         with ExitStack() as opened:
-            opened.enter_context(Gateway(config, sections, prefix=network.robot))
+            self.gateway = opened.enter_context(Gateway(config, sections, prefix=network.robot))
             self.client = opened.enter_context(Client(observer, source="observer", timeout_s=5))
             self.frames = frames(self.client)
             self.events = events(self.client)
@@ -104,6 +115,10 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         for leg in legs:
             self._wait(is_command(leg), count)
 
+    def wait_for_frames(self, condition: Callable[[FrameRecord], bool], count: int) -> None:
+        """Wait for so many such frames."""
+        self._wait(condition, count)
+
     def wait_for_stops(self, *legs: int) -> list[float]:
         """Wait until the watchdog has stopped each of these legs; how much later than it should have, in ms."""
         for leg in legs:
@@ -124,6 +139,26 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         stop = next(place for place, frame in enumerate(frames) if is_stop(leg)(frame))
         last = max(frame.monotonic_ns for frame in frames[:stop] if is_command(leg)(frame))
         return (frames[stop].monotonic_ns - last) / 1e6 - TIMEOUT_MS
+
+
+def with_observer(certificates: Path, lease_ms: int) -> Path:
+    """A copy of `certs init`'s gateway.json5 in which the robot's own Unix socket needs no certificate."""
+    text = (certificates / "gateway.json5").read_text()
+    for ours, theirs in (
+        ('protocols: ["tls"]', 'protocols: ["tls", "unixsock-stream"]'),
+        ("lease: 1000", f"lease: {lease_ms}"),
+        ('cert_common_names: ["observer"] },', 'cert_common_names: ["observer"] },\n' + _ON_THE_ROBOT),
+        ('subjects: ["operator"]', 'subjects: ["operator", "on the robot"]'),
+        ('subjects: ["operator", "observer"]', 'subjects: ["operator", "observer", "on the robot"]'),
+    ):
+        assert text.count(ours) == 1, ours
+        text = text.replace(ours, theirs)
+    made = certificates / "with_observer.json5"
+    made.write_text(text)
+    return made
+
+
+_ON_THE_ROBOT = '      { id: "on the robot", link_protocols: ["unixsock-stream"] },'
 
 
 def is_command(*legs: int) -> Callable[[FrameRecord], bool]:

@@ -20,6 +20,12 @@ JSON:
     pause [COUNT]       the same, and no more of the stream
     out-of-reach        {} once Zenoh has given the gateway up
     in-reach            {} once it has found the gateway again
+    try LEG             energise this leg, acknowledged: the answer
+    lease HOW           hold the lease: `acquire` it, `take` it, or `wait` for it: the holder, whether verified, and the
+                        token, which only this test may see; or {"rejected": reason, "detail": …, "holder": …}
+    hand-over NAME      {} once it is handed over
+    release             {} once the lease is released
+    lost                how the lease was lost, once it is
     stop                stop all six legs, acknowledged
     estop               engage the emergency stop, acknowledged
     reset               leave it, acknowledged
@@ -42,7 +48,7 @@ from typing import Any
 import zenoh
 from zenoh.handlers import FifoChannel, RingChannel
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client, Lease, LeaseError, leg_payload
 from gateway.errors import ZenohError
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
@@ -86,6 +92,8 @@ class Streamer:
         self._step = 0
         self._reach = threading.Condition()
         self._in_reach = False
+        self._lease: Lease | None = None
+        self._lost = threading.Event()
         session = client.session
         self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
         self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
@@ -96,6 +104,8 @@ class Streamer:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
+            case "try" | "lease" | "hand-over" | "release" | "lost":
+                return self._drive(word, *rest)
             case "stream" | "ask" | "flood" | "deaf" | "deaf-flood":
                 return self._begin(word, rest)
             case "sent" | "pause":
@@ -131,6 +141,26 @@ class Streamer:
         self._paused.clear()
         self._thread = threading.Thread(target=self._run, args=(sends[word], PERIODS_S.get(word, PERIOD_S)))
         self._thread.start()
+        return {}
+
+    def _drive(self, word: str, *rest: str) -> Any:
+        match word:
+            case "try":
+                return self._client.start_leg(int(rest[0]), *self._angles()).model_dump(mode="json")
+            case "lease":
+                self._lost.clear()
+                wait_s = ANSWER_S if rest[0] == "wait" else 0
+                lease = self._client.lease(take=rest[0] == "take", wait_s=wait_s, on_lost=lambda _: self._lost.set())
+                lease.acquire()
+                self._lease = lease
+                return {"holder": lease.holder, "verified": lease.verified, "token": lease.token}
+            case "hand-over" if self._lease is not None:
+                self._lease.hand_over(rest[0])
+            case "release" if self._lease is not None:
+                self._lease.release()
+            case "lost" if self._lease is not None:
+                assert self._lost.wait(BOUND_S), "the lease is not lost"
+                raise self._lease.lost or AssertionError
         return {}
 
     def _report(self, count: int, *, end: bool) -> Any:
@@ -227,6 +257,8 @@ def main() -> None:
         for line in sys.stdin:
             try:
                 answer = laptop.do(line)
+            except LeaseError as error:
+                answer = {"rejected": error.reason, "detail": error.detail, "holder": error.holder}
             except ZenohError as error:
                 answer = {"error": str(error)}
             print(json.dumps(answer), flush=True)

@@ -20,10 +20,12 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client, leg_payload
+from gateway.client.proof import Identity
 from gateway.edge.config_file import load_config
 from gateway.errors import ZenohError
 from schemas import keys
-from schemas.telemetry import GatewayState, Kind, Mode
+from schemas.lease import LeaseAck
+from schemas.telemetry import GatewayState, Kind, Mode, Reason
 from tests.support.certs_folder import contents, fault
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
@@ -209,6 +211,36 @@ def test_a_robot_does_not_speak_for_another(fleet: Fleet, bert: Client) -> None:
             GatewayState.model_validate_json(sample.payload.to_bytes())
         assert bert.estop().stop_frames == 6
         assert bert.reset().accepted
+
+
+def asked(session: zenoh.Session, key: str, request: dict[str, Any]) -> LeaseAck:
+    (reply,) = session.get(key, payload=json.dumps(request), timeout=5)
+    assert reply.ok is not None
+    return LeaseAck.model_validate_json(reply.ok.payload.to_bytes())
+
+
+def test_each_robot_has_its_own_driver_through_the_router(anna: Client, bert: Client) -> None:
+    with anna.lease() as first, bert.lease() as second:
+        assert (first.holder, first.verified) == ("anna", True)
+        assert (second.holder, second.verified) == ("bert", True)
+        assert anna.start_leg(3, 90, 45, 120).accepted
+        assert (anna.state().lease.holder, bert.state().lease.holder) == ("anna", "bert")
+        assert anna.stop().accepted
+
+
+@pytest.mark.parametrize("do", ["acquire", "ask", "take"])
+def test_a_certificate_for_one_robot_drives_no_other(fleet: Fleet, anna: Client, bert: Client, do: str) -> None:
+    key = f"robot-2/{keys.LEASE}"
+    with zenoh.open(fleet.raw("anna")) as session:
+        assert list(session.get(key, payload='{"do": "challenge"}', timeout=5)) == []
+    identity = Identity(fleet.folder / "anna.pem", fleet.folder / "anna.key")
+    with zenoh.open(fleet.raw("bert")) as session, bert.lease():  # even if he lends her his way
+        nonce = asked(session, key, {"do": "challenge"}).nonce or ""
+        request = {"do": do, "source": "anna", "proof": identity.prove(do, "anna", nonce)}
+        answer = asked(session, key, request)
+        assert (answer.accepted, answer.reason) == (False, Reason.LEASE_DENIED), answer
+        assert bert.state().lease.holder == "bert"
+    assert anna.state().lease.holder is None
 
 
 def turned_away(config: zenoh.Config) -> None:
