@@ -311,6 +311,7 @@ start_service() {
 	else
 		say "not started: there is no /dev/spidev* here; once there is: systemctl start $NAME"
 	fi
+	start_recorder
 	keep_drop_ins
 	local old kept=$before
 	[ "$before" != "$venv" ] || kept=$(readlink -e $OPT/previous || true)
@@ -362,6 +363,7 @@ uninstall_all() {
 		run systemctl daemon-reload
 		run systemctl reset-failed $NAME 2>/dev/null || true
 	fi
+	remove_recorder
 	if [ -e $RULES ]; then
 		say "remove $RULES"
 		run rm $RULES

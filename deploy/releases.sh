@@ -1,4 +1,6 @@
 # shellcheck shell=bash
+# shellcheck source=deploy/recorder.sh
+. "$HERE/recorder.sh"
 # Which release the service runs ($OPT/venv, a link to a folder of its own), and the one before it. Read by install.sh.
 
 # Starts a gateway from a folder with a simulated controller and its configuration, and ends it once it is ready.
@@ -8,6 +10,9 @@ with socket.socket() as free:
     free.bind(("127.0.0.1", 0))
     port = free.getsockname()[1]
 own = {"HEXAPOD_ZENOH__LISTEN": f"[\"tcp/127.0.0.1:{port}\"]", "HEXAPOD_ZENOH__CONNECT": "[]"}
+from gateway.settings import Settings
+if "recorder" in Settings.model_fields:
+    own["HEXAPOD_RECORDER__PATH"] = ""  # that of the service, which root must not begin
 own |= {"HEXAPOD_ZENOH__CONFIG": "", "HEXAPOD_TELEMETRY__METRICS": "", "HEXAPOD_LOG__LEVEL": "error"}
 gateway = subprocess.Popen([*sys.argv[1:]], env={**os.environ, **own}, stdout=subprocess.PIPE, text=True)
 signal.signal(signal.SIGALRM, lambda *_: gateway.kill())

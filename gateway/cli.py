@@ -12,8 +12,8 @@ import typer
 
 from gateway import __version__, protocol
 from gateway.errors import GatewayError
-from gateway.tools import certs, lease, recordings
-from gateway.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.tools import certs, incidents, lease, recordings
+from gateway.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer(
     name="hexapod-gateway",
@@ -26,16 +26,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--config",
-        metavar="PATH",
-        readable=False,  # what cannot be read is said with a remedy
-        help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists.",
-    ),
-]
 
 
 def _version(wanted: bool) -> None:
@@ -225,6 +215,7 @@ def decode(
 app.add_typer(certs.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
+app.add_typer(incidents.app, name="incidents")
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

@@ -112,8 +112,11 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
     logs.set_up(settings.log)
     logs.keep_stacks()
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
-        runner.run(_run(settings, simulated=simulated, on_ready=on_ready))
+    with (
+        _recorder(settings, simulated=simulated) as recorder,
+        asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
+    ):
+        runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
 
 
 def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, ProofChecker | None]:
@@ -126,9 +129,10 @@ def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, ProofChecker | N
     return config, checker
 
 
-async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]) -> None:
+async def _run(
+    settings: Settings, recorder: Recorder, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]
+) -> None:
     loop, owner = asyncio.get_running_loop(), Ownership()
-    recorder = _recorder(settings, simulated=simulated)
     end = _End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker = _configured(settings.zenoh)
@@ -191,7 +195,6 @@ async def _run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh
     finally:
         with owner:
             conductor.close()
-            recorder.close()
         notifier.close()
     if end.failure is not None:
         raise GatewayError(end.failure)
@@ -342,7 +345,7 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
         stranger = strangers.look()
         with conductor.owner:
             conductor.metrics.loop_lag.record(lag_ns)
-            conductor.recorder.lag(lag_ns)
+            conductor.recorder.beat(lag_ns)
             if stranger is not None:
                 conductor.reject_unread(*stranger)
     end.because("a thread that waits for commands has ended")

@@ -33,6 +33,8 @@ HEADER_BYTES: Final = 4096
 SLOT: Final = 128
 """Room for a command of one leg with a source of 60 characters; one of all legs with a long name takes two slots."""
 ROOM: Final = SLOT - 24
+MAX_NS: Final = 2**62
+"""Later than any time of a record: the year 2116, or a machine that runs for 146 years."""
 MAX_TEXT: Final = 4000
 """Bytes of a record's continued content: the longest sentence of an event has some 400."""
 
@@ -40,10 +42,12 @@ _HEADER: Final = struct.Struct("<18sHII")  # magic, version, slot size, slots
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
 _CRC: Final = struct.Struct("<I")
+_NEWEST_INCIDENT: Final = struct.Struct("<Q")
+_NEWEST_INCIDENT_AT: Final = 64
 
 # ---- types
 
-START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE = range(1, 11)
+START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK = range(1, 12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +89,12 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class FrameWritten:
-    """A frame on the wire; the record's time is when its transfer had ended."""
+    """A frame on the wire; the record's time is when its transfer had ended. `late_ns`: of a watchdog's, how late."""
 
     data: bytes
     cause: str
     transfer_ns: int
+    late_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +124,13 @@ class Lag:
 
 
 @dataclass(frozen=True, slots=True)
+class Clock:
+    """The time that people read at this moment, once a second."""
+
+    wall_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class IncidentBegun:
     """Something happened that is to be kept. `wall_ns` is the time that people read at this moment."""
 
@@ -126,7 +138,7 @@ class IncidentBegun:
     incident: str
 
 
-Content = Start | End | CommandRecord | Decision | FrameWritten | ModeChange | EventTold | Lag | IncidentBegun
+Content = Start | End | CommandRecord | Decision | FrameWritten | ModeChange | EventTold | Lag | Clock | IncidentBegun
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +181,18 @@ def slots_of(head: bytes, size: int) -> int:
     return int(slots)
 
 
+def note_incident(buffer: Any, sequence: int) -> None:
+    """Put the sequence number of the newest incident into the header, where it costs a watcher little to look."""
+    _NEWEST_INCIDENT.pack_into(buffer, _NEWEST_INCIDENT_AT, sequence)
+
+
+def newest_incident(head: bytes) -> int:
+    """What `note_incident` has put there; 0 in a header that is cut off."""
+    if len(head) < HEADER_BYTES:
+        return 0
+    return int(_NEWEST_INCIDENT.unpack_from(head, _NEWEST_INCIDENT_AT)[0])
+
+
 # ---- a slot
 
 
@@ -193,7 +217,11 @@ def read_slot(data: bytes) -> Slot | None:
     """What a slot of SLOT bytes holds; None: no whole record."""
     (checksum,) = _CRC.unpack_from(data)
     length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
-    if not _HEAD.size <= length <= SLOT - _CRC.size or zlib.crc32(data[4 : 4 + length]) != checksum:
+    if (
+        not 0 <= ns < MAX_NS
+        or not _HEAD.size <= length <= SLOT - _CRC.size
+        or zlib.crc32(data[4 : 4 + length]) != checksum
+    ):
         return None
     return Slot(kind, bool(more), sequence, ns, data[4 + _HEAD.size : 4 + length])
 
@@ -203,7 +231,8 @@ def read_slot(data: bytes) -> Slot | None:
 _WALL: Final = struct.Struct("<q")
 _COMMAND: Final = struct.Struct("<IdB")
 _DECISION: Final = struct.Struct("<I")
-_FRAME: Final = struct.Struct("<IB")
+_FRAME: Final = struct.Struct("<IIB")
+_MAX_NS: Final = 0xFFFFFFFF
 _LEFT_OUT: Final = struct.Struct("<I")
 _TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
@@ -252,9 +281,10 @@ def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
     return _DECISION.pack(number & 0xFFFFFFFF) + _texts(verdict, key, source)
 
 
-def frame(data: bytes, cause: str, transfer_ns: int) -> bytes:
+def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0) -> bytes:
     """Of a FrameWritten."""
-    return _FRAME.pack(min(max(transfer_ns, 0), 0xFFFFFFFF), len(data)) + data + _texts(cause)
+    fixed = _FRAME.pack(min(max(transfer_ns, 0), _MAX_NS), min(max(late_ns, 0), _MAX_NS), len(data))
+    return fixed + data + _texts(cause)
 
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
@@ -269,7 +299,7 @@ def mode(name: str) -> bytes:
 
 
 def number(value: int) -> bytes:
-    """Of a Lag."""
+    """Of a Lag or a Clock."""
     return _WALL.pack(value)
 
 
@@ -289,11 +319,18 @@ def decode(kind: int, rest: bytes) -> Content | None:
         raise DamagedError(str(error)) from error
 
 
+def _wall_ns(rest: bytes) -> int:
+    (wall_ns,) = _WALL.unpack_from(rest)
+    if not 0 <= wall_ns < MAX_NS:
+        raise DamagedError(f"{wall_ns} ns is no time of day")
+    return int(wall_ns)
+
+
 def _start(rest: bytes) -> Start:
     facts = json.loads(rest[_WALL.size :])
     if not isinstance(facts, dict):
         raise DamagedError("a start without facts")
-    return Start(_WALL.unpack_from(rest)[0], facts)
+    return Start(_wall_ns(rest), facts)
 
 
 def _command(rest: bytes) -> CommandRecord:
@@ -301,7 +338,7 @@ def _command(rest: bytes) -> CommandRecord:
     flat = _TARGETS[count].unpack_from(rest, _COMMAND.size)
     targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
     verb, key, source = _read_texts(rest, _COMMAND.size + _TARGETS[count].size, 3)
-    return CommandRecord(number, verb, key, source or None, None if math.isnan(sent_ms) else sent_ms, targets)
+    return CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
 
 
 def _decision(rest: bytes) -> Decision:
@@ -310,9 +347,9 @@ def _decision(rest: bytes) -> Decision:
 
 
 def _frame(rest: bytes) -> FrameWritten:
-    transfer_ns, length = _FRAME.unpack_from(rest)
+    transfer_ns, late_ns, length = _FRAME.unpack_from(rest)
     (cause,) = _read_texts(rest, _FRAME.size + length, 1)
-    return FrameWritten(rest[_FRAME.size : _FRAME.size + length], cause, transfer_ns)
+    return FrameWritten(rest[_FRAME.size : _FRAME.size + length], cause, transfer_ns, late_ns)
 
 
 def _event(rest: bytes) -> EventTold:
@@ -350,6 +387,7 @@ _READERS: Final[dict[int, Callable[[bytes], Content]]] = {
     FRAME: _frame,
     MODE: lambda rest: ModeChange(rest.decode()),
     EVENT: _event,
+    CLOCK: lambda rest: Clock(_wall_ns(rest)),
     LAG: lambda rest: Lag(_WALL.unpack(rest)[0]),
-    INCIDENT: lambda rest: IncidentBegun(_WALL.unpack_from(rest)[0], rest[_WALL.size :].decode()),
+    INCIDENT: lambda rest: IncidentBegun(_wall_ns(rest), rest[_WALL.size :].decode()),
 }

@@ -11,9 +11,11 @@ import logging
 import os
 from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Any, Final, NamedTuple
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self
 
 from gateway.core.intake import Intent
+from gateway.errors import GatewayError
 from gateway.protocol.frames import Op
 from gateway.recorder import format as form
 from gateway.recorder import place
@@ -23,6 +25,7 @@ from schemas.telemetry import Cause, Kind, Mode
 
 LAG_NS: Final = 10_000_000
 """A timer that is later than this is recorded: a Stop would have been late by it."""
+CLOCK_NS: Final = 1_000_000_000
 FOLLOW_NS: Final = 5_000_000_000
 """An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
 LONGEST_NS: Final = 30_000_000_000
@@ -46,12 +49,13 @@ _Command = tuple[int, int, str, str, str | None, Intent]
 
 
 class Written(NamedTuple):
-    """A frame that was written: its bytes, why, when its transfer ended, and how long that took."""
+    """A frame that was written: its bytes, why, when its transfer ended, how long that took, and when it was due."""
 
     data: bytes
     cause: Cause
     ns: int
     transfer_ns: int
+    deadline_ns: int | None = None
 
 
 class Recorder:
@@ -59,6 +63,17 @@ class Recorder:
 
     incident: str | None = None
     """The id of the latest incident of this run."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """An error with a sentence is an end in order; any other is for `incidents` to find."""
+        if isinstance(error, GatewayError):
+            self.ended(str(error))
+        self.close()
 
     def open(self) -> None:
         """Open the ring. Until then, what comes waits. Never raises."""
@@ -83,8 +98,8 @@ class Recorder:
     ) -> str | None:
         """An event is published; returns the id of the incident that it belongs to, if it is one."""
 
-    def lag(self, lag_ns: int) -> None:
-        """A timer of the loop was so late."""
+    def beat(self, lag_ns: int) -> None:
+        """The loop turns, ten times a second; its timer was so late."""
 
     def mistake(self, detail: str) -> None:
         """An exception that nobody expected ends the service."""
@@ -111,6 +126,7 @@ class RingRecorder(Recorder):
         self._held: _Command | None = None  # one that stops, until its frames are written
         self._step: list[Written] = []
         self._told = 0  # frames of this step that are recorded
+        self._clock_ns = 0  # when the time that people read was recorded last
         self._first_ns = self._last_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
 
@@ -154,8 +170,9 @@ class RingRecorder(Recorder):
             self._release()
         if written is not self._step:
             self._step, self._told = written, 0
-        for data, cause, ns, transfer_ns in written[self._told :]:
-            self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns))
+        for data, cause, ns, transfer_ns, deadline_ns in written[self._told :]:
+            late_ns = 0 if deadline_ns is None else ns - deadline_ns
+            self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns, late_ns))
         self._told = len(written)
 
     def mode(self, mode: Mode) -> None:
@@ -169,9 +186,13 @@ class RingRecorder(Recorder):
         what = INCIDENTS.get(kind)
         return None if what is None else self._happened(what, now_ns)
 
-    def lag(self, lag_ns: int) -> None:
+    def beat(self, lag_ns: int) -> None:
+        now_ns = self._clock()
         if lag_ns > LAG_NS:
-            self._append(form.LAG, self._clock(), form.number(lag_ns))
+            self._append(form.LAG, now_ns, form.number(lag_ns))
+        if now_ns - self._clock_ns >= CLOCK_NS:
+            self._clock_ns = now_ns
+            self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
 
     def mistake(self, detail: str) -> None:
         if self._held is not None:
@@ -190,6 +211,8 @@ class RingRecorder(Recorder):
             self.incident = incident_id(wall_ns, what)
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
+            if self._ring is not None:
+                self._ring.note_incident()
         self._last_ns = now_ns
         return self.incident
 

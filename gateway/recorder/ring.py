@@ -64,6 +64,10 @@ class Ring:
         self.sequence = sequence + 1
         self.append(form.MORE, ns, rest[form.ROOM :])
 
+    def note_incident(self) -> None:
+        """Whoever watches the file shall look: the record written last is an incident."""
+        form.note_incident(self._map, self.sequence - 1)
+
     def close(self) -> None:
         """Release the file; its content stays."""
         self._map.close()

@@ -277,8 +277,9 @@ class Conductor:
                         fault = fault or error
                         continue
                     now_ns = self._clock()
-                    written.append(Written(self.bus.last_transfer, effect.cause, now_ns, self.bus.last_transfer_ns))
-                    if self.bus.last_transfer[_FIRST_OP] != Op.STOP:
+                    data, took_ns = self.bus.last_transfer, self.bus.last_transfer_ns
+                    written.append(Written(data, effect.cause, now_ns, took_ns, effect.deadline_ns))
+                    if data[_FIRST_OP] != Op.STOP:
                         self.recorder.frames(written)  # no Stop follows in this step, so none waits for it
                     self.metrics.frames[effect.cause] += 1
                     if effect.deadline_ns is not None:

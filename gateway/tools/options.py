@@ -5,6 +5,15 @@ from typing import Annotated
 
 import typer
 
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="PATH",
+        readable=False,  # what cannot be read is said with a remedy
+        help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists.",
+    ),
+]
 ConnectOption = Annotated[
     str | None,
     typer.Option(

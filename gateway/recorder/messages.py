@@ -1,0 +1,178 @@
+"""An incident's records as messages of a recording: on the channels of our keys, in the time that people read."""
+
+from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime
+from typing import Annotated, Final
+
+from pydantic import AwareDatetime, Field
+
+from gateway.protocol.frames import Op
+from gateway.recorder import format as form
+from gateway.recorder.incidents import Incident
+from gateway.recordings import Message
+from schemas import keys
+from schemas.telemetry import Event, FrameRecord, Report
+
+RECORDER: Final = f"{keys.ROOT}/recorder"
+"""The channel of what no key of ours carries."""
+INCIDENT: Final = "incident"
+_OPS: Final = {Op.START: "start", Op.SET: "set", Op.STOP: "stop"}
+
+
+class TargetInBox(Report):
+    """What a command asks of one servo."""
+
+    id: int
+    op: str
+    angle_deg: float | None = None
+
+
+class CommandInBox(Report):
+    """A command as the gateway decoded it, and what became of it."""
+
+    time: Annotated[AwareDatetime, Field(description="its arrival")]
+    number: int
+    verb: str
+    source: str | None
+    sent_ms: float | None
+    targets: tuple[TargetInBox, ...]
+    verdict: Annotated[str | None, Field(description="accepted, coalesced, or the reason of its rejection")]
+    decided_ms: Annotated[float | None, Field(description="from its arrival to that")]
+
+
+class FrameInBox(FrameRecord):
+    """A FrameRecord with what the black box knows besides."""
+
+    transfer_us: float
+    late_us: Annotated[float | None, Field(description="of a watchdog's Stop: written so long after its deadline")]
+
+
+class Note(Report):
+    """The incident, and what happened to the gateway itself.
+
+    `what` is incident, start, end, killed, mode, lag, or rejected (of a message that is no command).
+    """
+
+    time: AwareDatetime
+    what: str
+    detail: str
+    source: str | None = None
+    key: str | None = None
+
+
+COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
+
+
+def messages(incident: Incident, records: Iterable[form.Record]) -> Iterator[Message]:
+    """The incident itself, and what it takes in, oldest first."""
+    taken = incident.records(list(records))
+    verdicts = _verdicts(taken)
+    told = {record.sequence for record in verdicts.values()}
+    zero_ns = incident.zero_wall_ns
+    note = Note(time=_time(zero_ns), what=INCIDENT, detail=incident.name)
+    yield Message(RECORDER, note.model_dump(mode="json"), zero_ns, zero_ns)
+    killed_ns = incident.killed_ns
+    for record in taken:
+        if killed_ns is not None and record.ns > killed_ns:
+            yield _killed(killed_ns + incident.wall_offset_ns)
+            killed_ns = None
+        topic_and_report = _message(record, verdicts, incident.wall_offset_ns, known=record.sequence in told)
+        if topic_and_report is not None:
+            topic, report = topic_and_report
+            wall_ns = record.ns + incident.wall_offset_ns
+            yield Message(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
+    if killed_ns is not None:
+        yield _killed(killed_ns + incident.wall_offset_ns)
+
+
+def _killed(wall_ns: int) -> Message:
+    note = Note(time=_time(wall_ns), what="killed", detail="its last record; it ended without a word")
+    return Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
+
+
+def _verdicts(records: list[form.Record]) -> dict[int, form.Record]:
+    """For the sequence number of each command: the record of what became of it."""
+    found: dict[int, form.Record] = {}
+    waiting: dict[int | str, int] = {}
+    for record in sorted(records, key=lambda each: each.sequence):
+        match record.content:
+            case form.CommandRecord(number=number, key=key):
+                waiting[number or key] = record.sequence
+            case form.Decision(number=number, key=key) if (number or key) in waiting:
+                found[waiting.pop(number or key)] = record
+    return found
+
+
+def _message(
+    record: form.Record, verdicts: dict[int, form.Record], offset_ns: int, *, known: bool
+) -> tuple[str, Report] | None:
+    time = _time(record.ns + offset_ns)
+    match record.content:
+        case form.CommandRecord() as command:
+            decided = verdicts.get(record.sequence)
+            return _topic(command.key), CommandInBox(
+                time=time,
+                number=command.number,
+                verb=command.verb,
+                source=command.source,
+                sent_ms=command.sent_ms,
+                targets=tuple(
+                    TargetInBox(
+                        id=servo_id, op=_OPS[op.op], angle_deg=None if op.op is Op.STOP else op.angle_cdeg / 100
+                    )
+                    for servo_id, op in command.targets
+                ),
+                verdict=None if decided is None else _verdict(decided),
+                decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
+            )
+        case form.Decision() as decision if not known and decision.number == 0:
+            return RECORDER, Note(
+                time=time, what="rejected", detail=decision.verdict, source=decision.source, key=decision.key
+            )
+        case form.FrameWritten() as frame:
+            return keys.FRAME, FrameInBox(
+                time=time,
+                monotonic_ns=record.ns,
+                bytes=frame.data.hex(),
+                cause=frame.cause,
+                transfer_us=frame.transfer_ns / 1000,
+                late_us=frame.late_ns / 1000 if frame.late_ns else None,
+            )
+        case form.EventTold() as event:
+            return keys.EVENT, Event(
+                time=time,
+                kind=event.kind,
+                source=event.source,
+                key=event.key,
+                reason=event.reason,
+                detail=event.detail,
+                left_out=event.left_out,
+            )
+        case _:
+            return _note(record, time)
+
+
+def _note(record: form.Record, time: datetime) -> tuple[str, Report] | None:
+    match record.content:
+        case form.Start(facts=facts):
+            return RECORDER, Note(time=time, what="start", detail=", ".join(f"{k} {v}" for k, v in facts.items()))
+        case form.End(why=why):
+            return RECORDER, Note(time=time, what="end", detail=why)
+        case form.ModeChange(mode=mode):
+            return RECORDER, Note(time=time, what="mode", detail=mode)
+        case form.Lag(lag_ns=lag_ns):
+            return RECORDER, Note(time=time, what="lag", detail=f"{lag_ns / 1e6:.1f} ms")
+        case _:
+            return None
+
+
+def _verdict(record: form.Record) -> str:
+    return record.content.verdict if isinstance(record.content, form.Decision) else ""
+
+
+def _topic(key: str) -> str:
+    return key if key in keys.COMMAND_KEYS else RECORDER
+
+
+def _time(wall_ns: int) -> datetime:
+    return datetime.fromtimestamp(wall_ns / 1e9, UTC)

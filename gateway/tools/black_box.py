@@ -1,0 +1,137 @@
+"""What `hexapod-gateway incidents` does: what the black box kept, and the story of each."""
+
+import logging
+import signal
+import sys
+import threading
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.recorder import kept, place, reader
+from gateway.recorder.incidents import ID, Incident, find
+from gateway.recorder.keeper import LOOK_S, Keeper
+from gateway.recorder.messages import messages
+from gateway.recorder.story import NoStoryError, story, what
+from gateway.recordings import Message, read
+from gateway.settings import Settings
+
+LAST: Final = "last"
+_TIME: Final = "%Y%m%d-%H%M%S"
+
+
+class _Found(NamedTuple):
+    """An incident: its file, or what is in the ring (which may have more of it)."""
+
+    name: str
+    path: Path | None
+    incident: Incident | None
+    content: reader.Content | None
+
+
+def list_all(settings: Settings) -> int:
+    """Print the incidents, newest first. Exit code 0, also where there are none."""
+    folder = _folder(settings)
+    found = _find(folder)
+    for each in reversed(found):
+        when = datetime.strptime(each.name[:15], _TIME).replace(tzinfo=UTC)
+        size = f"{each.path.stat().st_size / 1000:.0f} kB" if each.path is not None else "in the ring"
+        print(f"{each.name:<32}  {when:%Y-%m-%d %H:%M:%S} UTC  {size:>12}  {what(each.name)}")  # noqa: T201
+    if not found:
+        print(f"No incidents in {folder}.")  # noqa: T201
+    return 0
+
+
+def show(settings: Settings, name: str) -> int:
+    """Print the story of an incident."""
+    found = _one(settings, name)
+    try:
+        lines = story(_messages(found))
+    except NoStoryError as error:
+        raise ConfigError(f"{found.path or found.name}: {error}") from error
+    for line in lines:
+        print(line)  # noqa: T201
+    return 0
+
+
+def export(settings: Settings, name: str, file: Path) -> int:
+    """Write an incident's MCAP file."""
+    found = _one(settings, name)
+    try:
+        if found.incident is not None and found.content is not None:
+            kept.write(file, found.incident, found.content.records, overwrite=False)
+        elif found.path is not None:
+            with file.open("xb") as copy:
+                copy.write(found.path.read_bytes())
+    except FileExistsError as error:
+        raise ConfigError(f"{file} exists; name another file") from error
+    except OSError as error:
+        raise ConfigError(f"{file}: {error.strerror}") from error
+    print(f"{found.name} is in {file}")  # noqa: T201
+    return 0
+
+
+def keep(settings: Settings, *, once: bool) -> int:
+    """Keep incidents until SIGTERM; `once`: those that are in the ring now, also where more may still be added."""
+    logging.basicConfig(level=settings.log.level.upper(), format="%(message)s")
+    keeper = Keeper(_folder(settings))
+    if once:
+        keeper.keep(whole_only=False)
+        return 0
+    ended = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    while not ended.wait(LOOK_S):
+        keeper.look()
+    keeper.keep(whole_only=False)  # nobody will look again if the machine goes down
+    return 0
+
+
+def _folder(settings: Settings) -> Path:
+    folder = place.folder_to_read(settings)
+    if folder is None:
+        raise ConfigError("the black box is off; set recorder.path to a folder, in the file that --config names")
+    return folder
+
+
+def _find(folder: Path) -> list[_Found]:
+    """All incidents, oldest first."""
+    found = {each.name: _Found(each.name, each.path, None, None) for each in kept.kept(folder / place.INCIDENTS)}
+    try:
+        content = reader.read(folder / place.RING)
+    except reader.NoRingError as error:
+        if not found and (folder / place.RING).exists():
+            sys.stderr.write(f"hexapod-gateway: {error}\n")
+        return list(found.values())
+    for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
+        path = found[incident.name].path if incident.name in found else None
+        if path is None or not kept.is_kept(folder / place.INCIDENTS, incident):
+            found[incident.name] = _Found(incident.name, path, incident, content)
+    return [found[name] for name in sorted(found)]
+
+
+def _one(settings: Settings, name: str) -> _Found:
+    folder = _folder(settings)
+    found = _find(folder)
+    if name == LAST and found:
+        return found[-1]
+    for each in found:
+        if each.name == name:
+            return each
+    if name != LAST and not ID.fullmatch(name):
+        raise NoIncidentError(
+            f"{name!r} is no id of an incident; `incidents list` shows them, and `last` is the newest"
+        )
+    raise NoIncidentError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")
+
+
+class NoIncidentError(GatewayError):
+    """There is no such incident."""
+
+
+def _messages(found: _Found) -> list[Message]:
+    if found.incident is not None and found.content is not None:
+        return list(messages(found.incident, found.content.records))
+    return [] if found.path is None else list(read(found.path))

@@ -1,0 +1,265 @@
+"""Incidents: found in the ring, kept as files, and told as a story."""
+
+import asyncio
+import json
+import logging
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from mcap.reader import make_reader
+
+from gateway.errors import SpiError
+from gateway.recorder import format as form
+from gateway.recorder import kept, place, reader
+from gateway.recorder.incidents import ID, Incident, find
+from gateway.recorder.keeper import Keeper
+from gateway.recorder.messages import messages
+from gateway.recorder.ring import Ring
+from gateway.recorder.story import story
+from gateway.recordings import read
+from schemas import keys
+from tests.support.robot import WALL_NS, Robot, leg
+from tests.unit.test_recorder import recorded
+
+LEG_3 = keys.leg_command(3)
+START = leg("start", 90, 45, 120, source="anna")
+SECOND = 1_000_000_000
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    return tmp_path / "state"
+
+
+def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], reader.Content]:
+    content = reader.read(folder / place.RING)
+    return find(content.records, written=content.written, now_ns=now_ns), content
+
+
+def told(folder: Path) -> list[str]:
+    """The story of the only incident."""
+    ((incident,), content) = incidents(folder)
+    return story(list(messages(incident, content.records)))
+
+
+async def silence(robot: Robot) -> None:
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.1)
+    robot.put(LEG_3, leg("set", 90, 46, 120, source="anna"))
+    await asyncio.sleep(1)
+
+
+async def estop(robot: Robot) -> None:
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.05)
+    robot.put(keys.ESTOP, {"source": "bert"})
+    robot.put(LEG_3, START)
+    robot.put(LEG_3, START)
+    robot.put(keys.RESET, {"estop": 1, "source": "bert"})
+    robot.put(keys.leg_command(4), START)
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_a_silent_leg(folder: Path) -> None:
+    robot = recorded(folder)
+    await asyncio.sleep(1)
+    await silence(robot)
+    lines = told(folder)
+    assert lines[0] == "20260921-141320-123-watchdog: a leg was silent, and was stopped, at 2026-09-21T14:13:20.123457Z"
+    assert lines[1] == "Before it, anna sent 2 commands for leg 3."
+    assert [line.strip() for line in lines[-7:]] == [
+        "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
+        "0.000 s  watchdog: leg 3 was not heard for 250 ms; it is stopped",
+        "0.000 s  Stop written to leg 3 (watchdog)",
+        "0.000 s  mode idle",
+        "+20.0 ms  Stop repeated for leg 3",
+        "+40.0 ms  Stop repeated for leg 3",
+        "+60.0 ms  Stop repeated for leg 3",
+    ]
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
+    robot = recorded(folder)
+    await estop(robot)
+    lines = [line.strip().partition("  ")[2] for line in told(folder) if "startup" not in line]
+    wanted = [
+        "last command of leg 3 (anna, start 90 45 120)",
+        "emergency stop requested by bert",
+        "emergency stop; all commands are rejected until a reset (bert)",
+        "Stop written to all six legs (estop), the last at 0.000 s",
+        "2 commands of anna are rejected until +0.0 ms: estopped",
+        "reset requested by bert",
+        "first command after it for leg 4 (anna, start 90 45 120)",
+    ]
+    assert [line for line in lines if line in wanted] == wanted, lines
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_a_bus_fault_and_of_a_mistake(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = recorded(folder)
+
+    def fail(_: bytes) -> None:
+        raise SpiError("Input/output error")
+
+    monkeypatch.setattr(robot.controller, "transfer", fail)
+    robot.put(LEG_3, START)
+    robot.conductor.recorder.mistake("a mistake in the gateway ended it: planted")
+    lines = "\n".join(told(folder))
+    assert "the SPI bus failed" in lines
+    assert "bus fault: Input/output error" in lines
+    assert "mistake: a mistake in the gateway ended it: planted" in lines
+    assert "a command of anna is rejected: bus_fault" in lines
+
+
+@pytest.mark.virtual_time
+async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_none(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    assert incidents(folder)[0] == [], "it runs"
+    robot.conductor.recorder.close()
+    ((crash,), content) = incidents(folder)
+    assert crash.name == "20260921-141320-123-crash"
+    lines = story(list(messages(crash, content.records)))
+    assert lines[-1].strip() == "0.000 s  the gateway's last record; its process ended without a word"
+    after = recorded(folder)
+    assert [each.name for each in incidents(folder)[0]] == [crash.name], "the next gateway continues the ring"
+    after.conductor.recorder.ended("asked to")
+    after.conductor.recorder.close()
+    assert [each.name for each in incidents(folder)[0]] == [crash.name]
+
+
+@pytest.mark.virtual_time
+async def test_a_kill_soon_after_a_stop_belongs_to_it(folder: Path) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    robot.conductor.recorder.close()
+    ((incident,), content) = incidents(folder)
+    assert incident.name.endswith("-watchdog")
+    assert "its process ended without a word" in story(list(messages(incident, content.records)))[-1]
+
+
+# ---- files
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("happens", [silence, estop])
+async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas_hold(
+    folder: Path, happens: Callable[[Robot], Any]
+) -> None:
+    robot = recorded(folder)
+    await happens(robot)
+    robot.put(LEG_3, b"{")
+    ((incident,), content) = incidents(folder)
+    path = kept.keep(folder / place.INCIDENTS, incident, content.records)
+    with path.open("rb") as file:
+        seen: dict[str, int] = {}
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            jsonschema.validate(json.loads(message.data), json.loads(schema.data))
+            seen[channel.topic] = seen.get(channel.topic, 0) + 1
+    assert {keys.FRAME, keys.EVENT, LEG_3, "hexapod/recorder", "/joint_states", "/tf"} <= seen.keys()
+    frames = [message.content["bytes"] for message in read(path) if message.topic == keys.FRAME]
+    assert frames == [data.hex() for _, data in robot.controller.transfers]
+    assert story(list(read(path))) == story(list(messages(incident, content.records)))
+
+
+def filled(folder: Path, count: int, size: int = 10) -> None:
+    folder.mkdir(parents=True)
+    for number in range(count):
+        (folder / f"20260921-141320-{number:03d}-watchdog.mcap").write_bytes(b"x" * size)
+
+
+def test_the_newest_hundred_and_two_hundred_megabytes_are_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "incidents"
+    filled(folder, 105)
+    (folder / "mine.mcap").write_text("not an incident's")
+    kept.prune(folder)
+    names = [each.name for each in kept.kept(folder)]
+    assert (len(names), names[0][-12:], names[-1][-12:]) == (100, "005-watchdog", "104-watchdog")
+    assert (folder / "mine.mcap").exists()
+    for number in range(100, 105):
+        os.truncate(folder / f"20260921-141320-{number}-watchdog.mcap", 60_000_000)  # no blocks, only the size
+    kept.prune(folder)
+    assert [each.name[-12:] for each in kept.kept(folder)] == ["102-watchdog", "103-watchdog", "104-watchdog"]
+
+
+@pytest.mark.virtual_time
+async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(folder: Path) -> None:
+    robot = recorded(folder)
+    keeper = Keeper(folder, clock=robot.now_ns)
+    assert keeper.look() == []
+    await silence(robot)
+    assert keeper.look() == []
+    await asyncio.sleep(4.5)
+    (path,) = keeper.look()
+    assert ID.fullmatch(path.stem)
+    assert keeper.look() == []
+    assert Keeper(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
+    robot.put(keys.ESTOP)
+    robot.conductor.recorder.close()
+    await asyncio.sleep(0)
+    (path,) = keeper.look()
+    assert path.stem.endswith("-estop"), "a gateway that has ended adds nothing"
+
+
+@pytest.mark.virtual_time
+async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    keeper = Keeper(folder, clock=robot.now_ns)
+    (path,) = keeper.keep(whole_only=False)
+    before = path.stat().st_size
+    os.utime(path, ns=(0, WALL_NS))
+    robot.put(LEG_3, START)
+    await asyncio.sleep(7)
+    (path,) = Keeper(folder, clock=robot.now_ns).look()
+    assert path.stat().st_size > before
+
+
+@pytest.mark.virtual_time
+async def test_a_full_disk_is_said_once_and_leaves_nothing_behind(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    await asyncio.sleep(5)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    caplog.set_level(logging.WARNING, "gateway.recorder.keeper")
+    keeper = Keeper(folder, clock=robot.now_ns)
+    with monkeypatch.context() as patched:
+        patched.setattr("gateway.recordings.writing.os.write", full)
+        assert keeper.keep(whole_only=True) == keeper.keep(whole_only=True) == []
+    said = [entry.message for entry in caplog.records if "kept" in entry.message]
+    assert len(said) == 1
+    assert said[0].endswith("cannot be kept: No space left on device")
+    assert list((folder / place.INCIDENTS).iterdir()) == []
+    assert len(keeper.keep(whole_only=True)) == 1
+
+
+def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
+    """Records that no gateway writes in this order, or at all."""
+    place_of_ring = place.prepare(folder)
+    ring = Ring(place_of_ring, 100)
+    ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "20260921-141320-123-watchdog"))
+    ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "../../etc/passwd"))
+    ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
+    ring.append(form.DECISION, 5 * SECOND, form.decision(3, "made up", "no key", None))
+    ring.append(form.COMMAND, 5 * SECOND, form.command(0, "put", "no key", None, float("inf"), ()))
+    ring.append(form.EVENT, 5 * SECOND, form.event("made up", None, None, None, "", 0))
+    ring.append(form.CLOCK, 2**62, form.number(0))
+    ring.append(form.CLOCK, 1, form.number(2**62))
+    ring.close()
+    found, content = incidents(folder)
+    assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
+    assert content.damaged == 2
+    path = kept.keep(folder / place.INCIDENTS, found[0], content.records)
+    assert "made up: " in "\n".join(story(list(read(path))))

@@ -1,0 +1,94 @@
+"""`hexapod-gateway incidents` beside a real gateway: while it runs, after it was killed, and with what keeps them."""
+
+import json
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.recordings import read
+from schemas import keys
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+
+LEG_3 = keys.leg_command(3)
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with Gateway(tmp_path, {"recorder": {"path": str(tmp_path / "box"), "seconds": 10}}) as gateway:
+        yield gateway
+
+
+def incidents(gateway: Gateway, *arguments: str) -> tuple[int, list[str]]:
+    """Run it with this gateway's configuration; its exit code and what it printed."""
+    child = Child([*COMMAND, "incidents", *arguments, "--config", str(gateway.config)], os.environ)
+    code = child.wait(30)
+    child.close()
+    return code, child.stdout.splitlines()
+
+
+def test_a_stop_is_told_at_once_and_a_killed_gateways_story_is_still_there(gateway: Gateway, tmp_path: Path) -> None:
+    with gateway.client(source="anna") as client:
+        events: list[str] = []
+        client.on_event(lambda event: events.append(f"{event.kind} {event.incident}"))
+        assert client.start_leg(3, 90, 45, 120).accepted
+        assert client.estop().accepted
+        name = client.state().incident
+    assert name is not None
+    assert name.endswith("-estop")
+    assert any(event == f"estop_engaged {name}" for event in events)
+    code, lines = incidents(gateway, "show", "last")
+    assert code == 0
+    assert lines[0].startswith(f"{name}: somebody requested an emergency stop, at ")
+    assert any("last command of leg 3 (anna, start 90 45 120)" in line for line in lines)
+    assert any("Stop written to all six legs (estop)" in line for line in lines)
+
+    os.kill(gateway.child.pid, signal.SIGKILL)
+    gateway.child.wait(10)
+    assert "ended without a word" in incidents(gateway, "show", name)[1][-1]
+    file = tmp_path / "stop.mcap"
+    assert incidents(gateway, "export", "last", str(file)) == (0, [f"{name} is in {file}"])
+    frames = [message.content for message in read(file) if message.topic == keys.FRAME]
+    assert [frame["cause"] for frame in frames if frame["cause"] != "repeat"] == [
+        *["startup"] * 6, "command", *["estop"] * 6,
+    ]  # fmt: skip
+    assert incidents(gateway, "export", "last", str(file))[0] == 2, "it exists"
+    assert incidents(gateway, "show", "yesterday")[0] == 1
+    assert incidents(gateway, "show", "20200101-000000-000-estop")[0] == 1
+
+    keeper = Child([*COMMAND, "incidents", "keep", "--config", str(gateway.config)], os.environ)
+    keeper.wait_for_output(f"incident {name} is kept", timeout_s=30)
+    os.kill(keeper.pid, signal.SIGTERM)
+    assert keeper.wait(10) == 0
+    keeper.close()
+    code, (line,) = incidents(gateway)
+    assert (code, line.split()[0]) == (0, name)
+    assert "in the ring" not in line
+    assert "ended without a word" in incidents(gateway, "show", name)[1][-1]
+
+
+def test_a_laptop_without_a_black_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    (tmp_path / "gateway.toml").write_text('[log]\nlevel = "info"\n')
+    child = Child([*COMMAND, "incidents", "--config", str(tmp_path / "gateway.toml")], os.environ)
+    if not Path("/var/lib/hexapod-gateway").is_dir():
+        assert child.wait(30) == 2
+        assert "the black box is off; set recorder.path" in child.stderr
+    child.close()
+
+
+def test_no_token_of_a_lease_is_in_the_ring(gateway: Gateway, tmp_path: Path) -> None:
+    token = "0123456789abcdef" * 2
+    with gateway.client() as client:
+        leg = {"servos": [{"op": "start", "angle_deg": 90}] * 3, "lease": token}
+        client.session.put(LEG_3, json.dumps(leg))
+        client.session.put(LEG_3, json.dumps({**leg, "more": token}))
+        assert client.stop(3).accepted
+    ring = (tmp_path / "box" / "black-box").read_bytes()
+    assert LEG_3.encode() in ring
+    assert token.encode() not in ring
+    assert bytes.fromhex(token) not in ring
