@@ -77,7 +77,6 @@ class Inbox:
         self._engage = on_estop
         self._estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
-        self._woken_keys: set[str] = set()
         self._heard: dict[str, int] = {}
         """How many messages of each key there are, by the wakeups since the last tick."""
         self._missed: dict[str, int] = {}
@@ -85,7 +84,6 @@ class Inbox:
         self._early: dict[str, int] = {}
         """How many were taken before their wakeup was heard."""
         self._early_until_s = 0.0
-        self._taken_ns = 0  # when the rings were looked into
         self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
         self._look_at: Collection[str] = ()
         self._read_all = False
@@ -104,7 +102,7 @@ class Inbox:
             for key in COMMAND_KEYS
             if key != ESTOP
         }
-        self._rings = Rings[_Item, Received](receivers, self._made, _words_of_stop)
+        self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), _words_of_stop)
         self._wakeups = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
@@ -145,12 +143,11 @@ class Inbox:
             while self._estops:
                 yield self._estops.popleft()
             if received.target is not None and received.verb is not Verb.LOST:
-                taken[received.key] = taken.get(received.key, 0) + 1
+                taken[received.key] = taken[received.key] + 1 if received.key in taken else 1
             yield received
         while self._estops:
             yield self._estops.popleft()
         self._compare(taken)
-        self._woken_keys.clear()
         self._read_all = False
         if self._rings.instant_open:
             self._closing.set(self._loop.time() + FLOOD_PAUSE_S)  # to close it, if nothing else comes
@@ -195,7 +192,7 @@ class Inbox:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
             # Whoever lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
-        self._estops.append(_received(item, ESTOP, received_ns, self._estop_replies))
+        self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
         return self._engage_all
 
     # ---- as owner of the state
@@ -231,8 +228,7 @@ class Inbox:
         """A key of ours is read from its own ring; what names none of ours is rejected from here."""
         key = str(item.key_expr)
         if key in _RING_KEYS:
-            self._woken_keys.add(key)
-            self._heard[key] = self._heard.get(key, 0) + 1
+            self._heard[key] = self._heard[key] + 1 if key in self._heard else 1
         elif key != ESTOP and not (key == LEASE and isinstance(item, zenoh.Query)):
             named = (
                 {known for known in COMMAND_KEYS if item.key_expr.intersects(zenoh.KeyExpr(known))}
@@ -240,10 +236,9 @@ class Inbox:
                 else set[str]()
             )
             for each in named & _RING_KEYS:
-                self._woken_keys.add(each)
                 self._heard[each] = self._heard.get(each, 0) + 1
             if not named:
-                self._others.append(_received(item, key, received_ns, self._replies))
+                self._others.append(_received(self._replies, key, item, received_ns))
                 return
         if isinstance(item, zenoh.Query):
             # Its asker may wait for the end of all that it reached, so an emergency stop's is not sent behind others.
@@ -252,19 +247,15 @@ class Inbox:
     def _take_commands(self) -> list[Received]:
         # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
         # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
-        keys = () if self._read_all else self._woken_keys.union(self._look_at)
-        self._taken_ns = time.monotonic_ns()
+        keys = () if self._read_all else {*self._heard, *self._look_at}
         try:
-            found = [_lost(key, self._taken_ns) if each is None else each for key, each in self._rings.read(keys)]
+            found = [_lost(key) if each is None else each for key, each in self._rings.read(keys)]
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
             found = []
         if self._others:
             found.extend(self._others)
             self._others.clear()
         return found
-
-    def _made(self, key: str, item: _Item) -> Received:
-        return _received(item, key, self._taken_ns, self._replies)
 
     def _compare(self, taken: dict[str, int]) -> None:
         """Look again, if more messages were heard of than taken: one of them has not reached its key's ring yet.
@@ -328,11 +319,12 @@ def _words_of_stop(received: Received) -> bytes | None:
     return words if b"stop" in words or b"\\" in words else None
 
 
-def _lost(key: str, now_ns: int) -> Received:
-    return Received(key, key, COMMAND_KEYS[key], Verb.LOST, b"", 0, "zenoh/bytes", None, now_ns)
+def _lost(key: str) -> Received:
+    return Received(key, key, COMMAND_KEYS[key], Verb.LOST, b"", 0, "zenoh/bytes", None, time.monotonic_ns())
 
 
-def _received(item: _Item, key: str, received_ns: int, answers: ReplySender) -> Received:
+def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | None = None) -> Received:
+    """What was said on `key`, and when it came, where that is known better than by now."""
     payload = item.payload
     size = len(payload) if payload is not None else 0
     if isinstance(item, zenoh.Query):
@@ -348,6 +340,6 @@ def _received(item: _Item, key: str, received_ns: int, answers: ReplySender) -> 
         size=size,
         encoding=str(item.encoding) if item.encoding is not None else "zenoh/bytes",
         source=str(item.source_info.source_id.zid) if item.source_info is not None else None,
-        received_ns=received_ns,
+        received_ns=time.monotonic_ns() if received_ns is None else received_ns,
         reply=reply,
     )

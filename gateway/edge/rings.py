@@ -105,8 +105,8 @@ class Rings(Generic[Item, Message]):
         for _ in range(PASSES):
             again: set[Ring[Item]] = set()
             for ring in due:
-                if again:
-                    again.discard(ring)  # it is read now, after what made it due
+                if ring in again:
+                    again.remove(ring)  # it is read now, after what made it due
                 first = ring.receive()
                 if first is not None:
                     items = self._made(ring, ring.rest(first))
@@ -133,6 +133,8 @@ class Rings(Generic[Item, Message]):
 
     def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
         """The newest, and before them the older Stops, or None where some may have been lost."""
+        if len(found) == 1:
+            return [self._make(ring.key, found[0])]
         newest = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
         if len(found) <= RING_DEPTH or ring.key == RESET:
             return newest

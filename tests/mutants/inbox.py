@@ -92,7 +92,7 @@ INBOX = Subject(
             "reply senders outlive the inbox",
         ),
         Mutant(
-            "        self._estops.append(_received(item, ESTOP, received_ns, self._estop_replies))",
+            "        self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))",
             "        self._estops.append(_received(item, ESTOP, received_ns, self._replies))",
             "an emergency stop's answer waits behind an asker who does not read",
         ),
@@ -254,7 +254,7 @@ RINGS = Subject(
             "in a flood, an older start overtakes a Stop",
         ),
         Mutant(
-            "                    again.discard(ring)  # it is read now",
+            "                    again.remove(ring)  # it is read now",
             "                    pass  # it is read now",
             "a ring is read twice for nothing",
         ),

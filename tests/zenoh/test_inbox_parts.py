@@ -326,7 +326,7 @@ def test_whoever_says_who_they_are_is_known(zid: str | None) -> None:
     info = None if zid is None else SimpleNamespace(source_id=SimpleNamespace(zid=zid))
     put: Any = SimpleNamespace(key_expr=LEG_1, payload=None, encoding=None, kind=zenoh.SampleKind.PUT, source_info=info)
     answers: Any = None
-    assert _received(put, LEG_1, 0, answers).source == zid
+    assert _received(answers, LEG_1, put).source == zid
 
 
 async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) -> None:
@@ -336,7 +336,7 @@ async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) ->
         session.delete(LEG_1)
         samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
     answers: Any = None
-    messages = [_received(sample, LEG_1, 0, answers) for sample in samples]
+    messages = [_received(answers, LEG_1, sample) for sample in samples]
     assert [_words_of_stop(message) is not None for message in messages] == [True, True, False, False, True]
 
 
