@@ -1,6 +1,6 @@
 """What a setpoint costs in Python calls and in memory: the same on every machine, however busy.
 
-    python -m tests.benchmarks.calls
+    python -m tests.benchmarks.calls [SECONDS]
 
 A gateway's parts in a process of their own, with the real Zenoh and a device that only takes bytes; a publisher in
 another. Every Python and C function that a thread of the gateway's calls is counted, from the message in its ring to
@@ -37,6 +37,9 @@ RUN_S = 4.0
 HZ = 40
 """Below the rate limit, so that no setpoint waits for a rate slot and a timer."""
 MOST_CALLS = 130
+HELD_CALLS = 185
+"""What a test holds them to. A message that is heard of before it is in its ring costs a second look, so that there are
+some ten more on a machine that is busy."""
 
 
 class _Device(SimulatedController):
@@ -66,7 +69,7 @@ class _Counter:
         self.calls += event in ("call", "c_call")
 
 
-async def _measure() -> tuple[float, float]:
+async def _measure(run_s: float) -> tuple[float, float]:
     """Calls, and bytes, for a setpoint."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     settings = Settings.model_validate(
@@ -100,12 +103,12 @@ async def _measure() -> tuple[float, float]:
         await asyncio.to_thread(publisher.wait_for_line, 1)
         counter.calls, before = 0, conductor.metrics.accepted
         sys.setprofile(counter)
-        publisher.tell(str(RUN_S))
+        publisher.tell(str(run_s))
         await asyncio.to_thread(publisher.wait_for_line, 2)
         sys.setprofile(None)
         calls_each = counter.calls / (conductor.metrics.accepted - before)
         tracemalloc.start()
-        publisher.tell(str(RUN_S / 4))
+        publisher.tell(str(run_s / 4))
         await asyncio.to_thread(publisher.wait_for_line, 3)
         tracemalloc.stop()
     beat.cancel()
@@ -126,15 +129,21 @@ async def _beat(conductor: Conductor) -> None:
 def main() -> None:
     """Print both as JSON."""
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
-        calls_each, bytes_each = runner.run(_measure())
+        calls_each, bytes_each = runner.run(_measure(float(sys.argv[1]) if len(sys.argv) > 1 else RUN_S))
     print(json.dumps({"calls": calls_each, "bytes": bytes_each}), flush=True)
 
 
-def calls(_folder: Path) -> list[Row]:
-    """The figures, from a process of their own."""
-    with closing(Child([sys.executable, "-m", "tests.benchmarks.calls"], os.environ)) as child:
+def measured(run_s: float = RUN_S) -> dict[str, float]:
+    """`calls` and `bytes` for a setpoint, from a process of their own."""
+    with closing(Child([sys.executable, "-m", "tests.benchmarks.calls", str(run_s)], os.environ)) as child:
         child.wait(60)
-        found = json.loads(child.stdout)
+        found: dict[str, float] = json.loads(child.stdout)
+        return found
+
+
+def calls(_folder: Path) -> list[Row]:
+    """The figures."""
+    found = measured()
     number = found["calls"]
     return [
         Row("Python calls for a setpoint", f"{number:.0f}", "", f"at most {MOST_CALLS}", number <= MOST_CALLS),

@@ -161,7 +161,7 @@ async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dea
 
 async def test_an_emergency_stop_waits_for_no_wakeup(session: zenoh.Session, held: Held) -> None:
     session.put(ESTOP, b"")
-    await held.woken()
+    await held.until(lambda: bool(held.estops))
     assert [each.key for each in held.estops] == [ESTOP]
 
 
@@ -176,7 +176,7 @@ async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: H
 
     held.inbox._replies._work.put(hold_up)
     asked = session.get(ESTOP, timeout=PATIENCE_S)
-    await held.woken()
+    await held.until(lambda: bool(held.estops))
     (each,) = held.estops
     assert each.reply is not None
     each.reply(b"stopped")
