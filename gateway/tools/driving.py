@@ -1,5 +1,6 @@
 """Who is driving, from a shell: what `lease` and `send --hold` do with the lease."""
 
+import shlex
 import signal
 import sys
 import threading
@@ -13,7 +14,7 @@ from gateway.client import Client, Lease, LeaseError
 from gateway.errors import ConfigError, LeaseLostError, UnansweredError
 from gateway.tools import kept_lease, reach
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say, this_command
+from gateway.tools.terminal import hint, say, this_command, visible
 from schemas.telemetry import GatewayState, LeaseReport, Reason
 
 connection = partial(reach.connection, source="hexapod-gateway lease")
@@ -28,7 +29,7 @@ def status(connect: Connection) -> int:
         lease = client.state().lease
     say(_who(lease))
     if lease.asked_by is not None:
-        say(f"{lease.asked_by} asks for it")
+        say(f"{visible(lease.asked_by)} asks for it")
     return 0
 
 
@@ -46,13 +47,17 @@ def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float
     """Hold it until Ctrl-C, for so long, or until it is lost or released from elsewhere. Returns the exit code."""
     with connect() as client, _ended() as ended:
         if wait_s and (holder := client.state().lease.holder) is not None:
-            hint(f"{holder} drives, and is asked; waiting for up to {wait_s:g} s.")
+            hint(f"{visible(holder)} drives, and is asked; waiting for up to {wait_s:g} s.")
         lease = client.lease(
             take=take, wait_s=wait_s, source=kept_lease.me(), on_lost=lambda _: ended.set(), on_asked=_tell_of_asker
         )
         try:
             lease.acquire()
         except LeaseError as error:
+            if error.reason == Reason.LEASE_HELD and kept_lease.token_of(client) is not None:
+                say("rejected: lease_held: this user holds it already, in another terminal")
+                hint(f"`{this_command()} lease release` ends that.")
+                return 1
             return rejected(error)
         try:
             released = _drive(client, lease, ended, for_s)
@@ -61,7 +66,7 @@ def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float
     if lease.lost is None or released:
         say("released" if lease.lost is None else "released elsewhere")
         return 0
-    say(f"lost: {lease.lost.detail}")
+    say(visible(f"lost: {lease.lost.detail}"))
     return 1
 
 
@@ -88,7 +93,7 @@ def release(connect: Connection, to: str | None) -> int:
         if not ack.accepted:
             return rejected(LeaseError(ack.reason or "", ack.detail or "", ack.holder))
         kept_lease.forget(client, token)
-        say("released" if to is None else f"handed over to {to}")
+        say("released" if to is None else f"handed over to {visible(to)}")
         return 0
 
 
@@ -116,7 +121,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, 
         if error.reason == Reason.LEASE_HELD:
             raise
         if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know what is asked
-            hint(f"It is sent without the lease: {error.detail}")
+            hint(visible(f"It is sent without the lease: {error.detail}"))
     try:
         yield {}
     finally:
@@ -125,7 +130,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, 
 
 def rejected(error: LeaseError | LeaseLostError) -> int:
     """Say why, and what can be done. Returns the exit code."""
-    say(f"rejected: {error.reason}: {error.detail}")
+    say(visible(f"rejected: {error.reason}: {error.detail}"))
     advise(error.reason)
     return 1
 
@@ -145,9 +150,10 @@ def _who(lease: LeaseReport) -> str:
     if lease.holder is None:
         return "nobody drives"
     verified = "" if lease.verified else _UNVERIFIED
+    holder = visible(lease.holder)
     if lease.held_s is None:
-        return f"handed over to {lease.holder}{verified}, who has not acquired it yet"
-    return f"{lease.holder} drives{verified}, for {lease.held_s:.0f} s"
+        return f"handed over to {holder}{verified}, who has not acquired it yet"
+    return f"{holder} drives{verified}, for {lease.held_s:.0f} s"
 
 
 def _agree(state: GatewayState) -> bool:
@@ -162,7 +168,8 @@ def _agree(state: GatewayState) -> bool:
 
 
 def _tell_of_asker(who: str) -> None:
-    hint(f"{who} asks for the lease: `{this_command()} lease release --to {who}` hands it over.")
+    to = shlex.quote(visible(who))
+    hint(f"{visible(who)} asks for the lease: `{this_command()} lease release --to {to}` hands it over.")
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from gateway.client import Client, LeaseError, leg_payload, servo_payload, sever
 from gateway.errors import ConfigError
 from gateway.tools import reach
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say, this_command
+from gateway.tools.terminal import hint, say, this_command, visible
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack
@@ -132,6 +132,6 @@ def _report(ack: Ack, accepted: str) -> int:
         return 0
     from gateway.tools import driving
 
-    say(f"rejected: {ack.reason}: {ack.detail}")
+    say(visible(f"rejected: {ack.reason}: {ack.detail}"))
     driving.advise(ack.reason)
     return 1

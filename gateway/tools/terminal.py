@@ -13,6 +13,11 @@ def this_command() -> str:
     return called
 
 
+def visible(text: str) -> str:
+    """The text on one line, without control characters: a stranger's name must not control the terminal."""
+    return text if text.isprintable() else "".join(char if char.isprintable() else "�" for char in text)
+
+
 def say(text: str) -> None:
     """A line of result, on stdout."""
     sys.stdout.write(f"{text}\n")

@@ -145,6 +145,23 @@ def test_who_asks_a_shell_is_told_to_it_and_can_be_handed_it(gateway: Gateway, a
         assert holder.wait() == 0
 
 
+def test_who_holds_it_already_is_told_so(gateway: Gateway, anna: Client) -> None:
+    with closing(begun(gateway, "acquire")) as holder:
+        holder.wait_for_line(0)
+        assert anna.state().lease.holder == me()
+        assert lines(gateway.run("lease", "acquire")) == [
+            "rejected: lease_held: this user holds it already, in another terminal"
+        ]
+
+
+def test_a_name_does_not_control_the_terminal(gateway: Gateway, anna: Client) -> None:
+    assert anna.state().lease.holder is None
+    with gateway.client(source="eve\x1b[2J\naccepted") as eve, eve.lease():
+        assert lines(gateway.run("lease", "status"))[0].startswith("eve�[2J�accepted drives")
+        end = gateway.run("send", "leg", "3", "start", "1", "2", "3")
+        assert lines(end) == ["rejected: not_holder: eve�[2J�accepted holds the lease"]
+
+
 def test_take_says_whom_it_stops_and_wants_a_yes(gateway: Gateway, anna: Client) -> None:
     def stopped(state: GatewayState) -> bool:
         return state.mode is Mode.IDLE

@@ -13,7 +13,7 @@ from typing import Final
 from gateway.client import Client
 from gateway.errors import ConfigError, ZenohError
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say, this_command
+from gateway.tools.terminal import hint, say, this_command, visible
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Mode
 
@@ -109,7 +109,7 @@ def _held(client: Client, servo_id: int, angle_deg: float, period_s: float) -> b
 
 def _accepted(ack: Ack) -> bool:
     if not ack.accepted:
-        say(f"rejected: {ack.reason}: {ack.detail}")
+        say(visible(f"rejected: {ack.reason}: {ack.detail}"))
     return ack.accepted
 
 

@@ -15,8 +15,9 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.client import Client, several_answer
 from gateway.errors import GatewayError
+from gateway.tools.terminal import visible
 from gateway.tools.watch.lease_keys import LeaseKeys
-from gateway.tools.watch.model import Model, Presence, visible
+from gateway.tools.watch.model import Model, Presence
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState
 

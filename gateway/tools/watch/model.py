@@ -11,6 +11,7 @@ from datetime import datetime
 from enum import Enum, StrEnum, auto
 from typing import Final
 
+from gateway.tools.terminal import visible
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
 
@@ -382,11 +383,6 @@ _BAD: Final = frozenset(
 
 def _started_s(state: GatewayState) -> float:
     return state.time.timestamp() - state.uptime_s
-
-
-def visible(text: str) -> str:
-    """The text without control characters: a sender's text must not control the terminal."""
-    return text if text.isprintable() else "".join(char if char.isprintable() else "�" for char in text)
 
 
 def top_rejected(rejected: Mapping[str, int], count: int) -> list[tuple[str, int]]:

@@ -9,7 +9,8 @@ from typing import Final
 from rich.cells import cell_len
 from rich.text import Text
 
-from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_rejected, visible
+from gateway.tools.terminal import visible
+from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_rejected
 from schemas.telemetry import GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
