@@ -6,6 +6,7 @@ from tests.mutants.conductor import CONDUCTOR, INTENTS, LOSSES
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
+from tests.mutants.lease import DESK, LEASE, NONCES, PROOF
 from tests.mutants.legs import LEGS
 from tests.mutants.mutant import Subject
 from tests.mutants.ownership import OWNERSHIP, RECEIVER
@@ -28,6 +29,10 @@ SUBJECTS: tuple[Subject, ...] = (
     INTENTS,
     LOSSES,
     SUPERVISOR,
+    LEASE,
+    NONCES,
+    PROOF,
+    DESK,
     LEGS,
     PACING,
     BUS,
