@@ -194,18 +194,19 @@ def events(
         for whose, token in tokens(configuration.drivers, lease):
             yield f"{channel} command {which}{whose}", Command(number, channel, targets, lease=token)
     yield "time passed", TimePassed()
+    yield "bus opened", BusOpened()
+    yield from lease_requests(configuration.drivers, number, lease)
+    if configuration.calm:
+        return
     yield "emergency stop", EmergencyStop()
     for whose, token in tokens(configuration.drivers, lease):
         yield f"reset{whose}", Reset(number, estop=estops, lease=token)
-    yield from lease_requests(configuration.drivers, number, lease)
     if mode is Mode.ESTOPPED:
         yield "reset of an older one", Reset(number, estop=estops - 1)
         yield "reset of none that was", Reset(number, estop=estops + 1)
         yield "reset without a number", Reset(number)
-    if not configuration.calm:
-        yield from STOP_SERVOS.items()
-        yield "bus failed", BusFailed("a test's fault")
-    yield "bus opened", BusOpened()
+    yield from STOP_SERVOS.items()
+    yield "bus failed", BusFailed("a test's fault")
     if configuration.ends:
         yield "shut down", ShutDown()
 

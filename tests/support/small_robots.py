@@ -29,7 +29,7 @@ class Configuration:
     drivers: tuple[str, ...] = ()
     """Who wants the lease."""
     calm: bool = False
-    """Whether the bus answers, and no other program stops servos."""
+    """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
 
 
 LOW, HIGH = 10_00, 20_00

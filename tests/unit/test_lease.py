@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.core.events import Announce, Do, LeaseAnswer
+from gateway.core.events import Announce, Do, LeaseAnswer, LeaseRequest
 from gateway.core.lease import MOST_ASKERS, TRANSITIONS, LeaseState
 from gateway.core.legs import Rules
 from schemas.telemetry import Kind
@@ -25,6 +25,11 @@ def driven_by_anna(rules: Rules | None = None) -> Steps:
 def answer(robot: Steps) -> LeaseAnswer:
     (found,) = [effect for effect in robot.effects if isinstance(effect, LeaseAnswer)]
     return found
+
+
+def answer_to(robot: Steps, at_ms: float, request: LeaseRequest) -> LeaseAnswer:
+    robot.take(at_ms, request)
+    return answer(robot)
 
 
 def told(robot: Steps) -> list[tuple[Kind, str | None, str]]:
@@ -244,10 +249,15 @@ def test_few_askers_are_remembered_the_latest() -> None:
     assert robot.lease(3, "release to person 1", ANNA) == ["announce lease_released", GRANTED]
 
 
-def test_what_is_known_of_a_name_goes_with_it() -> None:
-    robot = Steps()
-    robot.lease(0, "acquire anna", fresh=ANNA)
-    assert answer(robot).verified is robot.supervisor.lease.verified is False
+@pytest.mark.parametrize("verified", [False, True])
+def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
+    robot = driven_by_anna()
+    assert answer_to(robot, 2, LeaseRequest(Do.ASK, "bert", verified)).verified is False, "anna's is not"
+    robot.lease(3, "release to bert", ANNA)
+    assert robot.supervisor.lease.verified is verified
+    assert answer_to(robot, 4, LeaseRequest(Do.ACQUIRE, "bert", verified, fresh_token=BERT)).verified is verified
+    robot.lease(5, "release", BERT)
+    assert robot.supervisor.lease.verified is False
 
 
 # ---- taken
