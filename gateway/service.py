@@ -11,12 +11,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from math import ceil
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import zenoh
 
 from gateway import __version__
-from gateway.certs.proof import ProofChecker
 from gateway.core.legs import Rules
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.supervisor import Supervisor
@@ -46,6 +45,9 @@ from gateway.spi.simulator import SimulatedController
 from gateway.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.keys import STATE
 from schemas.robot import LEGS
+
+if TYPE_CHECKING:
+    from gateway.certs import ProofChecker
 
 END_S = 0.8
 """What the end may take: the second of docs/interface.md, Behaviour 7, less what the process needs to go."""
@@ -119,7 +121,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
         runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
 
 
-def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, ProofChecker | None]:
+def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None"]:
     """Zenoh's configuration, and what checks who asks for the lease, where it names a CA. Raises ConfigError."""
     config = service_config(settings)
     checker = checker_of(config)
@@ -211,7 +213,7 @@ def _inbox(
     session: zenoh.Session,
     loop: asyncio.AbstractEventLoop,
     conductor: Conductor,
-    checker: ProofChecker | None,
+    checker: "ProofChecker | None",
     ttl_ms: float,
 ) -> Inbox:
     """What comes in, connected with the conductor."""

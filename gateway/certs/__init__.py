@@ -11,6 +11,7 @@ CONSOLE_DAYS: Final = 459
 
 if TYPE_CHECKING:
     from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, issue, renew
+    from gateway.certs.proof import ProofChecker
     from gateway.certs.reading import read_certificate, read_certificates, read_file
 
 _HOMES: Final = {
@@ -18,6 +19,7 @@ _HOMES: Final = {
         ("Certificate", "add_robots", "console", "describe", "expiries", "init", "issue", "renew"),
         "gateway.certs.folder",
     ),
+    "ProofChecker": "gateway.certs.proof",
     **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
 }
 
@@ -35,6 +37,7 @@ __all__ = [
     "LAPTOP_ROLES",
     "LEAF_DAYS",
     "Certificate",
+    "ProofChecker",
     "add_robots",
     "console",
     "describe",

@@ -1,4 +1,4 @@
-"""Proofs of who asks for the lease: a laptop signs with the key of its certificate, and the gateway checks.
+"""Proofs of who asks for the lease: a laptop has signed with the key of its certificate, and the gateway checks.
 
 The person's name stands in the certificate beside the role (see `authority`). Zenoh has checked the certificate of the
 link, but behind a router that is the router's; so the gateway checks the person's here, once for each lease.
@@ -12,33 +12,14 @@ from typing import Final
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from gateway.certs.authority import role_and_name
 from gateway.certs.reading import read_certificate, read_certificates
-from gateway.errors import ConfigError
 from schemas.lease import Proof, signed_text
 
 OPERATOR: Final = "operator"
-
-
-def prove(certificate: Path, key: Path, do: str, source: str, nonce: str) -> Proof:
-    """Sign with the key of a certificate, both PEM files. Raises ConfigError where they cannot be used."""
-    pem = read_certificate(certificate).public_bytes(serialization.Encoding.PEM).decode()
-    try:
-        loaded = serialization.load_pem_private_key(key.read_bytes(), password=None)
-    except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise ConfigError(f"{key} holds no unencrypted key in PEM form: {error}") from error
-    text = signed_text(do, source, nonce)
-    match loaded:
-        case ec.EllipticCurvePrivateKey():
-            signature = loaded.sign(text, ec.ECDSA(hashes.SHA256()))
-        case rsa.RSAPrivateKey():
-            signature = loaded.sign(text, padding.PKCS1v15(), hashes.SHA256())
-        case _:
-            raise ConfigError(f"{key} is neither an elliptic-curve nor an RSA key")
-    return Proof(nonce=nonce, certificate=pem, signature=base64.b64encode(signature).decode())
 
 
 class ProofChecker:

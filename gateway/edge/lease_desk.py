@@ -9,12 +9,12 @@ import secrets
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import zenoh
 from pydantic import ValidationError
 
-from gateway.certs.proof import ProofChecker
+from gateway import certs
 from gateway.core.events import Do, LeaseRequest
 from gateway.core.intake import ENCODINGS
 from gateway.core.message import Reply
@@ -23,6 +23,9 @@ from gateway.edge.config_file import get
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
+
+if TYPE_CHECKING:
+    from gateway.certs import ProofChecker
 
 CHECKS_PER_S: Final = 20
 """6 ms a second of the interpreter's lock. A person asks once, and a program once for each lease."""
@@ -47,7 +50,7 @@ class LeaseDesk:
     def __init__(
         self,
         answers: Answers,
-        checker: ProofChecker | None,
+        checker: "ProofChecker | None",
         *,
         wall_clock: Callable[[], dt.datetime],
         fresh: Callable[[], str] = lambda: secrets.token_hex(16),
@@ -128,12 +131,12 @@ def _why(error: ValidationError) -> tuple[Reason, str]:
     return Reason.INVALID, f"{'.'.join(known)} is missing, or not what docs/interface.md says"
 
 
-def checker_of(config: zenoh.Config) -> ProofChecker | None:
+def checker_of(config: zenoh.Config) -> "ProofChecker | None":
     """Checks proofs against the CA that the Zenoh file names; None where it names none. Raises ConfigError."""
     ca = _path(config, "root_ca_certificate")
     if ca is None:
         return None
-    return ProofChecker.of(ca, _path(config, "connect_certificate") or _path(config, "listen_certificate"))
+    return certs.ProofChecker.of(ca, _path(config, "connect_certificate") or _path(config, "listen_certificate"))
 
 
 def _path(config: zenoh.Config, name: str) -> Path | None:

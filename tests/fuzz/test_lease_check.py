@@ -18,9 +18,8 @@ TWO_DRIVERS = BY_NAME["two drivers and one lease"]
 REQUIRED = BY_NAME["a lease that must be held and is never taken, and whatever else may happen"]
 
 
-SLOW = replace(
-    TWO_DRIVERS, name="with rate slots that are waited for", rules=replace(TWO_DRIVERS.rules, period_ns=8 * TICK)
-)
+WAITED_FOR = replace(TWO_DRIVERS.rules, period_ns=8 * TICK)
+SLOW = replace(TWO_DRIVERS, name="one driver and rate slots that are waited for", rules=WAITED_FOR, drivers=("anna",))
 
 
 @pytest.mark.parametrize(

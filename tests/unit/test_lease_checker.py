@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.certs import authority
-from gateway.certs.proof import ProofChecker, prove
+from gateway.certs.proof import ProofChecker
+from gateway.client.proof import Identity
 from gateway.core.events import LeaseRequest
 from gateway.core.message import Reply
 from gateway.core.nonces import MOST_NONCES, NONCE_NS, Nonces
 from gateway.edge.lease_desk import CHECKS_PER_S, LeaseDesk
-from gateway.errors import ConfigError
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 
@@ -80,7 +80,7 @@ def name_of(role: str, person: str) -> x509.Name:
 def test_the_key_of_a_certificate_that_certs_issue_makes(do: str, tmp_path: Path) -> None:
     (tmp_path / "anna.pem").write_bytes(ANNA.certificate_pem())
     (tmp_path / "anna.key").write_bytes(ANNA.key_pem())
-    made = prove(tmp_path / "anna.pem", tmp_path / "anna.key", do, "anna", NONCE)
+    made = Proof.model_validate(Identity(tmp_path / "anna.pem", tmp_path / "anna.key").prove(do, "anna", NONCE))
     assert CHECKER.fault(made, do, "anna", NOW) is None
 
 
@@ -93,7 +93,7 @@ def test_an_rsa_key_and_a_certificate_of_somebodys_own_tools(tmp_path: Path) -> 
             serialization.Encoding.PEM, serialization.PrivateFormat.TraditionalOpenSSL, serialization.NoEncryption()
         )
     )
-    made = prove(tmp_path / "own.pem", tmp_path / "own.key", "take", "änne", NONCE)
+    made = Proof.model_validate(Identity(tmp_path / "own.pem", tmp_path / "own.key").prove("take", "änne", NONCE))
     assert CHECKER.fault(made, "take", "änne", NOW) is None
     wrong = key.sign(signed_text("take", "änne", NONCE), padding.PKCS1v15(), hashes.SHA512())
     assert CHECKER.fault(made.model_copy(update={"signature": base64.b64encode(wrong).decode()}), "take", "änne", NOW)
@@ -209,14 +209,6 @@ def test_a_damaged_certificate_is_never_taken(damage: bytes, place: int) -> None
     text = base64.encodebytes(changed).decode()
     made = proof(certificate=f"-----BEGIN CERTIFICATE-----\n{text}-----END CERTIFICATE-----\n")
     assert changed == der or CHECKER.fault(made, "acquire", "anna", NOW) is not None
-
-
-@pytest.mark.parametrize("key", [b"", b"x", ED.private_bytes_raw()], ids=["empty", "rubbish", "raw"])
-def test_a_key_that_cannot_sign(tmp_path: Path, key: bytes) -> None:
-    (tmp_path / "anna.pem").write_bytes(ANNA.certificate_pem())
-    (tmp_path / "anna.key").write_bytes(key)
-    with pytest.raises(ConfigError, match=r"anna\.key"):
-        prove(tmp_path / "anna.pem", tmp_path / "anna.key", "ask", "anna", NONCE)
 
 
 # ---- nonces

@@ -11,8 +11,8 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.certs.proof import prove
 from gateway.client import Client
+from gateway.client.proof import Identity
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
@@ -157,9 +157,8 @@ def test_with_certificates_a_name_is_proved(tmp_path: Path) -> None:
         def claim(session: zenoh.Session, do: str, who: str, source: str | None = None) -> LeaseAck:
             nonce = ask(session, "challenge").nonce
             assert nonce is not None
-            pem, key = (secured.folder / f"{who}.{kind}" for kind in ("pem", "key"))
-            made = prove(pem, key, do, source or who, nonce)
-            return ask(session, do, source or who, proof=made.model_dump())
+            identity = Identity(secured.folder / f"{who}.pem", secured.folder / f"{who}.key")
+            return ask(session, do, source or who, proof=identity.prove(do, source or who, nonce))
 
         with secured.client("anna") as anna, secured.client("bert") as bert, secured.client("otto") as otto:
             ack = claim(anna.session, "acquire", "anna")
