@@ -18,6 +18,7 @@ import zenoh
 from pydantic import ValidationError
 
 from gateway.client import AsyncClient, Client
+from gateway.console.driving import Requests
 from gateway.console.messages import LinkMessage
 from gateway.errors import GatewayError, UnreachedError, ZenohError
 from gateway.tools import why
@@ -85,6 +86,10 @@ class GatewayLink:
         """An acknowledged command; only with `again` it may be sent more than once. Raises ZenohError."""
         self._session()
         return await self._client.ask(key, payload, again=again)
+
+    def lease_requests(self) -> Requests:
+        """Questions about the lease. Raises ZenohError."""
+        return self._session().lease_requests
 
     async def estop(self) -> Ack:
         """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError."""

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from gateway.console.driving import Driving
 from gateway.console.link import GatewayLink
 from gateway.console.messages import (
     FROM_PAGE,
@@ -24,7 +25,6 @@ from gateway.console.messages import (
     Command,
     EventMessage,
     Lease,
-    LeaseMessage,
     LinkMessage,
     Reset,
     Role,
@@ -118,6 +118,7 @@ class Page:
         self._role = role
         self._link = link
         self._stops = stops
+        self._driving = Driving(link.lease_requests, self.source, self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
         self._tokens = MESSAGES_A_SECOND
@@ -142,7 +143,8 @@ class Page:
             self._do(message)
 
     def close(self) -> None:
-        """The WebSocket is closed. A stop that it asked for goes on."""
+        """The WebSocket is closed. A stop that it asked for goes on; the lease is given back."""
+        self._driving.close()
 
     def _do(self, message: Command | StopAll | Reset | Lease) -> None:
         match message:
@@ -157,9 +159,9 @@ class Page:
                 else:
                     self._reject(message.id, keys.RESET, late)
             case Lease():
-                self.outgoing.put(
-                    LeaseMessage(mine=False, id=message.id, accepted=False, detail="this console cannot do that yet")
-                )
+                if self._driving.is_full:
+                    raise EndError("too many requests for the lease wait for their answers")
+                self._driving.ask(message)
 
     def _command(self, message: Command) -> None:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
@@ -175,7 +177,9 @@ class Page:
                 self._link.publish(message.key, payload)
 
     def _signed(self, payload: dict[str, Any], sent_ms: float) -> dict[str, Any]:
-        return {**payload, "source": self.source, "sent_ms": sent_ms}
+        token = self._driving.token
+        lease = {} if token is None else {"lease": token}
+        return {**payload, **lease, "source": self.source, "sent_ms": sent_ms}
 
     def _is_late(self, sent_ms: float) -> str | None:
         now_ns = time.monotonic_ns()
@@ -200,6 +204,7 @@ class Page:
         ack, error = None, None
         try:
             ack = await self._link.ask(key, payload, again=again)
+            self._driving.judge(ack)
         except GatewayError as failed:
             error = str(failed)
         if message_id is not None:

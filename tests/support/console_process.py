@@ -7,6 +7,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -73,6 +74,8 @@ class Page(AbstractContextManager["Page"]):
 
     def __init__(self, url: str, cookie: str, origin: str = "") -> None:
         self._ids = itertools.count(1)
+        self.heard: list[str] = []
+        """Every message so far, as it came."""
         self._kept: defaultdict[str, deque[dict[str, Any]]] = defaultdict(deque)
         with ExitStack() as stack:
             self.socket: ClientConnection = stack.enter_context(
@@ -104,7 +107,9 @@ class Page(AbstractContextManager["Page"]):
                 return found
         end_s = time.monotonic() + timeout_s
         while True:
-            message: dict[str, Any] = json.loads(self.socket.recv(timeout=max(0.0, end_s - time.monotonic())))
+            text = self.socket.recv(timeout=max(0.0, end_s - time.monotonic()))
+            self.heard.append(str(text))
+            message: dict[str, Any] = json.loads(text)
             if message["type"] == kind and fits(message):
                 return message
             if message["type"] not in (kind, "state"):
@@ -113,6 +118,15 @@ class Page(AbstractContextManager["Page"]):
     def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
         """The next state that fits."""
         return dict(self.wait("state", lambda message: fits(message["state"]))["state"])
+
+    def event(self, *kinds: str, since: datetime) -> dict[str, Any]:
+        """The next event of one of these kinds that happened since then; a page begins with older ones."""
+
+        def fits(message: dict[str, Any]) -> bool:
+            event = message["event"]
+            return event["kind"] in kinds and datetime.fromisoformat(event["time"]) >= since
+
+        return dict(self.wait("event", fits)["event"])
 
     def ask(self, key: str, payload: Mapping[str, Any], **more: Any) -> dict[str, Any]:
         """An acknowledged command; the whole answer."""

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import httpx
@@ -70,10 +71,9 @@ def test_a_page_sees_and_drives(page: Page) -> None:
 def test_nothing_is_repeated(page: Page, gateway: Gateway) -> None:
     """One start, and then silence: the page's socket stays open, and the watchdog stops the leg."""
     with gateway.client() as client:
-        before = client.state()
+        before, began = client.state(), datetime.now(UTC)
         assert page.ask(LEG_3, START)["ack"]["accepted"]
-        event = page.wait("event", lambda message: message["event"]["kind"] == "watchdog_expired")
-        assert "leg 3" in event["event"]["detail"]
+        assert "leg 3" in page.event("watchdog_expired", since=began)["detail"]
         after = client.state()
     assert after.commands.accepted == before.commands.accepted + 1
     assert after.spi.frames - before.spi.frames <= 1 + 4, "the start, and the Stop with its repeats"

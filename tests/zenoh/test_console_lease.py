@@ -1,0 +1,154 @@
+"""Who drives, of several pages: the lease is one WebSocket's, lives by that page's own requests, and ends with it."""
+
+import itertools
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from tests.support.console_process import Console, Page
+from tests.support.gateway_process import Gateway
+from tests.support.secured import Secured
+
+LEG_3: Final = "hexapod/leg/3/cmd"
+START: Final = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
+STOP: Final = {"servos": [{"op": "stop"}] * 3}
+TTL_MS: Final = 1500
+
+
+@pytest.fixture(scope="module")
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    """At a gateway whose lease a busy machine's pages can keep."""
+    folder = tmp_path_factory.mktemp("lease")
+    settings = {"lease": {"ttl_ms": TTL_MS}, "watchdog": {"timeout_ms": 5000}}
+    with Gateway(folder, settings) as gateway, Console(folder, "--connect", gateway.endpoint) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def cookie(console: Console) -> str:
+    return console.sign_in()
+
+
+@pytest.fixture
+def anna(console: Console, cookie: str) -> Iterator[Page]:
+    """A page, while nobody drives."""
+    with console.page(cookie) as page:
+        page.state(lambda state: state["lease"]["holder"] is None)
+        yield page
+
+
+@pytest.fixture
+def bert(console: Console, cookie: str) -> Iterator[Page]:
+    with console.page(cookie) as page:
+        yield page
+
+
+NUMBERS: Final = itertools.count(1000)
+
+
+def lease(page: Page, do: str, **more: Any) -> dict[str, Any]:
+    """Ask for something about the lease; the answer."""
+    number = next(NUMBERS)
+    page.send(type="lease", id=number, do=do, **more)
+    return page.wait("lease", lambda message: message["id"] == number)
+
+
+def test_one_page_drives_and_all_stop(anna: Page, bert: Page) -> None:
+    got = lease(anna, "acquire")
+    assert (got["mine"], got["accepted"], got["ttl_ms"]) == (True, True, TTL_MS)
+    assert got["holder"] == anna.hello["source"]
+    assert anna.ask(LEG_3, START)["ack"]["accepted"]
+    ack = bert.ask(LEG_3, START)["ack"]
+    assert (ack["accepted"], ack["reason"]) == (False, "not_holder")
+    assert anna.hello["source"] in ack["detail"]
+    denied = lease(bert, "acquire")
+    assert (denied["mine"], denied["reason"], denied["holder"]) == (False, "lease_held", anna.hello["source"])
+    assert bert.ask(LEG_3, STOP)["ack"]["accepted"], "whoever sees danger stops"
+    stopped = bert.stop_all()
+    assert bert.reset(stopped["estop"])["ack"]["reason"] == "not_holder"
+    assert anna.reset(stopped["estop"])["ack"]["accepted"]
+    assert not lease(anna, "release")["mine"]
+
+
+def test_the_token_stays_in_the_server(anna: Page, bert: Page) -> None:
+    """No message to any page has it: 32 hex digits in a row."""
+    assert lease(anna, "acquire")["mine"]
+    assert anna.ask(LEG_3, START)["ack"]["accepted"]
+    assert anna.ask(LEG_3, STOP)["ack"]["accepted"]
+    assert lease(anna, "renew")["mine"]
+    assert not lease(anna, "release")["mine"]
+    bert.state()
+    heard = anna.heard + bert.heard
+    assert any('"mine":true' in text for text in heard)
+    assert not [text for text in heard if re.search("[0-9a-f]{32}", text)]
+
+
+def test_hand_over(anna: Page, bert: Page) -> None:
+    assert lease(anna, "acquire")["mine"]
+    assert lease(bert, "ask")["accepted"]
+    who = bert.hello["source"]
+    anna.state(lambda state: state["lease"]["asked_by"] == who)
+    assert anna.ask(LEG_3, START)["ack"]["accepted"]
+    given = lease(anna, "release", to=who)
+    assert (given["accepted"], given["mine"]) == (True, False)
+    assert lease(bert, "acquire")["mine"]
+    assert bert.state()["legs"][2]["servos"][0]["running"], "the robot goes on moving"
+    assert anna.ask(LEG_3, START)["ack"]["reason"] == "not_holder"
+    assert bert.ask(LEG_3, STOP)["ack"]["accepted"]
+    lease(bert, "release")
+
+
+def test_who_was_taken_over_is_told_and_moves_nothing(anna: Page, bert: Page) -> None:
+    assert lease(anna, "acquire")["mine"]
+    assert anna.ask(LEG_3, START)["ack"]["accepted"]
+    assert lease(bert, "take")["mine"]
+    assert not bert.state()["legs"][2]["servos"][0]["running"], "all legs are stopped first"
+    assert anna.ask(LEG_3, START)["ack"]["reason"] == "not_holder"
+    lost = anna.wait("lease", lambda message: message["id"] is None)
+    assert (lost["mine"], lost["reason"]) == (False, "not_holder")
+    lease(bert, "release")
+    assert not anna.ask(LEG_3, START)["ack"]["accepted"], "the old token is no better than none at all, nor forgotten"
+    assert not lease(anna, "release")["mine"]
+    assert anna.ask(LEG_3, START)["ack"]["accepted"], "as ever, while nobody drives"
+    assert anna.ask(LEG_3, STOP)["ack"]["accepted"]
+
+
+def test_only_the_page_itself_renews_it(anna: Page, bert: Page) -> None:
+    """A page that is frozen has an open socket, and loses the lease all the same."""
+    began = datetime.now(UTC)
+    assert lease(anna, "acquire")["mine"]
+    for _ in range(3):
+        bert.state()
+        assert lease(anna, "renew")["mine"]
+    bert.event("lease_expired", since=began)
+    lost = lease(anna, "renew")
+    assert (lost["mine"], lost["accepted"]) == (False, False)
+
+
+def test_a_page_that_is_closed_gives_it_back(console: Console, cookie: str, bert: Page) -> None:
+    began = datetime.now(UTC)
+    with console.page(cookie) as page:
+        assert lease(page, "acquire")["mine"]
+    assert bert.event("lease_released", "lease_expired", since=began)["kind"] == "lease_released"
+    assert lease(bert, "acquire")["mine"]
+    lease(bert, "release")
+
+
+def test_without_it_there_is_nothing_to_renew(anna: Page) -> None:
+    for do in ("renew", "release"):
+        answer = lease(anna, do)
+        assert (answer["mine"], answer["accepted"], answer["reason"]) == (False, False, "not_holder")
+
+
+def test_the_holder_is_the_certificates_person(tmp_path: Path) -> None:
+    with Secured(tmp_path) as secured:
+        config = str(secured.folder / "anna.json5")
+        with Console(tmp_path, "--zenoh-config", config) as console, console.page(console.sign_in()) as page:
+            page.state()
+            got = lease(page, "acquire")
+            assert (got["mine"], got["holder"], got["verified"]) == (True, "anna", True), got
+            assert page.ask(LEG_3, START)["ack"]["accepted"]
