@@ -321,9 +321,8 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
     while settings.telemetry.state_hz:
         await asyncio.sleep(1 / settings.telemetry.state_hz)
         if outbox.anyone_listens(STATE):
-            with conductor.owner:
-                state = conductor.state()
-            outbox.publish(STATE, state)
+            with conductor.owner:  # also for the order of reports: an older state must not follow a newer one
+                outbox.publish(STATE, conductor.state())
 
 
 async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: _End) -> None:

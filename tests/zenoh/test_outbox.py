@@ -6,11 +6,13 @@ import time
 from contextlib import closing
 from typing import Any
 
+import zenoh
 from pydantic import BaseModel, PrivateAttr, model_serializer
 from zenoh.handlers import RingChannel
 
 from gateway.edge.outbox import MOST_WAITING, ZenohOutbox
 from gateway.edge.session import client_config, open_session, service_config
+from gateway.edge.strangers import Strangers
 from gateway.settings import ZenohSettings
 from schemas.keys import EVENT, STATE
 from tests.support.gateway_process import free_port
@@ -21,10 +23,11 @@ def test_it_knows_whether_anyone_listens() -> None:
     outbox = ZenohOutbox()
     assert not outbox.anyone_listens(STATE)
     with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
+        strangers = Strangers(session)  # which hears all of hexapod/, and counts for nobody
         outbox.open(session)
         assert comes_to_say(outbox, listened_to=False)
         changes: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        publisher = session.declare_publisher(STATE)
+        publisher = session.declare_publisher(STATE, allowed_destination=zenoh.Locality.REMOTE)
         listener = publisher.declare_matching_listener(changes.put)
         with closing(open_session(client_config(endpoint))) as laptop:
             for key in (STATE, "hexapod/**"):
@@ -34,6 +37,7 @@ def test_it_knows_whether_anyone_listens() -> None:
                 subscriber.undeclare()
                 assert not changes.get(timeout=10).matching
                 assert comes_to_say(outbox, listened_to=False)
+        assert strangers.look() is None
         listener.undeclare()
         outbox.close()
 
