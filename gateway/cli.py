@@ -13,6 +13,7 @@ import typer
 from gateway import __version__, protocol
 from gateway.errors import GatewayError
 from gateway.tools import certs, incidents, lease, recordings
+from gateway.tools.drill import command as drill
 from gateway.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer(
@@ -216,6 +217,7 @@ app.add_typer(certs.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
+app.add_typer(drill.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

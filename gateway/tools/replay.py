@@ -25,8 +25,9 @@ from schemas.telemetry import Cause, Event, FrameRecord, GatewayState, Kind, Mod
 SOURCE: Final = "hexapod-gateway replay"
 BEGIN_S: Final = 0.1
 """From the last preparation to the first command."""
-LATE_NS: Final = 100 * NS_PER_MS
-"""A replay that falls so far behind (a laptop that slept) ends: what is late is never sent in a burst."""
+LATE_NS: Final = 200 * NS_PER_MS
+"""A replay that falls so far behind (a laptop that slept) ends: what is late is never sent in a burst. On a
+machine with eight other users 104 ms were seen; the watchdog's default is 250."""
 AFTERWARDS_S: Final = 0.5
 """For the repeats of the last Stops, and for what is still on its way here."""
 NO_FRAMES_S: Final = 2.0

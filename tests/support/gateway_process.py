@@ -56,6 +56,7 @@ class Gateway(AbstractContextManager["Gateway"]):
         bed: SpiTestbed | None = None,
         env: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
+        program: Sequence[str] = COMMAND,
         wait: bool = True,
     ) -> None:
         """Start it. `prefix` goes before the command (`ip netns exec …`)."""
@@ -66,7 +67,7 @@ class Gateway(AbstractContextManager["Gateway"]):
             sections.setdefault("spi", {}).setdefault("framing", "plain")
         self.endpoint: str = zenoh["listen"][0]
         self.config = write_settings(folder / f"gateway-{self.endpoint.rpartition(':')[2]}.toml", sections)
-        command = [*prefix, *COMMAND, "run", "--config", str(self.config)]
+        command = [*prefix, *program, "run", "--config", str(self.config)]
         if bed is not None:
             self.child = bed.spawn(command, env=env)
         else:

@@ -1,0 +1,74 @@
+"""The command line of the drill."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway.errors import ConfigError
+from gateway.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+
+app = typer.Typer()
+
+
+@app.command()
+def drill(
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE", help="Write a report: FILE.html, or FILE.json.")
+    ] = None,
+    leg: Annotated[int, typer.Option("--leg", metavar="N", min=1, max=6, help="The leg that moves.")] = 1,
+    angle: Annotated[
+        float, typer.Option("--angle", metavar="DEG", min=0, max=180, help="Where it starts, in degrees.")
+    ] = 90.0,
+    move: Annotated[
+        bool, typer.Option("--move", help="Move all three servos of the leg by 15°, not only the first by 5°.")
+    ] = False,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="STEP", help="Only this step; may be given several times.")
+    ] = None,
+    late: Annotated[float, typer.Option("--late", metavar="MS", min=1, help="How late a Stop may be.")] = 20.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Move a real robot without asking.")] = False,
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="PATH", help="The gateway's settings, for stop-servos.")
+    ] = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Prove on this robot, step by step, that it stops, after a change and before people come near.
+
+    It moves one servo by 5° (--move: one leg by 15°), asks before it moves a real robot, and ends with everything
+    stopped, also on Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
+
+    Exit codes: 0 all passed, 1 not all, or not finished, 2 the robot is not at rest, or nobody agreed, 4 no gateway
+    answers.
+    """
+    from gateway.client import DEFAULT_ENDPOINT
+    from gateway.tools import reach
+    from gateway.tools.drill import report as reports
+    from gateway.tools.drill.run import SOURCE, drill, unknown_steps
+    from gateway.tools.drill.steps import STEPS
+    from gateway.tools.terminal import say
+
+    unknown = unknown_steps(only or [])
+    if unknown:
+        raise ConfigError(f"{unknown[0]} is no step; they are {', '.join(step.name for step in STEPS)}")
+    endpoint = (connect or DEFAULT_ENDPOINT) if zenoh_config is None else None
+    found = drill(
+        reach.connection(connect, zenoh_config, timeout, source=SOURCE),
+        leg=leg,
+        angle_deg=angle,
+        whole_leg=move,
+        agreed=yes,
+        only=only or [],
+        late_ms=late,
+        endpoint=endpoint if endpoint is None or "/" in endpoint else f"tcp/{endpoint}",
+        config=config,
+    )
+    if report is not None:
+        reports.write(report, found)
+        say(f"report: {report}")
+    failed = [outcome.name for outcome in found.outcomes if outcome.passed is False]
+    say("all passed" if found.passed else f"NOT passed: {', '.join(failed) or 'not finished'}")
+    sys.exit(0 if found.passed else 1)

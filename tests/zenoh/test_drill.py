@@ -1,0 +1,109 @@
+"""The drill: passes on a gateway that works, finds each planted mistake by the right step, and ends stopped."""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.tools import reach
+from gateway.tools.drill.run import drill
+from gateway.tools.drill.steps import STEPS
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import frames
+from tests.support.planted_gateway import MISTAKES
+
+LATE_MS: Final = 70
+"""For a machine that is busy with other tests; what is planted is later."""
+FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway"), FRAMES) as running:
+        yield running
+
+
+def test_it_passes_on_a_gateway_that_works_and_reports_it(gateway: Gateway, tmp_path: Path) -> None:
+    report = tmp_path / "drill.html"
+    done = gateway.run("drill", "--late", str(LATE_MS), "--report", str(report), timeout_s=40)
+    assert done.returncode == 0, str(done)
+    assert done.stdout.count("PASS ") == len(STEPS) - 1, "stop-servos needs a device"
+    assert "all passed" in done.stdout
+    text = report.read_text()
+    assert "<h1>Drill: passed</h1>" in text
+    assert text.count("<svg") >= 5
+    assert "src=" not in text, "one file"
+    with gateway.client() as client:
+        assert client.state().mode == "idle"
+
+
+def test_a_whole_leg_moves_where_that_is_asked_for_and_json_tells_of_it(gateway: Gateway, tmp_path: Path) -> None:
+    report = tmp_path / "drill.json"
+    options = ("--move", "--leg", "3", "--angle", "180", "--only", "command", "--only", "silence")
+    done = gateway.run("drill", *options, "--late", str(LATE_MS), "--report", str(report))
+    assert done.returncode == 0, str(done)
+    found = json.loads(report.read_text())
+    assert [(step["name"], step["result"]) for step in found["steps"]] == [("command", "pass"), ("silence", "pass")]
+    stop = "02"
+    moved = [hex_bytes for _, hex_bytes, _ in found["steps"][0]["frames"] if hex_bytes[6:8] != stop]
+    assert moved == ["0e011f01b4002001b4002101b400", "0e011f03a5002003a5002103a500"]
+    assert abs(found["steps"][1]["figures"]["later_us"]) < LATE_MS * 1000
+
+
+def test_without_frames_it_measures_by_the_state(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as running:
+        done = running.run("drill", "--late", str(LATE_MS), "--only", "silence", "--only", "estop")
+        assert done.returncode == 0, str(done)
+        assert "publishes no frames" in done.stderr
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path) -> None:
+    step = MISTAKES[mistake][1]
+    program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
+    with Gateway(tmp_path, FRAMES, program=program) as planted:
+        found = drill(
+            reach.connection(planted.endpoint, None, 5, source="a drill"),
+            leg=1,
+            angle_deg=90,
+            whole_leg=False,
+            agreed=True,
+            only=[step],
+            late_ms=LATE_MS,
+            endpoint=planted.endpoint,
+            config=None,
+        )
+    assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [(step, "FAIL")], found.outcomes
+    assert not found.passed
+
+
+def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        with closing(Child([*COMMAND, "drill", "--connect", gateway.endpoint], os.environ)) as child:
+            child.wait_for_output("silence: starts", timeout_s=20)
+            before = len(heard.all)
+            heard.wait(lambda record: record.bytes == "06020b015a00", count=2)
+            child.send_signal(signal.SIGINT)
+            assert child.wait() == 1, str(child)
+        assert "All legs are stopped." in child.stderr
+        assert "NOT passed: not finished" in child.stdout
+        assert len(heard.all) > before
+        assert client.state().mode == "idle"
+
+
+def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        client.estop()
+        done = gateway.run("drill")
+        assert done.returncode == 2
+        assert "estopped" in done.stderr
+        assert client.reset().accepted
+    assert gateway.run("drill", "--only", "nonsense").returncode == 2
