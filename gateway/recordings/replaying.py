@@ -202,21 +202,23 @@ class Comparison(NamedTuple):
 
 
 def compare(expected: Sequence[Written], written: Sequence[Written]) -> Comparison:
-    """Frame by frame, leg by leg; then the order of frames of different legs."""
-    wanted, found = _by_leg(expected), _by_leg(written)
+    """Leg by leg, what commands caused and what the gateway did by itself; then the order of the commands' frames."""
+    wanted, found = _sorted_out(expected), _sorted_out(written)
     differences: list[str] = []
     pairs: list[tuple[int, int]] = []
-    for leg in LEGS:
+    for kind in wanted:
         same = 0
-        for want, have in zip(wanted[leg], found[leg], strict=False):
+        for want, have in zip(wanted[kind], found[kind], strict=False):
             if expected[want].data != written[have].data:
                 break
             same += 1
-        pairs += zip(wanted[leg][:same], found[leg][:same], strict=True)
-        if same < max(len(wanted[leg]), len(found[leg])):
-            differences.append(
-                _difference(leg, same, [expected[i] for i in wanted[leg]], [written[i] for i in found[leg]])
+        pairs += zip(wanted[kind][:same], found[kind][:same], strict=True)
+        if same < max(len(wanted[kind]), len(found[kind])):
+            missing, extra = (
+                [frames[place] for place in places[kind][same:]]
+                for frames, places in ((expected, wanted), (written, found))
             )
+            differences.append(_difference(kind, same, missing, extra))
     pairs.sort()
     newest, swapped = -1, 0
     for want, have in pairs:
@@ -230,19 +232,24 @@ def compare(expected: Sequence[Written], written: Sequence[Written]) -> Comparis
     return Comparison(len(expected), differences, swapped, worst_ms, p99_ms)
 
 
-def _by_leg(frames: Sequence[Written]) -> dict[int, list[int]]:
+_OfLeg = tuple[int, bool]
+"""A leg, and whether commands caused it."""
+
+
+def _sorted_out(frames: Sequence[Written]) -> dict[_OfLeg, list[int]]:
     """The places of each leg's frames; a frame's third byte is the id of its first servo."""
-    found: dict[int, list[int]] = {leg: [] for leg in LEGS}
+    found: dict[_OfLeg, list[int]] = {(leg, commanded): [] for leg in LEGS for commanded in (True, False)}
     for place, frame in enumerate(frames):
-        found[frame.data[2] // 10].append(place)
+        found[frame.data[2] // 10, frame.commanded].append(place)
     return found
 
 
-def _difference(leg: int, same: int, wanted: Sequence[Written], found: Sequence[Written]) -> str:
-    where = f"leg {leg}: {same} frames are the same"
-    if same == len(wanted):
-        return f"{where}; then {found[same].data.hex()} was written, and {len(found) - same} frames are too many"
-    at_s = wanted[same].at_ns / 1e9
-    if same == len(found):
-        return f"{where}; {len(wanted) - same} are missing, the first at {at_s:.3f} s: {wanted[same].data.hex()}"
-    return f"{where}; at {at_s:.3f} s {found[same].data.hex()} was written in place of {wanted[same].data.hex()}"
+def _difference(kind: _OfLeg, same: int, missing: Sequence[Written], extra: Sequence[Written]) -> str:
+    leg, commanded = kind
+    where = f"leg {leg}{'' if commanded else ', of its own'}: {same} frames are the same"
+    if not missing:
+        return f"{where}; then {extra[0].data.hex()} was written, and {len(extra)} frames are too many"
+    at_s = missing[0].at_ns / 1e9
+    if not extra:
+        return f"{where}; {len(missing)} are missing, the first at {at_s:.3f} s: {missing[0].data.hex()}"
+    return f"{where}; at {at_s:.3f} s {extra[0].data.hex()} was written in place of {missing[0].data.hex()}"

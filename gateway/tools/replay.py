@@ -4,7 +4,7 @@ import gc
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +16,7 @@ from gateway.client import Client
 from gateway.errors import ConfigError, RejectedError, StoppedError
 from gateway.recordings import read
 from gateway.recordings.replaying import NS_PER_MS, Plan, Written, compare, plan
+from gateway.tools.driving import drives
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
@@ -54,7 +55,8 @@ def replay(
         if not state.simulated:
             _ask(recorded, speed, agreed=agreed)
         player = _Player(client, recorded, speed, needs_frames=check)
-        player.run()
+        with drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
+            player.run(lease)
     said = f"{len(recorded.steps)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
     if not check:
         say(f"replayed: {said}")
@@ -115,13 +117,16 @@ class _Player:
         self._wake = threading.Event()
         self.written: list[Written] = []
 
-    def run(self) -> None:
-        """Raises RejectedError, StoppedError or ConfigError where something ends it before its time."""
+    def run(self, lease: Mapping[str, str]) -> None:
+        """Commands carry the `lease` that this user has acquired beforehand.
+
+        Raises RejectedError, StoppedError or ConfigError where something ends it before its time.
+        """
         interrupted = StoppedError("the replay was ended; all legs are stopped", ())
         with self._hears(), _without_pauses(), on_end_signals(lambda: self._end(interrupted)):
             begun_ns = time.monotonic_ns() + round(BEGIN_S * 1e9)
             try:
-                self._play(begun_ns)
+                self._play(begun_ns, lease)
                 if self._needs_frames:
                     self._wake.wait(max(0.0, self._after_last_s(begun_ns)))
             finally:
@@ -133,7 +138,7 @@ class _Player:
         last_ns = begun_ns + self._plan.expected[-1].at_ns
         return (last_ns - time.monotonic_ns()) / 1e9 + AFTERWARDS_S
 
-    def _play(self, begun_ns: int) -> None:
+    def _play(self, begun_ns: int, lease: Mapping[str, str]) -> None:
         progress_ns = begun_ns
         for step in self._plan.steps:
             due_ns = begun_ns + round(step.at_ns / self._speed)
@@ -146,7 +151,7 @@ class _Player:
             if -left_ns > LATE_NS:
                 self._end(StoppedError(f"this machine fell {-left_ns / 1e6:.0f} ms behind; all legs are stopped", ()))
                 return
-            self._client.publish(step.key, step.payload())
+            self._client.publish(step.key, {**step.payload(), **lease})
             if self._needs_frames and not self.written and time.monotonic_ns() - begun_ns > NO_FRAMES_S * 1e9:
                 self._end(
                     ConfigError(
@@ -197,7 +202,8 @@ class _Player:
         with suppress(ValidationError, ValueError):
             record = FrameRecord.model_validate_json(sample.payload.to_bytes())
             if self.written or record.cause == Cause.COMMAND:  # not the repeats of Stops before
-                self.written.append(Written(record.monotonic_ns, bytes.fromhex(record.bytes)))
+                commanded = record.cause not in (Cause.REPEAT, Cause.WATCHDOG)
+                self.written.append(Written(record.monotonic_ns, bytes.fromhex(record.bytes), commanded))
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from gateway import cli, service
 from gateway.core.events import Command, Effect, EmergencyStop, Reset, Transmit
+from gateway.core.lease import Lease
 from gateway.core.legs import Rules
 from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
@@ -87,8 +88,8 @@ class EstopNotLatched(Supervisor):
 class AnyReset(Supervisor):
     """A reset may name any emergency stop."""
 
-    def _reset(self, event: Reset) -> list[Effect]:
-        return super()._reset(replace(event, estop=self.estops))
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+        return super()._reset(replace(event, estop=self.estops), now_ns)
 
 
 class MovesAfterReset(Supervisor):
@@ -98,8 +99,8 @@ class MovesAfterReset(Supervisor):
         self.ran = [(servo.servo_id, servo.angle_cdeg) for servo in self.legs.servos.values() if servo.running]
         return super()._emergency_stop(event, now_ns)
 
-    def _reset(self, event: Reset) -> list[Effect]:
-        effects = super()._reset(event)
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+        effects = super()._reset(event, now_ns)
         starts = [Transmit(OneServo(each, ServoOp(Op.START, angle or 0)), Cause.COMMAND) for each, angle in self.ran]
         return [*starts, *effects]
 
@@ -135,6 +136,11 @@ def _old_is_fresh() -> None:
     Staleness.too_old = lambda *_: None  # type: ignore[method-assign]
 
 
+def _anybody_drives() -> None:
+    """The lease keeps nobody out."""
+    Lease.rejection = lambda *_, **__: None  # type: ignore[method-assign]
+
+
 def _supervisor(planted: type[Supervisor]) -> Callable[[], None]:
     def plant() -> None:
         service.Supervisor = planted  # type: ignore[attr-defined]
@@ -155,6 +161,7 @@ MISTAKES: Final[dict[str, tuple[Callable[[], None], str]]] = {
     "any reset leaves it": (_supervisor(AnyReset), "until-reset"),
     "a reset lets it move": (_supervisor(MovesAfterReset), "after-reset"),
     "old commands are taken": (_old_is_fresh, "cut-link"),
+    "the lease is ignored": (_anybody_drives, "lease"),
     "another angle is written": (_supervisor(WrongAngle), "command"),
     "nothing is written": (_supervisor(NothingWritten), "command"),
 }

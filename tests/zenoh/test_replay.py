@@ -13,6 +13,7 @@ import pytest
 
 from examples import tripod_gait
 from gateway.client import Client
+from gateway.protocol.frames import stop_leg
 from gateway.recordings import Recording
 from schemas.keys import FRAME
 from schemas.telemetry import FrameRecord
@@ -39,6 +40,9 @@ def ride(robot: Client) -> list[FrameRecord]:
         begun_s = time.monotonic()
         while (elapsed_s := time.monotonic() - begun_s) < 1:
             stream.set(tripod_gait.pose(elapsed_s))
+    stop = stop_leg(6).to_bytes().hex()
+    stopped_ns = heard.wait(lambda record: record.cause == "command" and record.bytes == stop).monotonic_ns
+    heard.wait(lambda record: record.cause == "repeat" and record.monotonic_ns > stopped_ns, count=18)
     assert robot.servo(32, "start", 12.34).accepted
     assert robot.servo(32, "set", 20).accepted
     watchdog_ns = heard.wait(lambda record: record.cause == "watchdog").monotonic_ns

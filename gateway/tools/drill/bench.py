@@ -72,6 +72,8 @@ class Bench:
     end_deg: float
     endpoint: str | None
     """Where the gateway listens in plain TCP, so that a link to it can be cut; None: not known, or encrypted."""
+    reaches: dict[str, Any]
+    """How `Client` reaches the gateway."""
     late_ms: float
     """How late a Stop may be."""
     config: Sequence[str] = ()
@@ -81,6 +83,8 @@ class Bench:
     """How long the gateway takes to answer at rest."""
     estop: int = 0
     """The number of the drill's own emergency stop."""
+    lease: dict[str, str] = field(default_factory=dict)
+    """What commands carry, where this user has acquired the lease beforehand."""
     frames: list[Seen] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
@@ -99,7 +103,7 @@ class Bench:
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
         """A start or a set."""
         servo = {"op": op, "angle_deg": angle_deg}
-        return {"servos": [servo] * self.servos} if self.servos > 1 else servo
+        return {**({"servos": [servo] * self.servos} if self.servos > 1 else servo), **self.lease}
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause."""
@@ -116,6 +120,10 @@ class Bench:
         """Start the leg. Fails the step where that is rejected."""
         ack = self.ask("start", self.start_deg)
         demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
+
+    def reset(self, estop: int) -> Ack:
+        """Leave that emergency stop."""
+        return self.client.ask(keys.RESET, {"estop": estop, **self.lease})
 
     def stop(self) -> None:
         """Stop all legs."""

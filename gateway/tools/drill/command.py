@@ -54,7 +54,7 @@ def drill(
     unknown = unknown_steps(only or [])
     if unknown:
         raise ConfigError(f"{unknown[0]} is no step; they are {', '.join(step.name for step in STEPS)}")
-    endpoint = (connect or DEFAULT_ENDPOINT) if zenoh_config is None else None
+    endpoint = connect or (DEFAULT_ENDPOINT if zenoh_config is None else None)
     found = drill(
         reach.connection(connect, zenoh_config, timeout, source=SOURCE),
         leg=leg,
@@ -64,6 +64,7 @@ def drill(
         only=only or [],
         late_ms=late,
         endpoint=endpoint if endpoint is None or "/" in endpoint else f"tcp/{endpoint}",
+        zenoh_config=zenoh_config,
         config=config,
     )
     if report is not None:

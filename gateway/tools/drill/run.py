@@ -11,6 +11,7 @@ from typing import Final
 from gateway.errors import ConfigError, GatewayError
 from gateway.tools.drill.bench import LATE_MS, Bench, FailedError, Seen, Skipped
 from gateway.tools.drill.steps import STEPS, Figures, Step
+from gateway.tools.driving import drives
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
@@ -20,6 +21,8 @@ SOURCE: Final = "hexapod-gateway drill"
 STEP_DEG: Final = 5.0
 MOVE_DEG: Final = 15.0
 IDLE_S: Final = 2.0
+LEASE_S: Final = 1.0
+"""Any time: a step holds the lease until it ends."""
 
 
 @dataclass(slots=True)
@@ -66,7 +69,8 @@ def drill(
     only: Sequence[str] = (),
     late_ms: float = LATE_MS,
     endpoint: str | None,
-    config: Path | None,
+    zenoh_config: Path | None = None,
+    config: Path | None = None,
 ) -> Drill:
     """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers."""
     steps = [step for step in STEPS if not only or step.name in only]
@@ -80,7 +84,8 @@ def drill(
             servos=3 if whole_leg else 1,
             start_deg=angle_deg,
             end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
-            endpoint=endpoint,
+            endpoint=endpoint if zenoh_config is None else None,
+            reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
             late_ms=late_ms,
             config=() if config is None else ("--config", str(config)),
         )
@@ -105,7 +110,8 @@ def _do(bench: Bench, step: Step, place: str) -> Outcome:
     passed: bool | None = True
     figures: Figures = {}
     try:
-        figures = step.run(bench)
+        with drives(bench.client, LEASE_S if step.drives else 0, moves=True) as bench.lease:
+            figures = step.run(bench)
         detail = ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
     except FailedError as failed:
         passed, detail = False, str(failed)
@@ -128,7 +134,7 @@ def _rest(bench: Bench, *, keep_estop: bool = False) -> None:
     """All legs stopped; the drill's own emergency stop left, unless the next step goes on with it."""
     bench.client.stop()
     if not keep_estop and bench.estop and bench.client.state().mode == Mode.ESTOPPED:
-        bench.client.reset(bench.estop)  # rejected where somebody else has engaged a newer one
+        bench.reset(bench.estop)  # rejected where somebody else has engaged a newer one
     bench.wait(lambda: bench.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), IDLE_S)
 
 

@@ -11,7 +11,6 @@ from gateway.client import Client
 from gateway.protocol.frames import Frame, Op
 from gateway.tools.drill.bench import ANSWER_S, QUIET_S, Bench, FailedError, Seen, Skipped, caused, demand
 from gateway.tools.drill.cut_link import CutLink
-from schemas.keys import RESET
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -33,6 +32,8 @@ class Step(NamedTuple):
     name: str
     does: str
     run: Callable[[Bench], Figures]
+    drives: bool = True
+    """Under the lease, so that nobody else moves the robot meanwhile."""
 
 
 def command(bench: Bench) -> Figures:
@@ -151,12 +152,12 @@ def rejected_until_reset(bench: Bench) -> Figures:
     ack = bench.ask("start", bench.start_deg)
     demand(not ack.accepted, "a start was accepted while the emergency stop is engaged")
     demand(ack.reason == Reason.ESTOPPED, f"it was rejected for another reason: {ack.reason}")
-    older = bench.client.ask(RESET, {"estop": bench.estop - 1})
+    older = bench.reset(bench.estop - 1)
     demand(
         not older.accepted, f"a reset for the emergency stop {bench.estop - 1} left the emergency stop {bench.estop}"
     )
     bench.demand_no_motion(mark, "while the emergency stop is engaged")
-    ack = bench.client.reset(bench.estop)
+    ack = bench.reset(bench.estop)
     demand(ack.accepted, f"the reset was rejected: {ack.reason}: {ack.detail}")
     return {"estop": bench.estop}
 
@@ -168,7 +169,7 @@ def nothing_after_reset(bench: Bench) -> Figures:
         bench.estop = bench.client.estop().estop or 0
         time.sleep(QUIET_S)  # its frames are here, so that what comes from now on comes after the reset
     mark = bench.mark()
-    ack = bench.client.reset(bench.estop)
+    ack = bench.reset(bench.estop)
     demand(ack.accepted, f"the reset was rejected: {ack.reason}: {ack.detail}")
     with bench.streaming():
         time.sleep(STREAM_S)
@@ -185,6 +186,8 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
     source = f"{bench.client.name} (cut link)"
     with CutLink(bench.endpoint) as link, Client(link.endpoint, source=source, timeout_s=ANSWER_S) as far:
         ack = far.ask(bench.key, bench.payload("start", bench.start_deg))
+        if ack.reason == Reason.NO_LEASE:
+            raise Skipped("lease.required is set, and the lease of whoever is behind a cut link ends anyway")
         demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
         with bench.streaming(far):
             time.sleep(LEARN_S)
@@ -203,6 +206,25 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
         bench.demand_no_motion(mark, f"once the link was there again, with starts that were {HELD_S:g} s old")
         demand(stale, "nothing old was rejected; is limits.max_age_ms 0, or above 1500?")
     return {"held_s": HELD_S}
+
+
+def lease_keeps_others_out(bench: Bench) -> Figures:
+    """While the drill drives, nobody else moves the robot, and everybody stops it."""
+    holder = bench.client.state().lease.holder
+    if holder is None:
+        raise Skipped("this gateway knows no lease, or gives the drill none")
+    with Client(**bench.reaches, source=f"{bench.client.name} (somebody else)", timeout_s=ANSWER_S) as other:
+        mark = bench.mark()
+        payload = {name: value for name, value in bench.payload("start", bench.start_deg).items() if name != "lease"}
+        ack = other.ask(bench.key, payload)
+        demand(not ack.accepted, "somebody else's start was accepted")
+        demand(ack.reason == Reason.NOT_HOLDER, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
+        bench.demand_no_motion(mark, "after somebody else's start")
+        bench.start()
+        ack = other.stop()
+        demand(ack.accepted, f"somebody else's Stop was rejected: {ack.reason}: {ack.detail}")
+        bench.demand_no_motion(bench.mark(), "after somebody else's Stop")
+    return {"holder": holder}
 
 
 def stop_servos(bench: Bench) -> Figures:
@@ -245,7 +267,9 @@ STEPS: Final = (
         "cut-link",
         "cuts a link of its own and joins it again, with old starts in it: must be rejected",
         queue_of_a_cut_link,
+        drives=False,
     ),
+    Step("lease", "somebody else starts {servos} (must be rejected) and stops it", lease_keeps_others_out),
     Step("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos),
 )
 """In their order. Each leaves all legs stopped, or the drill does."""
