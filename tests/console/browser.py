@@ -7,6 +7,8 @@ from typing import Any, Final, Self
 
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
+from tests.support.gateway_process import Gateway
+
 CHROMIUM: Final = Path("/usr/bin/chromium")
 ARGUMENTS: Final = (
     "--no-sandbox",  # of the tests, which run as root
@@ -29,6 +31,13 @@ document.dispatchEvent(new Event("visibilitychange"));
 """
 
 expect.set_options(timeout=LATE_MS)
+
+
+def put_to_rest(gateway: Gateway) -> None:
+    """Whatever a test left behind: the lease is taken, which stops all legs, and STOP ALL is left."""
+    with gateway.client() as robot, robot.lease(take=True):
+        if robot.state().mode == "estopped":
+            assert robot.reset().accepted
 
 
 class Visitor(AbstractContextManager["Visitor"]):
@@ -59,6 +68,11 @@ class Visitor(AbstractContextManager["Visitor"]):
         opened = Opened(context, page)
         opened.expect_live()
         return opened
+
+    def renderers(self) -> set[int]:
+        """The process ids of those that run pages."""
+        processes = self._browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
+        return {each["id"] for each in processes if each["type"] == "renderer"}
 
     def _heard(self, message: ConsoleMessage) -> None:
         if (

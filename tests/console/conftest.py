@@ -6,15 +6,18 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor
+from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor, put_to_rest
+from tests.hil.bed import missing_packages
 from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip or fail in one line that names the package."""
-    if item.get_closest_marker("browser") and not CHROMIUM.exists():
-        lack = "Debian package missing: chromium"
+    """Skip or fail in one line that names what is missing."""
+    lack = "" if CHROMIUM.exists() else "Debian package missing: chromium"
+    if item.get_closest_marker("hil"):
+        lack = lack or missing_packages()
+    if lack:
         if os.environ.get("CI") == "true":
             pytest.fail(lack, pytrace=False)
         pytest.skip(lack)
@@ -52,7 +55,4 @@ def visitor(browser: Browser, gateway: Gateway, console: Console, cookie: str) -
     """Opens pages on a robot that is at rest; what they left behind is ended."""
     with Visitor(browser, console.url, cookie) as pages:
         yield pages
-    with gateway.client() as robot:
-        robot.stop()
-        if robot.state().mode == "estopped":
-            robot.reset()
+    put_to_rest(gateway)

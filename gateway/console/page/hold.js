@@ -168,9 +168,11 @@ export class Hold {
   /** A new state: what the watchdog did of that which was left to it. */
   heardState() {
     if (!this.left.length) return;
-    const resting = this.left.every((leg) => !this.model.leg(leg)?.servos.some((servo) => servo.running));
-    if (!resting) return;
-    this.told.say(`The watchdog has stopped ${legsInWords(this.left)}: ${this.why}.`);
+    const legs = this.left.map((leg) => this.model.leg(leg));
+    if (legs.some((leg) => leg?.servos.some((servo) => servo.running))) return;
+    const watchdog = legs.every((leg) => leg?.watchdog === "expired");
+    const stopped = watchdog ? `The watchdog has stopped ${legsInWords(this.left)}` : `Stopped: ${legsInWords(this.left)}`;
+    this.told.say(`${stopped}. Reason: ${this.why}.`);
     this.left = [];
   }
 

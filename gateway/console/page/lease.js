@@ -11,7 +11,7 @@ const USUAL_TTL_MS = 1000;
 export class Lease {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{say: (line: string) => void, lost: () => void, got: () => void}} told
+   * @param {{say: (line: string) => void, lost: (why: string) => void, got: () => void}} told
    */
   constructor(link, model, told) {
     this.link = link;
@@ -28,7 +28,6 @@ export class Lease {
     byId("lease-take").addEventListener("click", () => this.#take());
     byId("lease-release").addEventListener("click", () => this.#ask("release"));
     byId("lease-hand-over").addEventListener("click", () => this.#ask("release", this.asker));
-    // Who cannot see the robot does not go on driving: a hidden page lets its lease run out.
   }
 
   get holder() {
@@ -37,6 +36,12 @@ export class Lease {
 
   get asker() {
     return this.model.state?.lease?.asked_by ?? null;
+  }
+
+  get #handedToMe() {
+    const { hello, state } = this.model;
+    const me = this.holder !== null && (this.holder === hello?.source || this.holder === hello?.person);
+    return me && state?.lease?.held_s === null;
   }
 
   /** @param {LeaseMessage} message */
@@ -50,8 +55,8 @@ export class Lease {
       this.told.got();
       this.told.say("You drive: this page has the lease.");
     } else if (!message.mine && had) {
-      this.#lost(did === "release" ? "" : (message.detail ?? "the lease is lost"));
-    } else if (message.accepted === false && did !== "renew") {
+      this.#lost(did === "release" ? "" : "somebody has taken the lease, or it has ended");
+    } else if (message.accepted !== true && did && did !== "renew") {
       this.told.say(`No lease: ${message.detail ?? message.reason ?? "rejected"}`);
     } else if (message.accepted && did === "ask") {
       this.told.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
@@ -62,7 +67,7 @@ export class Lease {
   /** The connection ended, and with it the lease. */
   closed() {
     this.asked.clear();
-    if (this.mine) this.#lost("");
+    clearInterval(this.renewing);
     this.mine = false;
   }
 
@@ -73,7 +78,6 @@ export class Lease {
     const unverified = holder && this.model.state?.lease?.verified === false ? " (name not verified)" : "";
     text(byId("driver"), mine ? "you" : holder ? `${holder}${unverified}` : "nobody");
     attribute(byId("lease"), "data-mine", mine ? "yes" : "no");
-    show(byId("lease-acquire"), !mine && !holder && !looks);
     show(byId("lease-ask"), !mine && holder !== null && !looks);
     show(byId("lease-take"), !mine && holder !== null && !looks);
     show(byId("lease-release"), mine);
@@ -82,7 +86,7 @@ export class Lease {
     for (const id of ["lease-acquire", "lease-ask", "lease-take"]) {
       enable(/** @type {HTMLButtonElement} */ (byId(id)), connected);
     }
-    const handed = !mine && holder !== null && holder === this.model.hello?.source;
+    const handed = !mine && this.#handedToMe;
     show(byId("lease-acquire"), (!mine && holder === null && !looks) || handed);
     const said = mine && asker ? `${asker} asks for the lease.` : handed ? "The lease is handed over to you: take it." : "";
     if (said && said !== this.announced) this.told.say(said);
@@ -93,15 +97,16 @@ export class Lease {
   #lost(why) {
     clearInterval(this.renewing);
     this.mine = false;
-    this.told.lost();
-    this.told.say(why ? `You do not drive any more: ${why}.` : "You do not drive any more.");
+    this.told.lost(why ? `you do not drive any more: ${why}` : "you do not drive any more");
   }
 
   /** @param {number} everyMs */
   #renewEvery(everyMs) {
     clearInterval(this.renewing);
     this.renewing = setInterval(() => {
-      if (document.visibilityState === "visible") this.#ask("renew");
+      // Who cannot see the robot does not go on driving: a hidden page lets its lease run out.
+      const waits = [...this.asked.values()].includes("renew");
+      if (document.visibilityState === "visible" && !waits) this.#ask("renew");
     }, everyMs);
   }
 

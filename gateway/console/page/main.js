@@ -44,7 +44,7 @@ const hold = new Hold(link, model, {
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: () => hold.drop("the lease is lost"),
+  lost: (why) => (hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
 });
 const drive = new Drive(model, targets, hold, { say, select });
 const pad = new Pad(hold, targets, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });

@@ -44,8 +44,8 @@ export class Scene {
     this.camera.up.set(0, 0, 1);
     this.azimuth = -0.45;
     this.elevation = 0.82;
-    this.distance = 1.5;
-    this.centre = new three.Vector3(0, 0, -0.08);
+    this.distance = 1.55;
+    this.centre = new three.Vector3(0, 0, -0.11);
 
     this.scene.add(new three.HemisphereLight(0xffffff, 0x8890a0, 1.6));
     const sun = new three.DirectionalLight(0xffffff, 2.2);

@@ -136,8 +136,7 @@ export class StopAll {
   }
 
   async #reset() {
-    const estop = this.model.state?.estop;
-    if (estop === undefined) return;
+    const estop = Math.max(this.model.state?.estop ?? 0, this.answer?.estop ?? 0); // the one that is shown now
     const agreed = await confirmed(
       "Leave STOP ALL?",
       "Look whether everybody is clear of the robot. Nothing moves until it is started again.",

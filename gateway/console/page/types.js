@@ -3,7 +3,7 @@
  *
  * @typedef {{id: number, running: boolean, angle_deg: number | null}} Servo
  * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg
- * @typedef {{holder?: string | null, asked_by?: string | null, verified?: boolean, ttl_ms?: number}} LeaseState
+ * @typedef {{holder: string | null, asked_by: string | null, verified: boolean, held_s: number | null}} LeaseState
  * @typedef {{
  *   mode: string, uptime_s: number, version: string, simulated: boolean, estop: number, estop_source: string | null,
  *   legs: Leg[], commands: {accepted: number, rejected: number, coalesced: number},

@@ -1,0 +1,261 @@
+"""Hold to run, on the emulated SPI device: what the page sends comes to the wire; whatever ends it stops the legs."""
+
+import os
+import re
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from gateway.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
+from tests.console.browser import HIDE, LATE_MS, Opened, Visitor, put_to_rest
+from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.console_process import Console
+from tests.support.cuttable import Link
+from tests.support.gateway_process import Gateway
+
+pytestmark = [pytest.mark.browser, pytest.mark.hil]
+
+TIMEOUT_MS: Final = 250.0
+LEEWAY_MS: Final = 50.0
+NS_PER_MS: Final = 1e6
+
+GAMEPAD: Final = """
+window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
+               buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
+navigator.getGamepads = () => [window.pad];
+"""
+
+
+class Robot:
+    """A gateway on the emulated device, and a console that reaches it over a link that can be cut."""
+
+    def __init__(self, folder: Path) -> None:
+        with ExitStack() as stack:
+            self.bed = stack.enter_context(SpiTestbed())
+            self.gateway = stack.enter_context(Gateway(folder, {"watchdog": {"timeout_ms": TIMEOUT_MS}}, bed=self.bed))
+            self.link = stack.enter_context(Link(self.gateway.endpoint))
+            self.console = stack.enter_context(Console(folder, "--connect", self.link.endpoint))
+            self.cookie = self.console.sign_in()
+            self.close = stack.pop_all().close
+
+    def wait_for(self, leg: int, op: Op, angles: tuple[float, float, float], since: int = 0) -> None:
+        """Wait for exactly this frame on the wire."""
+        wanted = [(leg * 10 + joint, op, round(deg * 100)) for joint, deg in zip((1, 2, 3), angles, strict=True)]
+        self.bed.wait_for(lambda all_: any(_ops(each) == wanted for each in all_[since:]), LATE_MS / 1000)
+
+    def expect_stopped(self, *legs: int, since: int) -> None:
+        """Wait for these legs' Stops, and compare when the first of each came with the leg's last setpoint."""
+        stops = {leg: stop_leg(leg).to_bytes() for leg in legs}
+        transfers = self.bed.wait_for(
+            lambda all_: all(any(each.data == stop for each in all_[since:]) for stop in stops.values()), LATE_MS / 1000
+        )
+        for leg, stop in stops.items():
+            first = next(index for index, each in enumerate(transfers) if index >= since and each.data == stop)
+            last = max(index for index, each in enumerate(transfers[:first]) if _moves(each, leg))
+            silent_ms = (transfers[first].monotonic_ns - transfers[last].monotonic_ns) / NS_PER_MS
+            assert silent_ms <= TIMEOUT_MS + LEEWAY_MS
+            assert not any(_moves(each, leg) for each in transfers[first:])
+
+
+def _frame(transfer: Transfer) -> Frame:
+    return decode(transfer.data)
+
+
+def _ops(transfer: Transfer) -> list[tuple[int, Op, int]]:
+    return [(servo, op.op, op.angle_cdeg) for servo, op in _frame(transfer).servos]
+
+
+def _moves(transfer: Transfer, leg: int) -> bool:
+    frame = _frame(transfer)
+    return isinstance(frame, OneLeg) and frame.leg == leg and not frame.is_stop
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    running = Robot(tmp_path_factory.mktemp("robot"))
+    yield running
+    running.close()
+
+
+@pytest.fixture
+def pages(browser: Browser, robot: Robot) -> Iterator[Visitor]:
+    """Opens pages on a robot that is at rest."""
+    with Visitor(browser, robot.console.url, robot.cookie) as visitor:
+        yield visitor
+    put_to_rest(robot.gateway)
+
+
+def hold(page: Opened, robot: Robot, *legs: int) -> int:
+    """Drive these legs by holding H; from which transfer on they run."""
+    page.drive(*legs)
+    since = len(robot.bed.transfers)
+    page.page.keyboard.down("h")
+    expect(page.said).to_contain_text("while you hold")
+    for leg in legs:
+        robot.wait_for(leg, Op.SET, (90, 90, 90), since)
+    return since
+
+
+def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    page.select(3)
+    page["joint-1"].fill("100.5")
+    page.drive(3, 5)
+    page["joints"].fill("45")
+    page.page.get_by_label("Joint 2, degrees, typed").fill("77.25")
+    page.page.get_by_label("Joint 2, degrees, typed").press("Enter")
+    since = len(robot.bed.transfers)
+    page.page.keyboard.down("h")
+    robot.wait_for(3, Op.START, (45, 77.25, 45), since)
+    robot.wait_for(5, Op.START, (90, 90, 90), since)
+    page["joint-3"].fill("120")
+    robot.wait_for(3, Op.SET, (45, 77.25, 120), since)
+    page.expect_status(3, "runs")
+    since = len(robot.bed.transfers)
+    page.page.keyboard.up("h")
+    robot.expect_stopped(3, 5, since=since)
+    expect(page.said).to_have_text("Let go: legs 3 and 5 stopped.")
+
+
+def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    page.drive(1)
+    page.select(4)
+    since = len(robot.bed.transfers)
+    page["hold-leg"].hover()
+    page.page.mouse.down()
+    robot.wait_for(4, Op.SET, (90, 90, 90), since)
+    assert not any(_moves(each, 1) for each in robot.bed.transfers[since:])
+    since = len(robot.bed.transfers)
+    page["stop-leg"].focus()
+    page.page.keyboard.press("Enter")
+    robot.expect_stopped(4, since=since)
+    page.page.mouse.up()
+
+
+def test_stop_all_ends_a_hold(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    hold(page, robot, 2, 6)
+    since = len(robot.bed.transfers)
+    page.page.keyboard.press("Space")
+    robot.expect_stopped(2, 6, since=since)
+    expect(page["stop-known"]).to_contain_text("6 Stops written within")
+    page.expect_status(2, "rests")
+
+
+def _hide(page: Opened, _robot: Robot) -> None:
+    page.page.evaluate(HIDE)
+
+
+def _blur(page: Opened, _robot: Robot) -> None:
+    page.lose_focus()
+
+
+def _somebody_stops(_page: Opened, robot: Robot) -> None:
+    with robot.gateway.client() as client:
+        client.stop(1)
+
+
+@pytest.mark.parametrize(
+    ("lose", "words"),
+    [
+        (_hide, "this page is hidden"),
+        (_blur, "this window has lost the focus"),
+        (_somebody_stops, "servo 11 does not run"),
+    ],
+    ids=["hidden", "without focus", "stopped by another"],
+)
+def test_what_is_lost_stops_the_legs_and_the_page_says_why(
+    pages: Visitor, robot: Robot, lose: Callable[[Opened, Robot], None], words: str
+) -> None:
+    page = pages.open()
+    since = hold(page, robot, 1, 4)
+    lose(page, robot)
+    robot.expect_stopped(1, 4, since=since)
+    expect(page.said).to_contain_text(words)
+    expect(page.said).to_contain_text(re.compile("topped.* legs 1 and 4"))
+    page.page.keyboard.down("h")  # the same key, still held: it repeats itself
+    expect(page["hold"]).to_have_attribute("data-held", "no")
+
+
+def test_a_page_that_is_closed_stops_nothing_itself(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    since = hold(page, robot, 1)
+    page.page.close()
+    robot.expect_stopped(1, since=since)
+
+
+def test_a_renderer_that_is_frozen_goes_on_with_nothing_when_it_wakes(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    since = hold(page, robot, 1, 4)
+    renderers = pages.renderers()
+    for renderer in renderers:
+        os.kill(renderer, signal.SIGSTOP)
+    try:
+        robot.expect_stopped(1, 4, since=since)
+    finally:
+        for renderer in renderers:
+            os.kill(renderer, signal.SIGCONT)
+    expect(page.said).to_contain_text("this page was frozen for")
+    page.expect_live()
+    robot.expect_stopped(1, 4, since=since)
+
+
+def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(pages: Visitor, robot: Robot) -> None:
+    page = pages.open(script=GAMEPAD)
+    page.drive()
+    page.select(2)
+    expect(page["gamepad"]).to_be_visible()
+    since = len(robot.bed.transfers)
+    page.page.evaluate("pad.buttons[7].value = 1; pad.axes[0] = 1")
+    robot.wait_for(2, Op.START, (90, 90, 90), since)
+    robot.bed.wait_for(lambda all_: any(_moved(each, 21, 9500) for each in all_[since:]), LATE_MS / 1000)
+    page.page.evaluate("navigator.getGamepads = () => [null]")
+    robot.expect_stopped(2, since=since)
+    expect(page.said).to_contain_text("the gamepad has gone")
+
+
+def _moved(transfer: Transfer, servo: int, beyond_cdeg: int) -> bool:
+    return any(each == servo and angle > beyond_cdeg for each, _, angle in _ops(transfer))
+
+
+def test_a_cut_link_stops_the_legs_and_what_waited_moves_nothing(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    since = hold(page, robot, 1, 4)
+    robot.link.cut()
+    try:
+        robot.expect_stopped(1, 4, since=since)
+        expect(page.said).to_contain_text("the newest state is")
+        expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
+    finally:
+        robot.link.fix()
+    page.expect_live()
+    robot.expect_stopped(1, 4, since=since)
+
+
+def test_a_console_that_is_killed_and_a_gateway_that_ends_stop_the_legs(browser: Browser, tmp_path: Path) -> None:
+    robot = Robot(tmp_path)
+    try:
+        with Visitor(browser, robot.console.url, robot.cookie) as pages:
+            page = pages.open()
+            since = hold(page, robot, 1, 4)
+            robot.console.child.kill()
+            robot.expect_stopped(1, 4, since=since)
+            expect(page.said).to_contain_text("the connection to the console is lost")
+            expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
+            with Console(tmp_path, "--connect", robot.gateway.endpoint, port=robot.console.port):
+                page.expect_live()
+                page.page.keyboard.up("h")
+                since = hold(page, robot, 1, 4)
+                robot.gateway.child.terminate()
+                robot.expect_stopped(1, 4, since=since)
+                expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
+                page.page.keyboard.press("Escape")
+                expect(page["stop-known"]).to_contain_text("asked again once connected")
+    finally:
+        robot.close()

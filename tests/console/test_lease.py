@@ -1,0 +1,59 @@
+"""Who drives, between two pages and a program."""
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.console.browser import HIDE, Visitor
+from tests.support.gateway_process import Gateway
+
+pytestmark = pytest.mark.browser
+
+
+def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) -> None:
+    anna, bert = visitor.open(), visitor.open()
+    anna["lease-acquire"].click()
+    expect(anna["driver"]).to_have_text("you")
+    expect(bert["driver"]).to_contain_text("(page ")
+    bert.page.keyboard.press("h")
+    expect(bert.said).to_contain_text("this page does not have the lease")
+
+    bert["lease-ask"].click()
+    expect(anna.said).to_contain_text("asks for the lease")
+    anna["lease-hand-over"].click()
+    expect(bert.said).to_contain_text("handed over to you")
+    bert["lease-acquire"].click()
+    expect(bert["driver"]).to_have_text("you")
+    expect(anna["driver"]).not_to_have_text("you")
+
+    anna["lease-take"].click()
+    anna["question-no"].click()
+    expect(bert["driver"]).to_have_text("you")
+    bert.page.keyboard.down("h")
+    bert.expect_status(1, "runs")
+    anna["lease-take"].click()
+    anna["question-yes"].click()
+    expect(anna["driver"]).to_have_text("you")
+    expect(bert.said).to_contain_text(re.compile("somebody has taken the lease|not_holder"))
+    bert.expect_status(1, "rests")
+    with gateway.client(source="a program") as robot:
+        assert robot.start_leg(1, 90, 90, 90).reason == "not_holder"
+        bert["stop-all"].click()  # whoever drives
+        expect(bert["stop-known"]).to_contain_text("6 Stops written within")
+        assert robot.state().mode == "estopped"
+
+
+@pytest.mark.parametrize("how", ["closed", "hidden"])
+def test_a_page_that_is_closed_or_hidden_drives_no_more(visitor: Visitor, gateway: Gateway, how: str) -> None:
+    page, other = visitor.open(), visitor.open()
+    page["lease-acquire"].click()
+    expect(other["driver"]).to_contain_text("(page ")
+    if how == "closed":
+        page.page.close()
+    else:
+        page.page.evaluate(HIDE)
+    expect(other["driver"]).to_have_text("nobody")
+    with gateway.client() as robot:
+        assert robot.start_leg(1, 90, 90, 90).accepted
+        robot.stop()
