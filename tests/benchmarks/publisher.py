@@ -24,7 +24,8 @@ from pathlib import Path
 import zenoh
 
 from gateway.edge.session import client_config
-from schemas.keys import LEGS_COMMAND, leg_command
+from schemas.keys import LEASE, LEGS_COMMAND, leg_command
+from schemas.lease import LeaseAck
 
 ANGLES = 180_00
 """How many numbers fit into one angle: 0.00° to 179.99°."""
@@ -37,6 +38,14 @@ def payload(number: int) -> str:
         f'{{"servos":[{{"op":"start","angle_deg":{high / 100}}},'
         f'{{"op":"start","angle_deg":{low / 100}}},{{"op":"start","angle_deg":90}}]}}'
     )
+
+
+def acquired(session: zenoh.Session) -> str:
+    """The token of the lease, which nobody else must hold."""
+    for reply in session.get(LEASE, payload='{"do": "acquire", "source": "publisher"}', timeout=5):
+        if reply.ok is not None:
+            return str(LeaseAck.model_validate_json(reply.ok.payload.to_bytes()).lease)
+    raise RuntimeError("no answer")
 
 
 def legs_payload(number: int, legs: Sequence[int]) -> str:
@@ -73,7 +82,11 @@ Send = Callable[[str], int | None]
 class Stream:
     """What is sent, in which rhythm."""
 
-    def __init__(self, session: zenoh.Session, shape: str, legs: Sequence[int], hz: float, *, block: bool) -> None:
+    def __init__(
+        self, session: zenoh.Session, shape: str, legs: Sequence[int], hz: float, *, block: bool, token: str = ""
+    ) -> None:
+        """`token`: that of a lease, which each message then carries."""
+        self._end = f',"lease":"{token}"}}' if token else "}"
         control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
         one_message = shape == "one-message"
         self._legs = legs
@@ -99,6 +112,7 @@ class Stream:
         for index, send in itertools.cycle(enumerate(self._sends)):
             number = next(self._numbers)
             text = legs_payload(number, self._legs) if self._shape == "one-message" else payload(number)
+            text = text[:-1] + self._end
             begins = self._shape != "burst" or index == 0
             if begins and self._pause_s:
                 wait_until(due_s)
@@ -147,10 +161,12 @@ def main() -> None:
     parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg; 0: a flood")
     parser.add_argument("--log", type=Path, help="leave it out for runs without end: it grows")
     parser.add_argument("--shape", choices=("apart", "burst", "one-message", "asked"), default="apart")
+    parser.add_argument("--lease", action="store_true", help="acquire the lease, and send its token with each message")
     parser.add_argument("--block", action="store_true", help="wait where the way is congested, and lose nothing")
     options = parser.parse_args()
     with zenoh.open(client_config(options.endpoint)) as session:
-        stream = Stream(session, options.shape, options.legs, options.hz, block=options.block)
+        token = acquired(session) if options.lease else ""
+        stream = Stream(session, options.shape, options.legs, options.hz, block=options.block, token=token)
         print("ready", flush=True)
         for line in sys.stdin:
             log = array.array("q")
