@@ -139,20 +139,23 @@ def issue(
 
 @app.command(epilog="Example: hexapod-gateway certs robot robot-1 robot-2 --dir ~/fleet")
 def robot(
+    directory: Directory,
     names: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
-            metavar="NAME...",
+            metavar="[NAME...]",
             help="Each robot's name, which is its namespace on the router: letters, digits, - and _. "
-            "Example: robot-1 robot-2",
+            "Example: robot-1 robot-2. Without one, only router.json5 is made anew",
             show_default=False,
         ),
-    ],
-    directory: Directory,
+    ] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Add robots to a fleet behind one Zenoh router, whose hosts `certs init` was given. Rewrites router.json5."""
-    certs.add_robots(directory, names, days=days)
+    certs.add_robots(directory, names or (), days=days)
+    if not names:
+        typer.echo(f"Made {directory}/router.json5 anew. Copy it to the router, and restart that.")
+        return
     first = names[0]
     typer.echo(f"Made {', '.join(names)} in {directory}, and router.json5 for all robots there.")
     typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")

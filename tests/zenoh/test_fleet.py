@@ -6,6 +6,7 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 import json
 import os
 import statistics
+import subprocess
 import sys
 import threading
 import time
@@ -358,3 +359,13 @@ def test_the_files_in_deploy_are_those_that_certs_makes(tmp_path: Path) -> None:
     certs.add_robots(tmp_path, ROBOTS[2:])
     assert (tmp_path / "router.json5").read_text() == (DEPLOY / "router.json5").read_text()
     assert (tmp_path / "robot-1.json5").read_text() == (DEPLOY / "gateway.json5").read_text()
+
+
+def test_a_routers_file_is_made_anew_without_a_new_robot(tmp_path: Path) -> None:
+    certs.init(tmp_path, ["router.local"])
+    certs.add_robots(tmp_path, ROBOTS)
+    (tmp_path / "router.json5").write_text("// of an older version\n")
+    command = [sys.executable, "-m", "gateway", "certs", "robot", "--dir", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "router.json5 anew" in done.stdout
+    assert (tmp_path / "router.json5").read_text() == (DEPLOY / "router.json5").read_text()
