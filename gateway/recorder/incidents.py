@@ -64,14 +64,15 @@ def find(records: Records, *, written: bool, now_ns: int) -> list[Incident]:
     for begin, end in pairwise(bounds):
         of_one_run = records[begin:end]
         alive = written and end == len(records)
-        found += _noted(of_one_run, alive=alive, now_ns=now_ns)
+        noted = _noted(of_one_run, alive=alive, now_ns=now_ns)
         if not alive and not any(isinstance(each.content, form.End) for each in of_one_run[-LAST_RECORDS:]):
             killed_ns = max(each.ns for each in of_one_run[-LAST_RECORDS:])
-            if found and found[-1].begin_ns <= killed_ns <= found[-1].end_ns:
-                found[-1] = replace(found[-1], killed_ns=killed_ns)
+            if noted and noted[-1].begin_ns <= killed_ns <= noted[-1].end_ns:
+                noted[-1] = replace(noted[-1], killed_ns=killed_ns)
             else:
                 crash = _crash(of_one_run, killed_ns, now_ns=now_ns)
-                found += [] if crash is None else [crash]
+                noted += [] if crash is None else [crash]
+        found += noted
     return found
 
 

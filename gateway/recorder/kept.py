@@ -3,22 +3,35 @@
 import os
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from pydantic import TypeAdapter
+from pydantic import BaseModel, TypeAdapter
 
 from gateway.recorder import format as form
 from gateway.recorder.incidents import ID, Incident
 from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
 from gateway.recordings import REPORTS, Recording
-from gateway.recordings.plain_schema import plain_schema
+from gateway.recordings.plain_schema import Schema, plain_schema
 from schemas.keys import FRAME
 
 MAX_FILES: Final = 100
 MAX_BYTES: Final = 200_000_000
 SUFFIX: Final = ".mcap"
 _UNFINISHED: Final = ".new"
+
+
+_CHANNELS: Final[dict[str, type[BaseModel]]] = {
+    **dict.fromkeys(COMMAND_TOPICS, CommandInBox),
+    RECORDER: Note,
+    FRAME: FrameInBox,
+}
+
+
+@cache
+def _schema(model: type[BaseModel]) -> Schema:
+    return plain_schema(TypeAdapter(model), model.__name__)
 
 
 class Kept(NamedTuple):
@@ -44,10 +57,8 @@ def write(path: Path, incident: Incident, records: Sequence[form.Record], *, ove
     """Write an incident to a file. Raises OSError; FileExistsError unless `overwrite`."""
     begin_ns = incident.begin_ns + incident.wall_offset_ns
     with Recording(path, overwrite=overwrite, time_ns=begin_ns) as recording:
-        for topic in COMMAND_TOPICS:
-            recording.declare(topic, "CommandInBox", plain_schema(TypeAdapter(CommandInBox), "CommandInBox"))
-        recording.declare(RECORDER, "Note", plain_schema(TypeAdapter(Note), "Note"))
-        recording.declare(FRAME, "FrameInBox", plain_schema(TypeAdapter(FrameInBox), "FrameInBox"))
+        for topic, model in _CHANNELS.items():
+            recording.declare(topic, model.__name__, _schema(model))
         for message in messages(incident, records):
             if message.topic in REPORTS:
                 recording.add_report(message.topic, message.content, message.time_ns)

@@ -63,7 +63,13 @@ def story(messages: list[Message]) -> list[str]:
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {what(name)}, at {zero.content.get('time')}"
-    return [head, *_summary(told, zero.time_ns), *(f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)]
+    timed = (f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)
+    return [_visible(line) for line in (head, *_summary(told, zero.time_ns), *timed)]
+
+
+def _visible(line: str) -> str:
+    """A sender's text must not control the terminal."""
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in line)
 
 
 def _at(at_ns: int) -> str:

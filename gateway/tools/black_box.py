@@ -49,8 +49,8 @@ def show(settings: Settings, name: str) -> int:
     found = _one(settings, name)
     try:
         lines = story(_messages(found))
-    except NoStoryError as error:
-        raise ConfigError(f"{found.path or found.name}: {error}") from error
+    except (NoStoryError, KeyError, TypeError, AttributeError) as error:  # of a later version, or changed by hand
+        raise ConfigError(f"{found.path or found.name}: is no incident that this version can tell") from error
     for line in lines:
         print(line)  # noqa: T201
     return 0

@@ -116,6 +116,37 @@ def test_killed(robot: InstalledGateway) -> None:
     assert {transfer.data for transfer in restarted} == STOPS
 
 
+def test_the_black_box_of_a_killed_service(robot: InstalledGateway) -> None:
+    """Its last seconds are told at once, and hexapod-recorder has them on the disk when their time is over."""
+    robot.unit.systemctl("start")
+    client, _ = start_moving(robot)
+    recorder = Unit(robot.box, "hexapod-recorder.service")
+    assert recorder.property("ActiveState") == "active"
+    follow = (
+        "journalctl",
+        "--follow",
+        "--lines=0",
+        "--output=cat",
+        robot.box.journal_option,
+        f"--unit={recorder.name}",
+    )
+    journal = Child(follow, {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
+    with robot.journal() as service:
+        robot.unit.systemctl("kill", "--signal=SIGKILL")
+        service.wait_for_output("Started ")
+    client.wait()
+    client.close()
+    told = robot.gateway("incidents", "show", "last")
+    assert "-crash: the gateway ended without a word" in told
+    assert "last command of leg 3" in told
+    assert "ended without a word" in told.splitlines()[-1] or "a gateway starts" in told
+    kept = journal.wait_for_output("is kept: /var/lib/hexapod-gateway/incidents/", timeout_s=20)
+    journal.close()
+    name = kept.partition("incident ")[2].partition(" ")[0]
+    assert name in robot.gateway("incidents", "list")
+    assert robot.box.run("stat", "--format=%U %a", f"/var/lib/{NAME}/incidents").stdout == f"{NAME} 700\n"
+
+
 def test_hanging(robot: InstalledGateway) -> None:
     """A transfer that never returns: killed by the watchdog with its stack in the journal, Stops, and a new start."""
     robot.unit.systemctl("start")

@@ -21,6 +21,7 @@ from schemas.keys import COMMAND_KEYS, CommandKey, Target
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
 from tests.fuzz.reference import ReferenceController
+from tests.fuzz.ring import fuzz_ring
 
 MAX_DETAIL: Final = 200
 """Characters of an answer to a bad command; it goes out as an event and into the log for everyone to see."""
@@ -188,4 +189,5 @@ TARGETS: Final[dict[str, Callable[[bytes], str]]] = {
     "intake": fuzz_intake,
     "decode": fuzz_decode,
     "simulator": fuzz_simulator,
+    "ring": fuzz_ring,
 }

@@ -28,7 +28,7 @@ from tests.fuzz.targets import TARGETS, check_frame, check_intake
 from tests.support.commands import LEG, RESET_KEY, SERVO_32, as_json, parsed
 
 ROOT = Path(__file__).parents[2]
-RUNS = {"intake": 50_000, "decode": 60_000, "simulator": 12_000}
+RUNS = {"intake": 50_000, "decode": 60_000, "simulator": 12_000, "ring": 4_000}
 """Some four seconds each."""
 
 
@@ -55,6 +55,7 @@ WANTED = {
     "intake": {"intent", "invalid", "malformed", "too_large", "bad_encoding"},
     "decode": {"bytes: frame", "bytes: no frame", "typed: exit code 0", "typed: exit code 1"},
     "simulator": {"plain: some frames executed", "length-prefixed: some frames executed"},
+    "ring": {"records", "incidents", "exported"},
 }
 
 
@@ -63,6 +64,7 @@ WANTED = {
     ("decode", "protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
     ("intake", "core/intake.py", "if name in seen:", "if name in ():"),
     ("simulator", "spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
+    ("ring", "recorder/format.py", "if end > len(rest):", "if False:"),
 ])  # fmt: skip
 def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str, tmp_path: Path) -> None:
     tree = tmp_path / "tree"

@@ -1,0 +1,124 @@
+"""One incident of each kind, from the real service on the emulated device: kept, readable, and the same as the wire."""
+
+import errno
+import json
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import jsonschema
+import pytest
+from mcap.reader import make_reader
+
+from gateway.client import Client
+from gateway.protocol.framing import Framing
+from schemas import keys
+from tests.hil.bed import SpiTestbed, Transfer
+from tests.hil.wire import LATE_S, START_3
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
+
+pytestmark = pytest.mark.hil
+
+FAULTY = """
+import sys
+from gateway import cli
+from gateway.runtime import conductor
+def broken(self, received, now_ns):
+    raise RuntimeError("planted")
+sound = conductor.Conductor._receive
+conductor.Conductor._receive = lambda *given: (broken if "planted" in str(given[1].payload) else sound)(*given)
+cli.main()
+"""
+
+
+def silence(_: Client, bed: SpiTestbed, __: Child) -> None:
+    def stopped(seen: list[Transfer]) -> bool:
+        starts = [index for index, each in enumerate(seen) if each.data.hex() == START_3]
+        return bool(starts) and any(is_stop_of(3, each) for each in seen[starts[-1] :])
+
+    bed.wait_for(stopped, LATE_S)
+
+
+def estop(client: Client, _: SpiTestbed, __: Child) -> None:
+    assert client.estop().accepted
+
+
+def bus_fault(client: Client, bed: SpiTestbed, _: Child) -> None:
+    bed.fail(errno.EIO, count=1)
+    assert client.ask(keys.leg_command(3), {"servos": [{"op": "set", "angle_deg": 91}] * 3}).reason == "bus_fault"
+
+
+def mistake(client: Client, _: SpiTestbed, gateway: Child) -> None:
+    client.publish(keys.leg_command(3), {"servos": [], "source": "planted"})
+    gateway.wait(LATE_S)
+
+
+def crash(_: Client, __: SpiTestbed, gateway: Child) -> None:
+    gateway.kill()
+
+
+def is_stop_of(leg: int, transfer: Transfer) -> bool:
+    data = transfer.data
+    return len(data) == 14 and data[2] // 10 == leg and data[3] == data[7] == data[11] == 2
+
+
+KINDS: dict[str, Callable[[Client, SpiTestbed, Child], None]] = {
+    "watchdog": silence, "estop": estop, "bus-fault": bus_fault, "mistake": mistake, "crash": crash,
+}  # fmt: skip
+
+
+def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five gateways one after the other, on one ring: an end begins the next incident anew."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = write_settings(
+        tmp_path / "gateway.toml",
+        {
+            "zenoh": {"listen": [endpoint]},
+            "spi": {"framing": Framing.LENGTH_PREFIXED},
+            "recorder": {"path": str(tmp_path / "box"), "seconds": 60},
+        },
+    )
+    for happens in KINDS.values():
+        run(spi_testbed, config, endpoint, happens)
+    keeper = spi_testbed.spawn([*COMMAND, "incidents", "keep", "--once", "--config", str(config)])
+    assert keeper.wait(60) == 0, str(keeper)
+    found = {path.stem.split("-", 3)[-1]: path for path in sorted((tmp_path / "box" / "incidents").iterdir())}
+    assert found.keys() == KINDS.keys()
+
+    on_wire = [each.data.hex() for each in spi_testbed.transfers if each.delivered and len(each.data) == 14]
+    assert frames_in(found["crash"]) == on_wire, "all five within the ten seconds before the last"
+    for kind, path in found.items():
+        shown = Child([*COMMAND, "incidents", "show", path.stem, "--config", str(config)], spi_testbed.environment)
+        assert shown.wait(30) == 0, str(shown)
+        assert shown.stdout.startswith(f"{path.stem}: "), kind
+        assert "last command of leg 3 (hil, start 90 45 120)" in shown.stdout, kind
+        shown.close()
+
+
+def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client, SpiTestbed, Child], None]) -> None:
+    """A gateway that moves a leg until it happens, and is then ended, if it still runs."""
+    gateway = bed.spawn([sys.executable, "-c", FAULTY, "run", "--config", str(config)])
+    gateway.wait_for_output(READY, LATE_S)
+    with Client(endpoint, source="hil", timeout_s=5) as client:
+        assert client.start_leg(3, 90, 45, 120).accepted
+        happens(client, bed, gateway)
+    if gateway.returncode is None:
+        gateway.send_signal(signal.SIGTERM)
+    gateway.wait(LATE_S)
+    gateway.close()
+
+
+def frames_in(path: Path) -> list[str]:
+    """Its frames; each of its messages holds to the schema that the file carries."""
+    frames = []
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            content = json.loads(message.data)
+            jsonschema.validate(content, json.loads(schema.data))
+            if channel.topic == keys.FRAME:
+                frames.append(content["bytes"])
+    return frames
