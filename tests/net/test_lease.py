@@ -39,8 +39,9 @@ METRICS = "127.0.0.1:9464"
 class Scene(Hosts):
     """The robot, the laptops, and every token that was given."""
 
-    def __init__(self, robot: RobotHost, anna: LaptopHost, bert: LaptopHost) -> None:
+    def __init__(self, robot: RobotHost, anna: LaptopHost, bert: LaptopHost, black_box: Path) -> None:
         super().__init__(robot, (anna, bert))
+        self.black_box = black_box
         self.anna, self.bert = anna, bert
         self.tokens: set[str] = set()
         self.states = states(robot.client)
@@ -74,6 +75,7 @@ def scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> I
         "lease": {"ttl_ms": TTL_MS},
         "telemetry": {"metrics": METRICS},
         "log": {"level": "debug", "format": "json"},
+        "recorder": {"path": str(folder / "black box")},
     }
     with ExitStack() as opened:
         anna, bert = (
@@ -83,7 +85,7 @@ def scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> I
         robot = opened.enter_context(
             RobotHost(hosts_network, folder, port=PORT, certificates=certificates, settings=settings)
         )
-        yield Scene(robot, anna.ready(), bert.ready())
+        yield Scene(robot, anna.ready(), bert.ready(), folder / "black box")
 
 
 @pytest.fixture(autouse=True)
@@ -225,6 +227,9 @@ def test_no_token_is_anywhere(scene: Scene, hosts_network: Network) -> None:
             Path(f"/proc/{pid}/{file}").read_bytes().decode(errors="replace")
             for pid in (robot.gateway.child.pid, *(laptop.child.pid for laptop in scene.laptops))
             for file in ("cmdline", "environ")
+        ),
+        "black box": "".join(
+            file.read_bytes().decode("latin-1") for file in scene.black_box.rglob("*") if file.is_file()
         ),
         "laptops' complaints": "".join(laptop.child.stderr for laptop in scene.laptops),
     }
