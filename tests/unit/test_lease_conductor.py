@@ -192,3 +192,15 @@ async def test_no_report_has_the_token() -> None:
     assert anna.lease is not None
     assert anna.lease not in out
     assert "anna" in out
+
+
+@pytest.mark.parametrize("framing", ["plain", "length-prefixed"])
+async def test_it_expires_in_time_while_the_bus_is_at_fault(framing: str) -> None:
+    robot = await started_and_quiet(spi={"framing": framing})
+    assert robot.lease("acquire", "anna").accepted
+    robot.controller.fail_next(1000)
+    robot.put(LEG_3, STOP)
+    assert robot.mode == Mode.BUS_FAULT
+    await asyncio.sleep(1.001)
+    assert robot.mode == Mode.BUS_FAULT
+    assert [event.source for event in robot.events(Kind.LEASE_EXPIRED)] == ["anna"]
