@@ -36,7 +36,7 @@ from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
 from gateway.host.ownership import Ownership, OwnersTimer
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import FIRST_OP, Op
 from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
@@ -53,9 +53,6 @@ FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of docs/interface.md, Behaviour 6: until the device answers, no Stop reaches the robot."""
 LAST_REOPEN_S: Final = 1.0
 """Half of what Behaviour 6 allows: a busy machine may wake up late, and a Stop may be waiting."""
-
-_FIRST_OP: Final = 3
-"""Where a frame has the operation of its first servo."""
 
 logger = logging.getLogger(__name__)
 
@@ -100,7 +97,7 @@ class Conductor:
         self._in_fault = False
         self._announced = self._closed = False
         gap_s = settings.spi.frame_gap_us / 1e6
-        self._preamble = PreambleInPauses(bus, loop, self.owner, gap_s, clock, self._zero_failed)
+        self._preamble = PreambleInPauses(bus, loop, self.owner, gap_s, clock, self._after)
         self._told_mode = Mode.STARTING
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
@@ -202,8 +199,7 @@ class Conductor:
             self.recorder.command(0, received.verb, received.key, source, intent, received.received_ns)
             self._reject(received.key, source, received.reply, Reason.STALE, too_old)
             return
-        number = next(self._numbers)
-        self._pending[number] = received.key, source, received.reply
+        self._pending[number := next(self._numbers)] = received.key, source, received.reply
         self.recorder.command(number, received.verb, received.key, source, intent, received.received_ns)
         if received.key == keys.RESET:
             self._step(Reset(number, source, received.key, intent.estop, intent.lease), instant_ns)
@@ -215,11 +211,7 @@ class Conductor:
     def ask_lease(self, request: LeaseRequest) -> list[Effect]:
         """Let the supervisor take a request for the lease. Returns its effects, which are carried out."""
         effects = self.supervisor.step(request, self._clock())
-        fault = self._carry_out(effects)[1]
-        if fault is not None:
-            self._bus_failed(fault)
-        self._arm()
-        self._tell_mode()
+        self._after(self._carry_out(effects)[1])
         return effects
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
@@ -250,7 +242,7 @@ class Conductor:
         if received.reply is not None:
             number = self.supervisor.estops
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
-            self._reply(received.reply, ack)
+            received.reply(ack.model_dump_json().encode())
 
     def _step(self, event: Event, instant_ns: int | None = None) -> list[Cause]:
         """Let the supervisor take an event and carry out what it says. Returns why each frame was written."""
@@ -279,7 +271,7 @@ class Conductor:
                     now_ns = self._clock()
                     data, took_ns = self.bus.last_transfer, self.bus.last_transfer_ns
                     written.append(Written(data, effect.cause, now_ns, took_ns, effect.deadline_ns))
-                    if data[_FIRST_OP] != Op.STOP:
+                    if data[FIRST_OP] != Op.STOP:
                         self.recorder.frames(written)  # no Stop follows in this step, so none waits for it
                     self.metrics.frames[effect.cause] += 1
                     if effect.deadline_ns is not None:
@@ -309,8 +301,9 @@ class Conductor:
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_later()
 
-    def _zero_failed(self, fault: SpiError) -> None:
-        self._bus_failed(fault)
+    def _after(self, fault: SpiError | None) -> None:
+        if fault is not None:
+            self._bus_failed(fault)
         self._tell_mode()
         self._arm()
 
@@ -361,7 +354,7 @@ class Conductor:
         key, source, reply = self._pending.pop(completed.number)
         self.recorder.decided(completed.number, "coalesced" if completed.coalesced else "accepted", key, source)
         if reply is not None:
-            self._reply(reply, Ack(accepted=True, coalesced=True if completed.coalesced else None))
+            reply(Ack(accepted=True, coalesced=True if completed.coalesced else None).model_dump_json().encode())
 
     def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
         self._rejected = number
@@ -378,13 +371,10 @@ class Conductor:
         self.metrics.rejected[reason] += 1
         self.recorder.decided(number, reason, key, source)
         if reply is not None:
-            self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))
+            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())
         left_out = self._sources.rejections.admit(source, self._clock())
         if left_out is not None:
             self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out)
-
-    def _reply(self, reply: Reply, ack: Ack) -> None:
-        reply(ack.model_dump_json().encode())
 
     def _tell_mode(self) -> None:
         mode = self.supervisor.mode

@@ -228,8 +228,8 @@ CONDUCTOR = Subject(
             "a device that is back is not looked for",
         ),
         Mutant(
-            "        self._bus_failed(fault)\n        self._tell_mode()\n        self._arm()\n",
-            "        self._tell_mode()\n        self._arm()\n",
+            "            self._bus_failed(fault)\n        self._tell_mode()\n        self._arm()\n",
+            "            pass\n        self._tell_mode()\n        self._arm()\n",
             "a zero that failed is forgotten",
         ),
         Mutant(
@@ -287,7 +287,7 @@ CONDUCTOR = Subject(
         ),
         Mutant("        self.metrics.rejected[reason] += 1\n", "", "rejected commands are not counted"),
         Mutant(
-            "            self._reply(reply, Ack(accepted=False, reason=reason, detail=detail))\n",
+            "            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())\n",
             "            pass\n",
             "who is rejected waits for an answer",
         ),

@@ -10,6 +10,7 @@ SUPERVISOR = Subject(
         "tests/unit/test_supervisor_faults.py",
         "tests/zenoh/test_supervisor_outside.py",
         "tests/unit/test_legs.py",
+        "tests/unit/test_lease.py",
         "tests/unit/test_conductor_safety.py",
         "tests/unit/test_supervisor_machine.py",
     ),
@@ -28,6 +29,56 @@ SUPERVISOR = Subject(
             "effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)",
             "effects: list[Effect] = []",
             "what stop-servos stopped counts as running",
+        ),
+        Mutant(
+            "if moves and (self.stopped_outside or self.lease.guards or command.lease is not None):",
+            "if moves and (self.stopped_outside or self.lease.guards):",
+            "a former holder's queue moves the robot once the lease is free",
+        ),
+        Mutant(
+            "if moves and (self.stopped_outside or self.lease.guards or command.lease is not None):",
+            "if self.stopped_outside or self.lease.guards or command.lease is not None:",
+            "nobody but its driver can stop the robot",
+        ),
+        Mutant(
+            "        no_lease = self.lease.rejection(event.lease, reset=True)\n",
+            "        no_lease = None\n",
+            "anybody leaves the emergency stop that the driver has engaged",
+        ),
+        Mutant(
+            "        if self._ended or not self.lease.is_takeover(request):\n",
+            "        if True:\n",
+            "the legs run on under whoever takes the lease",
+        ),
+        Mutant(
+            "        if self._ended or not self.lease.is_takeover(request):\n",
+            "        if not self.lease.is_takeover(request):\n",
+            "whoever takes the lease of a gateway that ends is told that it is granted",
+        ),
+        Mutant(
+            "        if answer.token is not None:\n",
+            "        if False:\n",
+            "what others had pending moves under the new holder",
+        ),
+        Mutant(
+            "now_ns >= lease_due_ns else []",
+            "now_ns > lease_due_ns else []",
+            "woken when the lease is due, it does not expire",
+        ),
+        Mutant(
+            "        if self.lease.due_ns is not None:\n            self.due_ns",
+            "        if self.lease.due_ns is not None and self._bus_ok:\n            self.due_ns",
+            "while the bus is at fault nobody hears that the lease has expired",
+        ),
+        Mutant(
+            "        due = self._bus_ok and self.due_ns is not None",
+            "        due = self.due_ns is not None",
+            "when the lease expires, frames are sent to a bus at fault",
+        ),
+        Mutant(
+            "            self.lease.heard(command.lease, now_ns)\n",
+            "            pass\n",
+            "a stream without renewals loses its lease",
         ),
         Mutant(
             "        EmergencyStop: frozenset({Mode.STARTING}),\n",
