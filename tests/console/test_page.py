@@ -203,3 +203,19 @@ def test_how_late_a_state_is_shows_although_clocks_differ(visitor: Visitor) -> N
         [[1000, 5000], [1100, 5100], [1200, 6300], [1300, 6301], [2400, 6400], [50, 6500], [150, 6601]],
     )
     assert late == [0, 0, 1100, 1001, 0, 0, 1]
+
+
+def test_an_observer_looks_and_is_sent_to_the_switch(browser: Browser, gateway: Gateway, tmp_path: Path) -> None:
+    with (
+        Console(tmp_path, "--connect", gateway.endpoint, "--role", "observer") as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+    ):
+        page = visitor.open()
+        expect(page["stop-known"]).to_have_text("This page may only look: use the switch")
+        expect(page["stop-all"]).to_be_disabled()
+        expect(page["controls"]).not_to_be_visible()
+        page.page.keyboard.press("Escape")
+        page.page.keyboard.press("h")
+        page.expect_live()
+        with gateway.client() as robot:
+            assert robot.state().mode == "idle"

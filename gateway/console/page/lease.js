@@ -75,7 +75,7 @@ export class Lease {
     const { holder, asker, mine } = this;
     const looks = this.model.hello?.role === "observer";
     const connected = this.link.open && this.model.linkStatus === "connected";
-    const unverified = holder && this.model.state?.lease?.verified === false ? " (name not verified)" : "";
+    const unverified = holder && this.model.state?.lease?.verified === false ? ", not verified" : "";
     text(byId("driver"), mine ? "you" : holder ? `${holder}${unverified}` : "nobody");
     attribute(byId("lease"), "data-mine", mine ? "yes" : "no");
     show(byId("lease-ask"), !mine && holder !== null && !looks);
