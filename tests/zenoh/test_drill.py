@@ -4,8 +4,9 @@ import json
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +16,7 @@ from gateway.tools import reach
 from gateway.tools.drill.run import drill
 from gateway.tools.drill.steps import STEPS
 from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import frames
 from tests.support.planted_gateway import MISTAKES
 
@@ -34,7 +35,7 @@ def test_it_passes_on_a_gateway_that_works_and_reports_it(gateway: Gateway, tmp_
     report = tmp_path / "drill.html"
     done = gateway.run("drill", "--late", str(LATE_MS), "--report", str(report), timeout_s=40)
     assert done.returncode == 0, str(done)
-    assert done.stdout.count("PASS ") == len(STEPS) - 1, "stop-servos needs a device"
+    assert done.stdout.count("PASS ") == len(STEPS) - 2, "two need a device, or systemd"
     assert "all passed" in done.stdout
     text = report.read_text()
     assert "<h1>Drill: passed</h1>" in text
@@ -107,3 +108,46 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:
         assert "estopped" in done.stderr
         assert client.reset().accepted
     assert gateway.run("drill", "--only", "nonsense").returncode == 2
+
+
+SYSTEMCTL = """#!/bin/sh
+echo "$@" >> {folder}/asked
+case $1 in
+kill) kill -9 {pid} ;;
+show) echo "ExecStopPost={{ path=/opt/stop-servos ; status={status} }}" ;;
+esac
+"""
+
+
+@pytest.mark.parametrize(("status", "word"), [(0, "PASS"), (3, "FAIL")])
+def test_a_service_that_is_killed_comes_back_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int, word: str
+) -> None:
+    """With a systemctl of the test's own, and the test in the place of systemd."""
+    settings = {**FRAMES, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with ExitStack() as stack:
+        first = stack.enter_context(Gateway(tmp_path, settings))
+        systemctl = tmp_path / "systemctl"
+        systemctl.write_text(SYSTEMCTL.format(folder=tmp_path, pid=first.child.pid, status=status))
+        systemctl.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+
+        def start_again() -> None:
+            first.child.wait(20)
+            stack.enter_context(Gateway(tmp_path, settings, wait=False))
+
+        systemd = threading.Thread(target=start_again)
+        systemd.start()
+        found = drill(
+            reach.connection(first.endpoint, None, 2, source="a drill"),
+            leg=1,
+            angle_deg=90,
+            whole_leg=False,
+            agreed=True,
+            only=["restart"],
+            restart=True,
+            endpoint=first.endpoint,
+        )
+        systemd.join()
+        assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [("restart", word)], found.outcomes
+    assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()

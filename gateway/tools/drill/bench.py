@@ -76,6 +76,8 @@ class Bench:
     """How `Client` reaches the gateway."""
     late_ms: float
     """How late a Stop may be."""
+    restart: bool = False
+    """Whether the service may be killed."""
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
     frames_published: bool = False

@@ -28,6 +28,9 @@ def drill(
         list[str] | None, typer.Option("--only", metavar="STEP", help="Only this step; may be given several times.")
     ] = None,
     late: Annotated[float, typer.Option("--late", metavar="MS", min=1, help="How late a Stop may be.")] = 20.0,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Also kill the service (systemd starts it again); as root, on the robot.")
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Move a real robot without asking.")] = False,
     config: Annotated[
         Path | None, typer.Option("--config", metavar="PATH", help="The gateway's settings, for stop-servos.")
@@ -65,6 +68,7 @@ def drill(
         late_ms=late,
         endpoint=endpoint if endpoint is None or "/" in endpoint else f"tcp/{endpoint}",
         zenoh_config=zenoh_config,
+        restart=restart,
         config=config,
     )
     if report is not None:

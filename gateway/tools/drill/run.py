@@ -70,6 +70,7 @@ def drill(
     late_ms: float = LATE_MS,
     endpoint: str | None,
     zenoh_config: Path | None = None,
+    restart: bool = False,
     config: Path | None = None,
 ) -> Drill:
     """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers."""
@@ -87,6 +88,7 @@ def drill(
             endpoint=endpoint if zenoh_config is None else None,
             reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
             late_ms=late_ms,
+            restart=restart,
             config=() if config is None else ("--config", str(config)),
         )
         _agree(bench, state, agreed=agreed)
@@ -169,7 +171,7 @@ def _at_rest(state: GatewayState) -> None:
 
 
 def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
-    if state.simulated or agreed:
+    if state.simulated:
         return
     which = f"Servo {bench.servo_ids[0]}" if bench.servos == 1 else f"Leg {bench.leg}"
     hint(
@@ -177,6 +179,8 @@ def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
         f"{abs(bench.end_deg - bench.start_deg):g}°, several times. Keep people away, and the switch of its power at "
         "hand."
     )
+    if agreed:
+        return
     if not sys.stdin.isatty():
         raise ConfigError("nobody can be asked here, since there is no terminal; --yes agrees")
     sys.stderr.write("Type yes to begin: ")
