@@ -200,7 +200,7 @@ class Client:
 
     def estop(self) -> Ack:
         """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon."""
-        payload = self._payload(keys.ESTOP, {})
+        payload = self._payload(keys.ESTOP, {}, None)
         return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
 
     def reset(self, estop: int | None = None) -> Ack:
@@ -222,8 +222,9 @@ class Client:
         session of its own through whichever host answers. Only for what may safely happen twice, a Stop: a reset or a
         start that is asked again could undo what someone else stopped in between.
         """
-        lease = self.carried_lease
-        ack = self._get(key, self._payload(key, payload), Ack, again=again, priority=priority)
+        lease = None if again else self.carried_lease  # a Stop needs none, and must not fail by one
+        data = self._payload(key, payload, lease)
+        ack = self._get(key, data, Ack, again=again, priority=priority)
         if lease is not None:
             lease.judge(ack)
         return ack
@@ -243,7 +244,7 @@ class Client:
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
         """Send one command without waiting; a rejection shows on `hexapod/event` only."""
-        data = self._payload(key, payload)
+        data = self._payload(key, payload, self.carried_lease)
         with self._open_session() as session:
             session.put(key, data, encoding=JSON, express=True)
 
@@ -286,11 +287,11 @@ class Client:
                 raise ZenohError(f"Zenoh cannot do that: {one_line(error)}") from error
         raise ZenohError("this client is closed; make a new one")
 
-    def _payload(self, key: str, payload: Mapping[str, Any]) -> str:
+    def _payload(self, key: str, payload: Mapping[str, Any], lease: Lease | None) -> str:
         named = {} if self._source is None else {"source": self._source}
         if key == keys.ESTOP:
             return json.dumps({**named, **payload})
-        if self._lease is not None and (token := self._lease.token) is not None:
+        if lease is not None and (token := lease.token) is not None:
             named["lease"] = token
         return json.dumps({"sent_ms": time.monotonic() * 1000, **named, **payload})
 

@@ -3,6 +3,7 @@
 The token that proves it stays in here and in the commands: it is in no error, no log and no `repr`.
 """
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -33,6 +34,7 @@ RELEASE_S: Final = 0.5
 TRY_AGAIN_S: Final = 0.3
 """While it waits to be handed over: how often it is tried besides what events tell."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
+_TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
 
 
@@ -145,6 +147,9 @@ class Lease:
         except BaseException:
             self._unsubscribe()
             raise
+        if not _TOKEN.fullmatch(ack.lease or ""):
+            self._unsubscribe()
+            raise LeaseError(Reason.LEASE_DENIED, "what answers gives no token; is it a gateway?", ack.holder)
         self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
         self.ttl_ms = ack.ttl_ms or TTL_MS
         with self._lock:

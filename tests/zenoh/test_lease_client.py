@@ -3,10 +3,12 @@
 import asyncio
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from gateway.client import AsyncClient, Client, Lease, LeaseError, LeaseLostError, Stream, leg_payload
 from gateway.protocol.frames import decode
@@ -82,6 +84,28 @@ def test_inside_every_command_counts_and_nobody_elses(anna: Client, bert: Client
         assert bert.reset().reason == Reason.NOT_HOLDER
         assert anna.reset().accepted
     assert bert.start_leg(2, *POSE).accepted
+
+
+def test_a_stop_carries_no_token(anna: Client, bert: Client) -> None:
+    """It needs none, and nothing about one can make it fail."""
+    asked: dict[str, bytes] = {}
+
+    def hear(query: zenoh.Query) -> None:
+        asked[str(query.key_expr)] = query.payload.to_bytes() if query.payload else b""
+
+    wanted = (keys.LEGS_COMMAND, keys.leg_command(1), keys.servo_command(21), keys.ESTOP)
+    declared = [bert.session.declare_queryable(key, hear) for key in wanted]
+    bert.state()
+    with anna.lease():
+        assert anna.start_leg(1, *POSE).accepted
+        assert b'"lease"' in asked.pop(keys.leg_command(1))
+        for stop in (anna.stop, partial(anna.stop, 1), partial(anna.servo, 21, "stop"), anna.estop):
+            assert stop().accepted
+        assert anna.reset().accepted
+    assert set(asked) == {*wanted}
+    assert not [payload for payload in asked.values() if b'"lease"' in payload]
+    for each in declared:
+        each.undeclare()
 
 
 def test_it_lives_on_without_commands(anna: Client, bert: Client) -> None:
