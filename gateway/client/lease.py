@@ -86,6 +86,8 @@ class Lease:
         self._holds = _Holds.NOT_YET
         self._token: str | None = None
         self._lost: LeaseLostError | None = None
+        self._gives = False
+        """Away: a renewal that is rejected meanwhile is no loss."""
         self._confirmed_s = 0.0
         self._news = threading.Event()
         self._asked_by: str | None = None
@@ -125,10 +127,14 @@ class Lease:
         token = self._token
         if token is None:
             raise LeaseError(Reason.NOT_HOLDER, "this lease is not held")
-        ack = self._client.lease_requests.release(token, to)
-        if ack.accepted:
-            self._end(_Holds.HANDED_OVER)
-            return
+        self._gives = True
+        try:
+            ack = self._client.lease_requests.release(token, to)
+            if ack.accepted:
+                self._end(_Holds.HANDED_OVER)
+                return
+        finally:
+            self._gives = False
         self.confirm()
         self.check()
         raise _error(ack)
@@ -229,7 +235,7 @@ class Lease:
 
     def _lose(self, reason: str, detail: str, holder: str | None) -> None:
         with self._lock:
-            if self._holds is _Holds.YES:  # else it was given away meanwhile
+            if self._holds is _Holds.YES and not self._gives:
                 self._lost = LeaseLostError(reason, detail, holder)
                 self._holds = _Holds.LOST
         self._news.set()

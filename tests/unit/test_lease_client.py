@@ -32,6 +32,8 @@ class Robot:
         self.acquired = deque(acquired or (GRANTED,))
         self.renewed: LeaseAck | None = DONE
         self.released = DONE
+        self.meanwhile: Callable[[], object] = lambda: None
+        """What happens before a release is answered."""
         self.name = "anna's laptop"
         self.carried_lease: Lease | None = None
         self.lease_requests: Any = self
@@ -78,6 +80,7 @@ class Robot:
         del timeout_s
         assert token == TOKEN
         self.note("release" if to is None else f"release to {to}")
+        self.meanwhile()
         return self.released
 
 
@@ -193,6 +196,17 @@ def test_who_asks_is_told_and_may_be_handed_it_from_the_callback() -> None:
         with pytest.raises(LeaseError, match="not held"):
             lease.hand_over("bert")
     assert robot.asked[-1] == "release to bert"
+    assert told.lost == []
+
+
+def test_a_renewal_that_crosses_the_hand_over_is_no_loss() -> None:
+    robot, told = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000})), Told()
+    with lease_of(robot, told) as lease:
+        robot.renewed = TAKEN
+        robot.meanwhile = lease.confirm
+        lease.hand_over("bert")
+        assert (lease.held, lease.elsewhere, lease.lost) == (False, True, None)
+        lease.check()
     assert told.lost == []
 
 
