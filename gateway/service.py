@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import zenoh
 
 from gateway import __version__
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.supervisor import Supervisor
 from gateway.edge.doorkeeper import Doorkeeper
@@ -78,6 +78,13 @@ def rules(settings: Settings) -> Rules:
             int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))
             for servo, limits in settings.limits.servos.items()
         },
+        max_speed_cdeg_s={
+            int(servo): max(1, centidegrees(limits.max_speed_deg_s))
+            for servo, limits in settings.limits.servos.items()
+            if limits.max_speed_deg_s
+        },
+        landing_ns=round(settings.watchdog.landing_ms * NS_PER_MS),
+        landing_cdeg={int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()},
         lease_required=settings.lease.required,
         lease_ttl_ns=round(settings.lease.ttl_ms * NS_PER_MS),
         lease_takeover=settings.lease.takeover == "stop",

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
@@ -71,6 +71,8 @@ class ServoLimits(Section):
 
     min_deg: AngleDeg = 0.0
     max_deg: AngleDeg = 180.0
+    # The slowest is a hundredth of a degree a second, since frames carry hundredths.
+    max_speed_deg_s: Annotated[float, Finite, Field(ge=0, le=1000)] = 0.0
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -90,12 +92,7 @@ class LimitSettings(Section):
     @field_validator("servos")
     @classmethod
     def _servos_exist(cls, servos: dict[str, ServoLimits]) -> dict[str, ServoLimits]:
-        for servo in servos:
-            if servo not in _SERVOS:
-                raise ValueError(
-                    f"{_name(servo)} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
-                )
-        return servos
+        return _known_servos(servos)
 
 
 class WatchdogSettings(Section):
@@ -105,6 +102,13 @@ class WatchdogSettings(Section):
     scope: Literal["leg", "robot"] = "leg"
     repeats: Annotated[int, Field(ge=0, le=100)] = 3
     repeat_interval_ms: Annotated[float, Finite, Field(ge=1, le=1000)] = 20.0
+    landing_ms: Annotated[float, Finite, Field(ge=0, le=5000)] = 0.0
+    landing: dict[str, AngleDeg] = {}
+
+    @field_validator("landing")
+    @classmethod
+    def _servos_exist(cls, landing: dict[str, float]) -> dict[str, float]:
+        return _known_servos(landing)
 
 
 class LeaseSettings(Section):
@@ -164,6 +168,29 @@ class Settings(Section):
     recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     log: LogSettings = LogSettings()
+
+    @model_validator(mode="after")
+    def _pose_within_limits(self) -> Self:
+        for servo, angle_deg in self.watchdog.landing.items():
+            limits = self.limits.servos.get(servo, ServoLimits())
+            if not limits.min_deg <= angle_deg <= limits.max_deg:
+                raise ValueError(
+                    f"watchdog.landing.{servo} is {angle_deg:g}, and limits.servos.{servo} allows "
+                    f"{limits.min_deg:g} to {limits.max_deg:g}"
+                )
+        return self
+
+
+Named = TypeVar("Named")
+
+
+def _known_servos(servos: dict[str, Named]) -> dict[str, Named]:
+    for servo in servos:
+        if servo not in _SERVOS:
+            raise ValueError(
+                f"{_name(servo)} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+            )
+    return servos
 
 
 Place = tuple[int | str, ...]
@@ -289,13 +316,16 @@ def _is_setting(place: tuple[str, ...]) -> bool:
     match place:
         case ("limits", "servos", servo, name):
             return servo in _SERVOS and name in ServoLimits.model_fields
+        case ("watchdog", "landing", servo):
+            return servo in _SERVOS
         case (section, name) if section in Settings.model_fields:
-            return place != ("limits", "servos") and name in getattr(_DEFAULTS, section).__class__.model_fields
+            return place not in _TABLES and name in getattr(_DEFAULTS, section).__class__.model_fields
         case _:
             return False
 
 
 _DEFAULTS: Final = Settings()
+_TABLES: Final = (("limits", "servos"), ("watchdog", "landing"))
 
 
 def _variables_at(place: Place, environment: _Environment) -> list[str]:

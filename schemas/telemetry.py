@@ -34,6 +34,7 @@ class Reason(StrEnum):
     NO_LEASE = "no_lease"
     LEASE_HELD = "lease_held"
     LEASE_DENIED = "lease_denied"
+    LANDING = "landing"
 
 
 class Mode(StrEnum):
@@ -65,6 +66,7 @@ class Kind(StrEnum):
     LEASE_EXPIRED = "lease_expired"
     LEASE_TAKEN = "lease_taken"
     LEASE_ASKED = "lease_asked"
+    LANDING = "landing"
 
 
 class Cause(StrEnum):
@@ -117,6 +119,9 @@ class ServoReport(Report):
     id: int
     running: bool
     angle_deg: float | None
+    target_deg: Annotated[
+        float | None, Field(description="where it is commanded to go, if it runs or waits to be started")
+    ] = None
 
 
 class LegReport(Report):

@@ -19,7 +19,7 @@ from enum import StrEnum
 from typing import Final
 
 from gateway.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS
 from schemas import keys
 from schemas.telemetry import Kind, Reason

@@ -1,114 +1,21 @@
-"""What the supervisor keeps of each leg and servo, and how a leg's commands become frames: pure, time as an argument.
+"""How the legs' commands become frames: pure, time as an argument.
 
 The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
 for their leg's rate slot, what one frame says for three servos, which Stops are still to be repeated, and which
 commands are thereby done.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 
 from gateway.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
-from gateway.core.pacing import NEVER, NS_PER_MS, NS_PER_S, RateSlots, StartQueue, merged
-from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, servo_ids_of, stop_leg
+from gateway.core.landing import Landing, landing
+from gateway.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
+from gateway.core.pacing import NEVER, RateSlots, StartQueue, merged
+from gateway.core.speed import step
+from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason, WatchdogState
-
-
-@dataclass(frozen=True, slots=True)
-class Rules:
-    """The settings that the supervisor needs, in nanoseconds and hundredths of a degree."""
-
-    timeout_ns: int = 250 * NS_PER_MS
-    whole_robot: bool = False
-    repeats: int = 3
-    repeat_interval_ns: int = 20 * NS_PER_MS
-    period_ns: int = NS_PER_S // 50
-    start_pause_ns: int = 0
-    unnumbered_reset_ns: int = 2 * NS_PER_S
-    """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
-    joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
-    lease_required: bool = False
-    lease_ttl_ns: int = NS_PER_S
-    lease_takeover: bool = True
-    """Whether the lease may be taken from its holder, with a Stop of all legs."""
-
-
-@dataclass(slots=True)
-class Servo:
-    """One servo as last written; `angle_cdeg` is None while it does not run, for then nobody knows where it hangs."""
-
-    servo_id: int
-    leg: int
-    angle_cdeg: int | None = None
-    waiting: ServoOp | None = None
-    """Its newest target, until that is sent."""
-    waiting_number: int = 0
-    """Which command set it."""
-    repeats_left: int = 0
-    repeat_ns: int = 0
-    stopped_ns: int | None = None
-    stopped_by: frozenset[str] = frozenset()
-    """All who stopped it at `stopped_ns`: the channels of commands, or the gateway's own causes."""
-
-    @property
-    def running(self) -> bool:
-        return self.angle_cdeg is not None
-
-    @property
-    def will_run(self) -> bool:
-        """Whether a `set` has something to set: the servo runs, or waits to be started."""
-        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)
-
-    def note_stop(self, by: str, instant_ns: int) -> None:
-        """Remember who stopped it in this instant."""
-        earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()
-        self.stopped_by = earlier | {by}
-        self.stopped_ns = instant_ns
-
-
-@dataclass(slots=True)
-class Leg:
-    """One leg: its servos, its rate slots, and when an accepted command last started or set one of its servos."""
-
-    number: int
-    servos: tuple[Servo, Servo, Servo]
-    slots: RateSlots
-    heard_ns: int | None = None
-    expired: bool = False
-    source: str | None = None
-    """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
-    due_ns: int = NEVER
-    """When its deadline, its rate slot or a repeated Stop comes; like the next two as of the last `Legs.look`."""
-    repeat_ns: int = NEVER
-    """When its next repeated Stop comes."""
-    runs: bool = False
-    """Whether one of its servos runs."""
-
-    @property
-    def waits_to_start(self) -> bool:
-        """Whether its next frame would energise a servo."""
-        first, second, third = self.servos
-        return (
-            (first.angle_cdeg is None and first.will_run)
-            or (second.angle_cdeg is None and second.will_run)
-            or (third.angle_cdeg is None and third.will_run)
-        )
-
-    @property
-    def armed(self) -> bool:
-        first, second, third = self.servos
-        return first.will_run or second.will_run or third.will_run
-
-    def deadline_ns(self, timeout_ns: int) -> int | None:
-        """When the watchdog stops this leg; None while there is nothing to stop."""
-        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed else None
-
-    @property
-    def watchdog(self) -> WatchdogState:
-        if self.expired:
-            return WatchdogState.EXPIRED
-        return WatchdogState.ARMED if self.armed else WatchdogState.IDLE
+from schemas.telemetry import Cause, Kind, Reason
 
 
 @dataclass(slots=True)
@@ -148,17 +55,12 @@ def _taken_over(leg: Leg, source: str | None) -> list[Effect]:
     return [Announce(Kind.SOURCE_CHANGED, f"leg {leg.number} is commanded by {new}, and was by {old}", source)]
 
 
-def _servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
-    first, second, third = servo_ids_of(leg)
-    return Servo(first, leg), Servo(second, leg), Servo(third, leg)
-
-
 class Legs:
     """The six legs, and the commands under way on them."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self.by_number = {number: Leg(number, _servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
+        self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
         self._pending: dict[int, _PendingCommand] = {}
         self.instant_ns = 0
@@ -174,6 +76,10 @@ class Legs:
         self.stops = False
         """Whether a Stop is among what this step wants sent."""
         self._queue = StartQueue(rules.start_pause_ns)
+        self.landing: Landing | None = None
+        """The landing that is under way."""
+        self.land_ns = 0
+        """When its next frames are due: each leg gets one in a period, however slowly it goes."""
 
     def __iter__(self) -> Iterator[Leg]:
         return iter(self.by_number.values())
@@ -212,10 +118,14 @@ class Legs:
         for servo in leg.servos:
             if servo.angle_cdeg is not None:
                 runs = True
-            if servo.waiting is not None:
+            if servo.waiting is not None or servo.target_cdeg is not None:
                 waits = True
             if servo.repeats_left and servo.repeat_ns < repeat_ns:
                 repeat_ns = servo.repeat_ns
+        if self.landing is not None and runs:
+            due_ns = self.landing.ends_ns
+            if self.landing.moves(leg.servos):
+                due_ns = min(due_ns, max(self.land_ns, leg.slots.next_ns))
         if waits:
             slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
             if slot_ns is not None and slot_ns < due_ns:
@@ -288,7 +198,7 @@ class Legs:
             if servo.waiting is not None:
                 newest = merged(servo.waiting, op)
                 effects += self._replaced(servo)
-            servo.waiting, servo.waiting_number = newest, command.number
+            servo.waiting, servo.waiting_number, servo.target_cdeg = newest, command.number, None
             if op.op is Op.STOP:
                 servo.note_stop(command.channel, self.instant_ns)
         effects += self._send(leg, now_ns)
@@ -303,23 +213,26 @@ class Legs:
                 effects += self._target_done(command.number)
         return effects
 
-    def _send(self, leg: Leg, now_ns: int) -> list[Effect]:
+    def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
         waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
+        limited = self._rules.max_speed_cdeg_s
         energises = leg.waits_to_start
         if energises:
             self._queue.join(leg.number)
         elif self._queue.legs:
             self._queue.leave(leg.number)
-        if not waiting or not leg.slots.is_open(now_ns):
+        if not (waiting or (limited and leg.is_bound)) or not leg.slots.is_open(now_ns):
             return []
         if energises:
             if not self._queue.admits(leg.number, now_ns):
                 return []
             self._queue.started(leg.number, now_ns)
         leg.slots.take(now_ns)
+        if limited:
+            waiting = self._in_steps(leg, now_ns)
         frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
-        effects: list[Effect] = [Transmit(frame, Cause.COMMAND)]
+        effects: list[Effect] = [Transmit(frame, cause)]
         for servo, target in waiting:
             servo.waiting = None
             if target.op is Op.STOP:
@@ -328,7 +241,66 @@ class Legs:
                 servo.angle_cdeg = target.angle_cdeg
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
-            effects += self._target_done(servo.waiting_number)
+            if servo.waiting_number != NO_COMMAND:
+                effects += self._target_done(servo.waiting_number)
+        return effects
+
+    def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
+        """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
+        said: list[tuple[Servo, ServoOp]] = []
+        for servo in leg.servos:
+            if servo.waiting is None and servo.target_cdeg is not None:
+                servo.waiting, servo.waiting_number = ServoOp(Op.SET, servo.target_cdeg), NO_COMMAND
+            if servo.waiting is None:
+                continue
+            speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
+            if servo.waiting.op is not Op.STOP:
+                target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
+                if speed_cdeg_s is None or servo.angle_cdeg is None:
+                    servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
+                else:
+                    angle, servo.since_ns = step(servo.angle_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns)
+                    servo.waiting = ServoOp(servo.waiting.op, angle)
+                    servo.target_cdeg = None if angle == target_cdeg else target_cdeg
+            said.append((servo, servo.waiting))
+        if len(said) > 1:
+            for servo in leg.servos:
+                if servo.waiting is None:
+                    servo.since_ns = now_ns  # the frame tells it its angle again, and the next step counts from here
+        return said
+
+    # ---- landing
+
+    def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
+        """From now on each running servo goes to its angle of the pose; all that waits is rejected, starts too."""
+        ways = {
+            servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
+            for servo in self.servos.values()
+            if servo.angle_cdeg is not None
+        }
+        self.landing = landing(now_ns, ends_ns, self._rules.period_ns, ways)
+        self.land_ns = now_ns + self._rules.period_ns
+        for leg in self:
+            leg.source = None
+        return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg fell silent")
+
+    def land(self, now_ns: int) -> list[Effect]:
+        """The frames of a landing that are due: only for servos that run, so nothing is started."""
+        effects: list[Effect] = []
+        if self.landing is None or now_ns < self.land_ns:
+            return effects
+        self.land_ns = now_ns + self._rules.period_ns
+        for leg in self:
+            if not leg.slots.is_open(now_ns):
+                continue
+            for servo in leg.servos:
+                if servo.angle_cdeg is not None:
+                    angle_cdeg = self.landing.angle_cdeg(servo.servo_id, now_ns)
+                    if angle_cdeg != servo.angle_cdeg:
+                        servo.waiting, servo.waiting_number = ServoOp(Op.SET, angle_cdeg), NO_COMMAND
+            effects += self._send(leg, now_ns, Cause.WATCHDOG)
+            for servo in leg.servos:
+                servo.target_cdeg = None  # one whose speed is limited follows the line, and not where the line was
         return effects
 
     def stop(
@@ -350,7 +322,7 @@ class Legs:
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
         self.stops = True
-        servo.angle_cdeg = None
+        servo.angle_cdeg = servo.target_cdeg = None
         servo.repeats_left = self._rules.repeats
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
@@ -381,9 +353,11 @@ class Legs:
         del self._pending[number]
         return [Completed(number, pending.coalesced)]
 
-    def drop(self, servos: Iterable[Servo], reason: Reason, detail: str) -> list[Effect]:
+    def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Forget what waits for these servos, and reject the commands that it came from, as a whole."""
         rejected = dict.fromkeys(servo.waiting_number for servo in servos if servo.waiting is not None)
+        for servo in servos:
+            servo.target_cdeg = None  # nor does it go on to where an earlier command sent it
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_number in rejected:
                 servo.waiting = None

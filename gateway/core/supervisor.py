@@ -32,7 +32,7 @@ Within one instant, the order of what came by different channels is unknown. So 
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
-from typing import Final, get_args
+from typing import Final
 
 from gateway.core.events import (
     Announce,
@@ -53,80 +53,24 @@ from gateway.core.events import (
     Transmit,
 )
 from gateway.core.lease import Lease
-from gateway.core.legs import Legs, Rules
+from gateway.core.leg import Rules
+from gateway.core.legs import Legs
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.core.transitions import TRANSITIONS, IllegalEvent
 from gateway.protocol.frames import Op
 from schemas.telemetry import Cause, Kind, Mode, Reason
-
-_QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
-
-TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
-    Mode.STARTING: {
-        EmergencyStop: frozenset({Mode.STARTING}),
-        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
-        BusFailed: frozenset({Mode.BUS_FAULT}),
-        TimePassed: frozenset({Mode.STARTING}),
-        ShutDown: frozenset({Mode.STOPPING}),
-    },
-    Mode.IDLE: {
-        Command: _QUIET,
-        Reset: _QUIET,
-        LeaseRequest: _QUIET,
-        EmergencyStop: frozenset({Mode.ESTOPPED}),
-        BusFailed: frozenset({Mode.BUS_FAULT}),
-        StoppedOutside: _QUIET,
-        TimePassed: _QUIET,
-        ShutDown: frozenset({Mode.STOPPING}),
-    },
-    Mode.ACTIVE: {
-        Command: _QUIET,
-        Reset: _QUIET,
-        LeaseRequest: _QUIET,
-        EmergencyStop: frozenset({Mode.ESTOPPED}),
-        BusFailed: frozenset({Mode.BUS_FAULT}),
-        StoppedOutside: _QUIET,
-        TimePassed: _QUIET,
-        ShutDown: frozenset({Mode.STOPPING}),
-    },
-    Mode.ESTOPPED: {
-        Command: frozenset({Mode.ESTOPPED}),
-        Reset: frozenset({Mode.IDLE, Mode.ESTOPPED}),
-        LeaseRequest: frozenset({Mode.ESTOPPED}),
-        EmergencyStop: frozenset({Mode.ESTOPPED}),
-        BusFailed: frozenset({Mode.BUS_FAULT}),
-        StoppedOutside: frozenset({Mode.ESTOPPED}),
-        TimePassed: frozenset({Mode.ESTOPPED}),
-        ShutDown: frozenset({Mode.STOPPING}),
-    },
-    Mode.BUS_FAULT: {
-        Command: frozenset({Mode.BUS_FAULT}),
-        Reset: frozenset({Mode.BUS_FAULT}),
-        LeaseRequest: frozenset({Mode.BUS_FAULT}),
-        EmergencyStop: frozenset({Mode.BUS_FAULT}),
-        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
-        BusFailed: frozenset({Mode.BUS_FAULT}),
-        StoppedOutside: frozenset({Mode.BUS_FAULT}),
-        TimePassed: frozenset({Mode.BUS_FAULT}),
-        ShutDown: frozenset({Mode.STOPPING}),
-    },
-    Mode.STOPPING: {event: frozenset({Mode.STOPPING}) for event in get_args(Event)},
-}
-"""In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
 
 _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
 _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
+_LANDING: Final = "the robot lands, since a leg fell silent; start it once all legs are stopped"
 _REJECTING: Final = {
     Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
     Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
     Mode.STOPPING: (Reason.STOPPING, _STOPPING),
 }
 """The modes in which every command that comes is rejected, and why."""
-
-
-class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
-    """The caller sent an event that has no place in this mode; the state is as it was."""
 
 
 class Supervisor:
@@ -184,6 +128,8 @@ class Supervisor:
             case ShutDown():
                 effects = self._shut_down(now_ns)
         self.legs.look()
+        if self.legs.landing is not None and self.legs.at_rest:
+            self.legs.landing = None  # people have stopped all that was on its way down
         self.mode = self._mode_now()
         self.due_ns = self.legs.due_ns if self._bus_ok else None
         if self.lease.due_ns is not None:
@@ -219,6 +165,7 @@ class Supervisor:
         if due:
             effects += self.legs.repeat_stops(now_ns)
             effects += self.legs.take_slots(now_ns)
+            effects += self.legs.land(now_ns)
         return effects
 
     # ---- events
@@ -236,19 +183,15 @@ class Supervisor:
         if self.mode in _REJECTING:
             return _REJECTING[self.mode]
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
-        if moves and (self.stopped_outside or self.lease.guards or command.lease is not None):
-            rejection = (
-                (Reason.SERVO_STOPPED, _OUTSIDE) if self.stopped_outside else self.lease.rejection(command.lease)
-            )
+        guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None
+        if moves and (guarded or command.lease is not None):
+            rejection = self._why_closed(command.lease)
             if rejection is not None:
                 return rejection
-        limited = self._rules.joint_limits_cdeg
-        for servo_id, op in moves if limited else ():
-            limits = limited.get(servo_id)
-            if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:
-                low, high, angle = (cdeg / 100 for cdeg in (*limits, op.angle_cdeg))
-                detail = f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
-                return Reason.JOINT_LIMIT, detail
+        for servo_id, op in moves if self._rules.joint_limits_cdeg else ():
+            why_not = self._why_not(servo_id, op.angle_cdeg)
+            if why_not is not None:
+                return Reason.JOINT_LIMIT, why_not
         for servo_id, op in moves:
             servo = self.legs.servos[servo_id]
             if servo.stopped_ns == self.legs.instant_ns and not servo.stopped_by <= {command.channel}:
@@ -258,6 +201,23 @@ class Supervisor:
             if op.op is Op.SET and not servo.will_run:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
+
+    def _why_closed(self, lease: str | None) -> tuple[Reason, str] | None:
+        """Why nothing may move now, whatever it is; None: it may."""
+        if self.stopped_outside:
+            return Reason.SERVO_STOPPED, _OUTSIDE
+        rejection = self.lease.rejection(lease)
+        if rejection is not None:
+            return rejection
+        return None if self.legs.landing is None else (Reason.LANDING, _LANDING)
+
+    def _why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
+        """Why the servo must not go there; None: it may."""
+        limits = self._rules.joint_limits_cdeg.get(servo_id)
+        if limits is None or limits[0] <= angle_cdeg <= limits[1]:
+            return None
+        low, high, angle = (cdeg / 100 for cdeg in (*limits, angle_cdeg))
+        return f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
         first = self._latched_ns is None
@@ -342,6 +302,7 @@ class Supervisor:
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:
         first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
+        self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
         effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
         if first:
             effects.append(Announce(Kind.BUS_FAULT, event.detail))
@@ -357,6 +318,8 @@ class Supervisor:
     # ---- Stops for the gateway's own reasons
 
     def _expire(self, now_ns: int) -> list[Effect]:
+        if self.legs.landing is not None:
+            return self._touch_down(self.legs.landing.ends_ns, now_ns)
         deadlines = {
             leg.number: deadline
             for leg in self.legs
@@ -368,6 +331,9 @@ class Supervisor:
         self.expirations += len(silent)
         timeout_ms = self._rules.timeout_ns / NS_PER_MS
         first = min(silent.values())
+        ends_ns = first + self._rules.landing_ns
+        if now_ns < ends_ns and not self.legs.at_rest:
+            return self._begin_landing(min(silent), ends_ns, now_ns)
         due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
         expired = [leg for leg in self.legs if leg.number in due and leg.armed]
         detail = "the command was pending longer than the watchdog allows"
@@ -379,7 +345,36 @@ class Supervisor:
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, f"leg {number} was not heard for {timeout_ms:g} ms{whole}"))
         return effects
 
+    def _begin_landing(self, silent: int, ends_ns: int, now_ns: int) -> list[Effect]:
+        """A leg fell silent: the whole robot goes down, also legs that are still commanded.
+
+        On five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what
+        comes is rejected) nor a second leg's silence (whose own Stop would come later than this one).
+        """
+        pose = {
+            servo: angle for servo, angle in self._rules.landing_cdeg.items() if self._why_not(servo, angle) is None
+        }
+        dropped = self.legs.begin_landing(now_ns, ends_ns, pose)
+        timeout_ms, landing_ms = self._rules.timeout_ns / NS_PER_MS, self._rules.landing_ns / NS_PER_MS
+        detail = (
+            f"leg {silent} was not heard for {timeout_ms:g} ms; the robot lands, and is stopped {landing_ms:g} ms later"
+        )
+        return [*dropped, Announce(Kind.LANDING, detail)]
+
+    def _touch_down(self, ends_ns: int, now_ns: int) -> list[Effect]:
+        if now_ns < ends_ns:
+            return []
+        moved = [leg for leg in self.legs if leg.armed]
+        self.legs.landing = None
+        effects = self.legs.stop(
+            dict.fromkeys(self.legs.by_number, ends_ns), Cause.WATCHDOG, now_ns, Reason.LANDING, _LANDING
+        )
+        for leg in moved:
+            leg.expired = True
+        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, "the robot has landed; all six legs are stopped")]
+
     def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs
         if not self._bus_ok:
             return self.legs.drop(self.legs.servos.values(), reason, detail)
         return self.legs.stop({leg.number: None for leg in self.legs}, cause, now_ns, reason, detail)

@@ -27,9 +27,9 @@ from typing import Final
 
 LOOP_PRIORITY: Final = 20
 """Of the loop, which runs the watchdog, and of the emergency stop's threads. The most that the service unit allows."""
-RECEIVER_PRIORITY: Final = 19
-"""Of the other receiver threads. They own the state while they write a command's frames: whoever preempted them there
-would keep a Stop waiting, so nobody may but those who write Stops. (So it is for the interpreter's lock.)"""
+RECEIVER_PRIORITY: Final = 10
+"""Of the other receiver threads. They write the frames of commands, and own the state meanwhile. Without priority they
+could be preempted there, and whoever writes a Stop would wait for them. (So it is for the interpreter's lock.)"""
 PAGE_PRIORITY: Final = 1
 """Of the metrics page and the log: below the others, but not preempted while they hold the interpreter's lock."""
 NICE: Final = -10

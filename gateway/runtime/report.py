@@ -5,9 +5,10 @@ from typing import Final
 
 from gateway import __version__
 from gateway.core.lease import Lease
-from gateway.core.legs import Leg, Servo
+from gateway.core.leg import Leg, Servo
 from gateway.core.supervisor import Supervisor
 from gateway.protocol import VERSION
+from gateway.protocol.frames import Op
 from gateway.runtime.metrics import Metrics
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
@@ -24,7 +25,14 @@ from schemas.telemetry import (
 )
 
 WARNINGS: Final = frozenset(
-    {Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE}
+    {
+        Kind.COMMAND_REJECTED,
+        Kind.WATCHDOG_EXPIRED,
+        Kind.LANDING,
+        Kind.ESTOP_ENGAGED,
+        Kind.BUS_FAULT,
+        Kind.STOPPED_OUTSIDE,
+    }
 )
 """Events that somebody should look at; the others are the normal course."""
 
@@ -99,5 +107,12 @@ def _leg(leg: Leg, now_ns: int) -> LegReport:
 
 
 def _servo(servo: Servo) -> ServoReport:
-    angle_deg = None if servo.angle_cdeg is None else servo.angle_cdeg / 100
-    return ServoReport(id=servo.servo_id, running=servo.running, angle_deg=angle_deg)
+    target_cdeg = servo.angle_cdeg if servo.target_cdeg is None else servo.target_cdeg
+    if servo.waiting is not None and servo.waiting.op is not Op.STOP:
+        target_cdeg = servo.waiting.angle_cdeg
+    return ServoReport(
+        id=servo.servo_id,
+        running=servo.running,
+        angle_deg=None if servo.angle_cdeg is None else servo.angle_cdeg / 100,
+        target_deg=None if target_cdeg is None else target_cdeg / 100,
+    )

@@ -2,7 +2,7 @@
 
 from gateway.core.events import BusFailed, Command, Do, Effect, Event, LeaseAnswer, LeaseRequest
 from gateway.core.lease import Lease, LeaseState
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Reason
 

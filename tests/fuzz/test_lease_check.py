@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from gateway.core.lease import Lease
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.supervisor import Supervisor
 from tests.fuzz import planted_lease as planted
 from tests.support.history import Violation

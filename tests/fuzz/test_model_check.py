@@ -6,7 +6,7 @@ from multiprocessing.pool import AsyncResult
 
 import pytest
 
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.supervisor import Supervisor
 from tests.fuzz import planted
 from tests.support.history import Violation
@@ -23,6 +23,8 @@ SLOW = BY_NAME["a rate slot later than the watchdog"]
 TWO_SLOW_LEGS = BY_NAME["two legs, rate slots later than the watchdog"]
 WHOLE_ROBOT = BY_NAME["two legs, one silent leg stops both"]
 STAGGERED = BY_NAME["two legs, started one after the other"]
+SPEED = BY_NAME["one leg, a limited speed"]
+LANDING = BY_NAME["two legs, landing"]
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
@@ -107,6 +109,20 @@ def test_parts_without_a_bug_keep_every_promise() -> None:
         (ONE_LEG, planted.StartsBesideStopServos, "rejected for servo_stopped|announced once"),
         (WHOLE_ROBOT, planted.OneSilentLegOnly, "not heard for the timeout"),
         (STAGGERED, planted.with_legs(planted.AllAtOnce), "with a pause"),
+        (LANDING, planted.LandingWithoutEnd, "not heard for the timeout|a landing ends in time"),
+        (LANDING, planted.LandingMadeLonger, "not heard for the timeout|wakes up|leaves its straight line"),
+        (LANDING, planted.CommandsDuringLanding, "rejected for landing"),
+        (LANDING, planted.LandsAfterEmergencyStop, "the mode is|wakes up"),
+        (
+            LANDING,
+            planted.with_legs(planted.StartsWhileLanding),
+            "is started|nothing moves unasked|nobody asked|set although",
+        ),
+        (LANDING, planted.with_legs(planted.LandsAtOnce), "leaves its straight line"),
+        (SPEED, planted.with_legs(planted.Jumps), "no faster than its speed"),
+        (SPEED, planted.with_legs(planted.TakesOneStep), "wakes up in time"),
+        (SPEED, planted.with_legs(planted.TimeCountsTwice), "no faster than its speed"),
+        (SPEED, planted.with_legs(planted.GoesOnAfterStop), "although it does not run|wakes up in time"),
     ],
     ids=lambda value: getattr(value, "name", None) or getattr(value, "__name__", None),
 )

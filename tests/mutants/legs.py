@@ -15,75 +15,13 @@ LEGS = Subject(
     ),
     mutants=(
         Mutant(
-            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)",
-            "return self.angle_cdeg is not None or self.waiting is not None",
-            "a leg that a Stop came for queues with those to be energised",
-        ),
-        Mutant(
-            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)",
-            "return self.angle_cdeg is not None",
-            "a start that is pending has no watchdog, and a set after it is rejected",
-        ),
-        Mutant(
-            "earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()",
-            "earlier = frozenset[str]()",
-            "of two who stopped a servo in an instant, one is forgotten: the other's older start moves it",
-        ),
-        Mutant(
-            "earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()",
-            "earlier = self.stopped_by",
-            "who stopped it once keeps it from being started by another channel",
-        ),
-        Mutant("        self.stopped_ns = instant_ns\n", "", "an older start overtakes a Stop of its instant"),
-        Mutant(
-            "(third.angle_cdeg is None and third.will_run)",
-            "False",
-            "joint 3 is energised without a pause between two legs",
-        ),
-        Mutant(
-            "(first.angle_cdeg is None and first.will_run)",
-            "False",
-            "joint 1 is energised without a pause between two legs",
-        ),
-        Mutant(
-            "(third.angle_cdeg is None and third.will_run)",
-            "third.will_run",
-            "a leg that runs queues behind those to be energised",
-        ),
-        Mutant(
-            "return first.will_run or second.will_run or third.will_run",
-            "return first.will_run or second.will_run",
-            "joint 3 alone has no watchdog",
-        ),
-        Mutant(
-            "return first.will_run or second.will_run or third.will_run",
-            "return first.will_run or third.will_run",
-            "joint 2 alone has no watchdog",
-        ),
-        Mutant(
-            "return first.will_run or second.will_run or third.will_run",
-            "return second.will_run or third.will_run",
-            "joint 1 alone has no watchdog",
-        ),
-        Mutant(
-            "return first.will_run or second.will_run or third.will_run",
-            "return first.running or second.running or third.running",
-            "a start that is pending has no watchdog",
-        ),
-        Mutant("return self.heard_ns + timeout_ns if", "return self.heard_ns if", "each leg is stopped at once"),
-        Mutant(
-            "if self.heard_ns is not None and self.armed else None",
-            "if self.heard_ns is not None else None",
-            "the watchdog tells again and again of a leg that does nothing",
-        ),
-        Mutant(
-            "            if servo.waiting is not None:\n                waits = True\n",
-            "            if servo.waiting is not None and servo is not leg.servos[2]:\n                waits = True\n",
+            "            if servo.waiting is not None or servo.target_cdeg is not None:\n",
+            "            if servo.waiting is not None and servo is not leg.servos[2]:\n",
             "nobody wakes up for what is pending for joint 3",
         ),
         Mutant(
-            "            if servo.waiting is not None:\n                waits = True\n",
-            "            waits = servo.waiting is not None\n",
+            "            if servo.waiting is not None or servo.target_cdeg is not None:\n",
+            "            if servo.waiting is not None and servo is not leg.servos[0]:\n",
             "nobody wakes up for what is pending for joint 1",
         ),
         Mutant(
@@ -162,8 +100,8 @@ LEGS = Subject(
             "after a command to one leg, another's Stop is forgotten",
         ),
         Mutant(
-            "        self.stops = True\n        servo.angle_cdeg = None\n",
-            "        servo.angle_cdeg = None\n",
+            "        self.stops = True\n        servo.angle_cdeg = servo.target_cdeg = None\n",
+            "        servo.angle_cdeg = servo.target_cdeg = None\n",
             "a start goes out before a Stop",
         ),
         Mutant(
@@ -257,8 +195,8 @@ LEGS = Subject(
             "a leg that need not be energised any more keeps others off",
         ),
         Mutant(
-            "if not waiting or not leg.slots.is_open(now_ns):",
-            "if not waiting:",
+            "if not (waiting or (limited and leg.is_bound)) or not leg.slots.is_open(now_ns):",
+            "if not (waiting or (limited and leg.is_bound)):",
             "no rate limit",
         ),
         Mutant(
@@ -284,8 +222,8 @@ LEGS = Subject(
             "a repeated Stop undoes the start that came after it",
         ),
         Mutant(
-            "                leg.expired = False\n            effects",
-            "            effects",
+            "                leg.expired = False\n            if servo.waiting",
+            "            if servo.waiting",
             "a leg that runs again is shown as expired",
         ),
         Mutant(
@@ -319,7 +257,7 @@ LEGS = Subject(
             "how late a Stop was is not measured",
         ),
         Mutant(
-            "        servo.angle_cdeg = None\n        servo.repeats_left",
+            "        servo.angle_cdeg = servo.target_cdeg = None\n        servo.repeats_left",
             "        servo.repeats_left",
             "a stopped servo counts as running: a set moves nothing and is accepted",
         ),
@@ -367,6 +305,52 @@ LEGS = Subject(
             "            servo.repeats_left -= 1\n            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n",
             "            servo.repeats_left -= 1\n            servo.repeat_ns += self._rules.repeat_interval_ns\n",
             "late repeats are made up in a burst",
+        ),
+        Mutant(
+            "            if servo.waiting is not None or servo.target_cdeg is not None:\n",
+            "            if servo.waiting is not None:\n",
+            "a servo whose speed is limited stops on its way to the target",
+        ),
+        Mutant(
+            "servo.angle_cdeg = servo.target_cdeg = None",
+            "servo.angle_cdeg = None",
+            "a stopped servo goes on to its target",
+        ),
+        Mutant(
+            "servo.waiting, servo.waiting_number, servo.target_cdeg = newest, command.number, None",
+            "servo.waiting, servo.waiting_number = newest, command.number",
+            "a servo goes on to an older target",
+            equivalent="the frame that says the newer target forgets the older one, and there is none between the two",
+        ),
+        Mutant(
+            "            servo.target_cdeg = None  # nor does it go on to where an earlier command sent it\n",
+            "            pass\n",
+            "under a new holder of the lease, servos go on to where the one before sent them",
+        ),
+        Mutant(
+            "                    servo.since_ns = now_ns  # the frame tells",
+            "                    pass  # the frame tells",
+            "after its leg's other servos have moved, a servo takes a step of twice its speed",
+        ),
+        Mutant(
+            "            due_ns = self.landing.ends_ns\n",
+            "            pass\n",
+            "nobody wakes up for the end of a landing",
+        ),
+        Mutant(
+            "due_ns = min(due_ns, max(self.land_ns, leg.slots.next_ns))",
+            "pass",
+            "a landing holds each servo where it is",
+        ),
+        Mutant(
+            "        if self.landing is None or now_ns < self.land_ns:\n",
+            "        if self.landing is None:\n",
+            "a landing fills the bus with frames",
+        ),
+        Mutant(
+            'return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg fell silent")',
+            "return []",
+            "what waits to be started is started during the landing",
         ),
     ),
 )

@@ -7,12 +7,13 @@ from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
 from tests.mutants.lease import DESK, LEASE, NONCES, PROOF
+from tests.mutants.leg import LEG
 from tests.mutants.legs import LEGS
 from tests.mutants.mutant import Subject
 from tests.mutants.ownership import OWNERSHIP, RECEIVER
 from tests.mutants.pacing import PACING
 from tests.mutants.staleness import STALENESS
-from tests.mutants.supervisor import SUPERVISOR
+from tests.mutants.supervisor import SUPERVISOR, TABLE
 
 SUBJECTS: tuple[Subject, ...] = (
     EXPOSURE,
@@ -29,10 +30,12 @@ SUBJECTS: tuple[Subject, ...] = (
     INTENTS,
     LOSSES,
     SUPERVISOR,
+    TABLE,
     LEASE,
     NONCES,
     PROOF,
     DESK,
+    LEG,
     LEGS,
     PACING,
     BUS,

@@ -16,8 +16,8 @@ SUPERVISOR = Subject(
     ),
     mutants=(
         Mutant(
-            "(Reason.SERVO_STOPPED, _OUTSIDE) if self.stopped_outside else self.lease",
-            "self.lease",
+            "        if self.stopped_outside:\n            return Reason.SERVO_STOPPED, _OUTSIDE\n",
+            "",
             "a start is accepted, and stop-servos undoes it unseen",
         ),
         Mutant(
@@ -31,13 +31,13 @@ SUPERVISOR = Subject(
             "what stop-servos stopped counts as running",
         ),
         Mutant(
-            "if moves and (self.stopped_outside or self.lease.guards or command.lease is not None):",
-            "if moves and (self.stopped_outside or self.lease.guards):",
+            "if moves and (guarded or command.lease is not None):",
+            "if moves and guarded:",
             "a former holder's queue moves the robot once the lease is free",
         ),
         Mutant(
-            "if moves and (self.stopped_outside or self.lease.guards or command.lease is not None):",
-            "if self.stopped_outside or self.lease.guards or command.lease is not None:",
+            "if moves and (guarded or command.lease is not None):",
+            "if guarded or command.lease is not None:",
             "nobody but its driver can stop the robot",
         ),
         Mutant(
@@ -79,11 +79,6 @@ SUPERVISOR = Subject(
             "            self.lease.heard(command.lease, now_ns)\n",
             "            pass\n",
             "a stream without renewals loses its lease",
-        ),
-        Mutant(
-            "        EmergencyStop: frozenset({Mode.STARTING}),\n",
-            "",
-            "before the bus is open, an emergency stop is an error",
         ),
         Mutant(
             "        self.legs.begin(now_ns if instant_ns is None else instant_ns)\n",
@@ -130,23 +125,23 @@ SUPERVISOR = Subject(
             "commands are taken while the emergency stop is engaged",
         ),
         Mutant(
-            "if limits is not None and not limits[0] <= op.angle_cdeg <= limits[1]:",
-            "if False:",
+            "if limits is None or limits[0] <= angle_cdeg <= limits[1]:",
+            "if True:",
             "joint limits are ignored",
         ),
         Mutant(
-            "not limits[0] <= op.angle_cdeg <= limits[1]:",
-            "not limits[0] < op.angle_cdeg <= limits[1]:",
+            "limits[0] <= angle_cdeg <= limits[1]:",
+            "limits[0] < angle_cdeg <= limits[1]:",
             "the least angle itself is rejected",
         ),
         Mutant(
-            "not limits[0] <= op.angle_cdeg <= limits[1]:",
-            "not limits[0] <= op.angle_cdeg < limits[1]:",
+            "limits[0] <= angle_cdeg <= limits[1]:",
+            "limits[0] <= angle_cdeg < limits[1]:",
             "the largest angle itself is rejected",
         ),
         Mutant(
-            "not limits[0] <= op.angle_cdeg <= limits[1]:",
-            "not limits[0] <= op.angle_cdeg:",
+            "limits[0] <= angle_cdeg <= limits[1]:",
+            "limits[0] <= angle_cdeg:",
             "the largest angle is ignored",
         ),
         Mutant(
@@ -269,7 +264,9 @@ SUPERVISOR = Subject(
             "legs that did nothing are shown as expired",
         ),
         Mutant(
-            "            leg.expired = True\n", "            pass\n", "nobody sees which leg the watchdog has stopped"
+            "        for leg in expired:\n            leg.expired = True\n",
+            "",
+            "nobody sees which leg the watchdog has stopped",
         ),
         Mutant(
             "        if not self._bus_ok:\n            return self.legs.drop(self.legs.servos.values(), reason, detail)\n",
@@ -296,6 +293,52 @@ SUPERVISOR = Subject(
             "return not (isinstance(effect, Transmit) and effect.frame.is_stop)",
             "return isinstance(effect, Transmit)",
             "answers go out before a Stop",
+        ),
+        Mutant(
+            "        if now_ns < ends_ns and not self.legs.at_rest:\n",
+            "        if not self.legs.at_rest and self._rules.landing_ns:\n",
+            "after a pause longer than the landing, the robot lands instead of being stopped",
+        ),
+        Mutant(
+            "        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs\n",
+            "",
+            "an emergency stop leaves a landing that rejects every start",
+        ),
+        Mutant(
+            "        self.legs.landing = None  # the bus that opens again stops everything, and lands nothing\n",
+            "",
+            "after a bus fault, starts are rejected for a landing that is over",
+            equivalent="the bus that opens again stops all legs, which ends it as well",
+        ),
+        Mutant(
+            "            self.legs.landing = None  # people have stopped all that was on its way down\n",
+            "            pass\n",
+            "after everything was stopped in a landing, nothing can be started until it would have ended",
+        ),
+        Mutant(
+            "return None if self.legs.landing is None else (Reason.LANDING, _LANDING)",
+            "return None",
+            "a laptop that is back moves its leg in the middle of a landing",
+        ),
+        Mutant(
+            "        self.legs.landing = None\n        effects = self.legs.stop(",
+            "        effects = self.legs.stop(",
+            "a landing never ends",
+            equivalent="after its Stops all legs are at rest, which ends it as well",
+        ),
+        Mutant("            effects += self.legs.land(now_ns)\n", "", "a landing holds each servo where it is"),
+    ),
+)
+
+
+TABLE = Subject(
+    "gateway/core/transitions.py",
+    tests=("tests/unit/test_supervisor.py", "tests/unit/test_supervisor_faults.py"),
+    mutants=(
+        Mutant(
+            "        EmergencyStop: frozenset({Mode.STARTING}),\n",
+            "",
+            "before the bus is open, an emergency stop is an error",
         ),
     ),
 )

@@ -3,10 +3,11 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from operator import attrgetter
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from gateway.core.events import Announce, Command, Effect, Rejected, Reset, StoppedOutside
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
+from gateway.core.pacing import NS_PER_S
 from gateway.protocol.frames import Op, leg_of
 from schemas.telemetry import Kind, Mode, Reason
 
@@ -46,13 +47,18 @@ def is_newer(reset: Reset, age_ns: int, estops: int, rules: Rules) -> bool:
     return reset.estop == estops and age_ns > 0
 
 
-@dataclass(frozen=True, slots=True)
-class Want:
+class Want(NamedTuple):
     """What an accepted command wants of a servo, as long as no frame has said it."""
 
     op: Op
     angle_cdeg: int
     number: int
+
+
+def speed_age_ns(since_ns: int, now_ns: int, rules: Rules) -> int | None:
+    """How long ago, as far as it matters: a servo with a limited speed gets anywhere in the time for 180 degrees."""
+    speeds = rules.max_speed_cdeg_s.values()
+    return min(now_ns - since_ns, 180_00 * NS_PER_S // min(speeds) + 1) if speeds else None
 
 
 @dataclass(slots=True)
@@ -61,6 +67,10 @@ class ServoHistory:
 
     written_cdeg: int | None = None
     want: Want | None = None
+    bound_cdeg: int | None = None
+    """Where an answered command sends it, while its speed is limited and it is not there."""
+    said_ns: int = 0
+    """When a frame last named it."""
     owed: int = 0
     owed_ns: int = 0
     stopped_ns: int | None = None
@@ -70,11 +80,13 @@ class ServoHistory:
         """A copy."""
         return type(self)(*_SERVO_FIELDS(self))
 
-    def key(self, now_ns: int, instant_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
+    def key(self, now_ns: int, instant_ns: int, rank: dict[int, int], rules: Rules) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
         return (
             self.written_cdeg,
             self.want and (self.want.op, self.want.angle_cdeg, rank[self.want.number]),
+            self.bound_cdeg,
+            speed_age_ns(self.said_ns, now_ns, rules) if self.on else None,
             self.owed and (self.owed, self.owed_ns - now_ns),
             self.stopped_by if self.stopped_ns == instant_ns else None,
         )
@@ -89,7 +101,7 @@ class ServoHistory:
 
     def stop(self, by: str, instant_ns: int) -> None:
         """A Stop that somebody asked for ends what was wanted."""
-        self.want = None
+        self.want = self.bound_cdeg = None
         self.stopped_by = (self.stopped_by if self.stopped_ns == instant_ns else frozenset()) | {by}
         self.stopped_ns = instant_ns
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Self
 
 from gateway.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand
 

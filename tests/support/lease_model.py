@@ -5,7 +5,7 @@ from typing import Final
 
 from gateway.core.events import Do, Event, LeaseRequest
 from gateway.core.lease import Lease
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from tests.support.lease_history import LeaseHistory
 
 _FIELDS: Final = vars(Lease(Rules())).keys()

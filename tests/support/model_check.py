@@ -31,13 +31,16 @@ from gateway.core.events import (
 )
 from gateway.core.lease import TRANSITIONS as LEASE_TRANSITIONS
 from gateway.core.lease import LeaseState
-from gateway.core.legs import Leg, Legs, Rules, Servo, _PendingCommand
+from gateway.core.leg import Leg, Rules, Servo
+from gateway.core.legs import Legs, _PendingCommand
 from gateway.core.pacing import RateSlots, StartQueue
-from gateway.core.supervisor import TRANSITIONS, Supervisor
+from gateway.core.supervisor import Supervisor
+from gateway.core.transitions import TRANSITIONS
 from schemas.telemetry import Mode
-from tests.support.history import STOP_SERVOS, Violation, demand
+from tests.support.history import STOP_SERVOS, Violation, demand, speed_age_ns
 from tests.support.lease_history import LeaseHistory
 from tests.support.lease_model import copied_lease, lease_key, lease_requests, tokens
+from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import CONFIGURATIONS, Configuration
 
@@ -69,6 +72,8 @@ _servo_fields = _getter(
     "angle_cdeg",
     "waiting",
     "waiting_number",
+    "target_cdeg",
+    "since_ns",
     "repeats_left",
     "repeat_ns",
     "stopped_ns",
@@ -96,7 +101,7 @@ _SUPERVISOR_FIELDS: Final = {
 # The first two rows matter; the third follows from them, and the last counts within a step.
 _LEGS_FIELDS: Final = {
     *("_rules", "by_number", "servos", "_pending"),
-    *("_queue", "instant_ns"),
+    *("_queue", "instant_ns", "landing", "land_ns"),
     *("due_ns", "repeat_ns", "at_rest"),
     *("_moved", "stops"),
 }
@@ -157,6 +162,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
         lease_key(supervisor.lease, now_ns),
+        legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
         tuple((rank[number], *_pending_fields(pending)) for number, pending in sorted(legs._pending.items())),
         tuple(
@@ -169,6 +175,8 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                     (
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, rank[servo.waiting_number]),
+                        servo.target_cdeg,
+                        speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         # A bus that opens again is told to stop everything anew.
                         supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,

@@ -24,7 +24,7 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.protocol.frames import Op, leg_of, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -40,6 +40,7 @@ from tests.support.history import (
     told,
 )
 from tests.support.lease_history import LeaseHistory
+from tests.support.motion import LandingHistory, stepped
 
 
 class Oracle:
@@ -58,6 +59,7 @@ class Oracle:
         self.instant_ns = 0
         """When the present instant began: that of all that was collected together."""
         self.lease = LeaseHistory(rules)
+        self.landing: LandingHistory | None = None
         self.energised_leg: int | None = None
         self.energised_ns = 0
         self.queue: tuple[int, ...] = ()
@@ -78,13 +80,13 @@ class Oracle:
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
         """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
         legs = tuple(leg.key(now_ns, self.rules, armed=self._armed(number)) for number, leg in self.legs.items())
-        servos = tuple(servo.key(now_ns, self.instant_ns, rank) for servo in self.servos.values())
+        servos = tuple(servo.key(now_ns, self.instant_ns, rank, self.rules) for servo in self.servos.values())
         latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
         pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
         pending = tuple(self.pending[number] for number in sorted(self.pending))
-        lease = self.lease.key(now_ns)
+        lease = self.lease.key(now_ns), self.landing and self.landing.key(now_ns)
         return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos, lease
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
@@ -138,6 +140,8 @@ class Oracle:
             case LeaseRequest():
                 self._in_time(event, now_ns, effects)
                 demand(not self.lease.is_new or not self.pending, "what waited of others moves under no new holder")
+                for servo in self.servos.values() if self.lease.is_new else ():
+                    servo.bound_cdeg = None
             case EmergencyStop():
                 engaged, self.latched_ns = self.latched_ns is not None, self.instant_ns
                 self.estops += 1
@@ -170,8 +174,9 @@ class Oracle:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]
         expected = [(stop_leg(leg), cause) for leg in self.legs] if self.bus_ok else []
         demand(frames == expected, f"{cause}: a Stop to each leg and nothing else; nothing to a bus at fault")
+        self.landing = None
         for servo in self.servos.values():
-            servo.want = None
+            servo.want = servo.bound_cdeg = None
             if self.bus_ok:
                 servo.written_cdeg = None
                 servo.stop(cause, self.instant_ns)
@@ -194,7 +199,7 @@ class Oracle:
         if not self.bus_ok:
             demand(not frames, "nothing is sent while the bus is at fault")
         watchdog = self._expired(now_ns)
-        expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG]
+        expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG and effect.frame.is_stop]
         demand(
             expired == [stop_leg(leg) for leg in watchdog], f"legs not heard for the timeout are stopped: {watchdog}"
         )
@@ -210,7 +215,7 @@ class Oracle:
                 case Transmit(cause=Cause.REPEAT):
                     self._repeated(effect, now_ns)
                 case Transmit():
-                    demand(effect.cause is Cause.WATCHDOG, f"a frame without a cause: {effect.cause}")
+                    self._unasked(effect, now_ns)
                 case Completed():
                     demand(effect.number not in self._lost, "what the watchdog dropped is rejected")
                     demand(
@@ -250,6 +255,11 @@ class Oracle:
             if self._armed(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
         ]
         stopped = list(self.legs) if silent and self.rules.whole_robot else silent
+        if self.landing is not None:
+            stopped = list(self.legs) if now_ns >= self.landing.ends_ns else []
+            self.landing = None if stopped else self.landing
+        elif silent and self._lands(min(self.legs[number].heard_ns or 0 for number in silent), now_ns):
+            return []
         for number in stopped:
             self.legs[number].source = None
             for servo in self._servos_of(number):
@@ -259,6 +269,33 @@ class Oracle:
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
                 servo.owe(self.rules, now_ns)
         return stopped
+
+    def _lands(self, heard_ns: int, now_ns: int) -> bool:
+        """Whether silence since `heard_ns` lands the robot now, where something runs and there is time left."""
+        ends_ns = heard_ns + self.rules.timeout_ns + self.rules.landing_ns
+        if not self.energised or now_ns >= ends_ns:
+            return False
+        ways = {}
+        for servo_id, servo in self.servos.items():
+            if servo.want is not None:
+                self._lost.add(servo.want.number)
+            servo.want = servo.bound_cdeg = None
+            if servo.written_cdeg is not None:
+                ways[servo_id] = servo.written_cdeg, self.rules.landing_cdeg.get(servo_id, servo.written_cdeg)
+        for leg in self.legs.values():
+            leg.source = None
+        self.landing = LandingHistory(now_ns, ends_ns, ways)
+        return True
+
+    def _unasked(self, transmit: Transmit, now_ns: int) -> None:
+        """A frame that nobody commanded: the watchdog's."""
+        demand(transmit.cause is Cause.WATCHDOG, f"a frame without a cause: {transmit.cause}")
+        if transmit.frame.is_stop:
+            return
+        demand(self.landing is not None, "nothing moves unasked but a landing")
+        self.legs[leg_of(transmit.frame.servos[0][0])].moved(now_ns, self.rules.period_ns)
+        if self.landing is not None:
+            self.landing.judge(transmit, self.servos, now_ns, self.rules)
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
@@ -288,6 +325,7 @@ class Oracle:
             else:
                 still_starts = op.op is Op.START or servo.starts
                 servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.number)
+                servo.bound_cdeg = None
         return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
 
     def _reason_to_reject(self, command: Command) -> Reason | None:
@@ -295,8 +333,8 @@ class Oracle:
             return CLOSED[self.mode]
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         no_lease = self.lease.reason_to_reject(command.lease) if moves else None
-        if moves and (self.outside or no_lease is not None):
-            return Reason.SERVO_STOPPED if self.outside else no_lease
+        if moves and (self.outside or no_lease is not None or self.landing is not None):
+            return Reason.SERVO_STOPPED if self.outside else no_lease or Reason.LANDING
         for _, servo_id, op in moves:
             low, high = self.rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
             if not low <= op.angle_cdeg <= high:
@@ -341,14 +379,15 @@ class Oracle:
                     servo.owe(self.rules, now_ns)
                 continue
             demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
-            if servo.want is None:
+            if servo.want is None and servo.bound_cdeg is None:
                 demand(op.op is Op.SET and op.angle_cdeg == servo.written_cdeg, f"nobody asked for {op} of {servo_id}")
             else:
-                wanted = (servo.want.op, servo.want.angle_cdeg)
-                demand((op.op, op.angle_cdeg) == wanted, f"{servo_id}: the newest target is sent")
+                wanted, target = (Op.SET, servo.bound_cdeg or 0) if servo.want is None else servo.want[:2]
+                demand(op.op is wanted, f"{servo_id}: the newest target is sent")
+                stepped(servo, servo_id, op.angle_cdeg, target, now_ns, self.rules)
             if not servo.on:
                 self._energised(leg_number, now_ns)
-            servo.written_cdeg, servo.want, servo.owed = op.angle_cdeg, None, 0
+            servo.written_cdeg, servo.want, servo.owed, servo.said_ns = op.angle_cdeg, None, 0, now_ns
 
     def _repeated(self, transmit: Transmit, now_ns: int) -> None:
         demand(transmit.frame.is_stop, "only Stops are repeated")
@@ -390,13 +429,18 @@ class Oracle:
             demand(due_ns == self.lease.due_ns, "no time but the lease's is awaited while the bus is at fault")
             return
         latest = self._head_of_queue(now_ns) + ([] if self.lease.due_ns is None else [self.lease.due_ns])
+        self.landing = self.landing if self.energised else None
         for number, leg in self.legs.items():
             servos = self._servos_of(number)
-            if self._armed(number):
+            if self.landing is not None:
+                demand(now_ns < self.landing.ends_ns, "a landing ends in time")
+                latest.append(self.landing.ends_ns)
+            elif self._armed(number):
                 deadline_ns = (leg.heard_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
                 latest.append(deadline_ns)
-            if any(servo.want is not None for servo in servos) and not self.rules.start_pause_ns:
+            under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in servos)
+            if under_way and not self.rules.start_pause_ns:
                 slot_ns = leg.slot_ns(self.rules.period_ns)
                 demand(now_ns < slot_ns, "what is pending is sent when the rate slot comes")
                 latest.append(slot_ns)

@@ -12,7 +12,7 @@ from typing import Any, Final
 from gateway import cli, service
 from gateway.core.events import Command, Effect, EmergencyStop, Reset, Transmit
 from gateway.core.lease import Lease
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
+from gateway.core.pacing import NS_PER_S
 from gateway.protocol.frames import STOP, Op, ServoOp
 
 TICK: Final = 10
@@ -140,6 +141,38 @@ CONFIGURATIONS: Final = (
         (1, 2),
         (*_TWO_LEGS[:3], _TWO_LEGS[4]),
         _WAITS[1:],
+        ends=False,
+    ),
+    Configuration(
+        "one leg, a limited speed",
+        _rules(repeats=0, max_speed_cdeg_s={11: 180_00 * NS_PER_S // (5 * TICK)}),
+        (1,),
+        (
+            *(("servo", ((11, op),)) for op in (ServoOp(Op.START, 0), ServoOp(Op.SET, 180_00), STOP)),
+            ("leg", ((11, ServoOp(Op.SET, 0)), (12, START))),
+        ),
+        (TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+    ),
+    Configuration(
+        "two legs, landing",
+        _rules(repeats=0, landing_ns=8 * TICK, landing_cdeg={11: HIGH}),
+        (1, 2),
+        (*(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)), ("legs", _each(SET, 11, 21))),
+        (TICK, 3 * TICK),
+    ),
+    Configuration(
+        "one leg, a limited speed and landing",
+        _rules(
+            repeats=0,
+            landing_ns=5 * TICK,
+            landing_cdeg={11: 180_00},
+            max_speed_cdeg_s={11: 180_00 * NS_PER_S // (5 * TICK)},
+        ),
+        (1,),
+        tuple(("servo", ((11, op),)) for op in (ServoOp(Op.START, 0), ServoOp(Op.SET, 90_00), STOP)),
+        (TICK, 3 * TICK),
         ends=False,
     ),
 )

@@ -19,7 +19,7 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS
 from gateway.core.supervisor import Supervisor
 from gateway.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids_of

@@ -97,6 +97,8 @@ def settings() -> dict[str, FieldInfo]:
         for name, field in table.annotation.model_fields.items():
             if (section, name) == ("limits", "servos"):
                 found |= {f"limits.servos.N.{inner}": each for inner, each in ServoLimits.model_fields.items()}
+            elif (section, name) == ("watchdog", "landing"):
+                found["watchdog.landing.N"] = FieldInfo.from_annotation(get_args(field.annotation)[1])
             else:
                 found[f"{section}.{name}"] = field
     return found
@@ -122,7 +124,9 @@ def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -
     assert sorted(written) == sorted(found)
     for name, (_, default, limits, *_rest) in written.items():
         field = found[name]
-        if name == "spi.framing":  # the one that has to be said for a real device
+        if name == "watchdog.landing.N":
+            assert default == "none"
+        elif name == "spi.framing":  # the one that has to be said for a real device
             with pytest.raises(ConfigError, match=r"spi\.framing"):
                 load(tmp_path / "empty.toml")
             assert default == f'none; `"{load(tmp_path / "empty.toml", simulated=True).spi.framing}"` with `--sim`'

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.core.events import Announce, Do, LeaseAnswer, LeaseRequest
 from gateway.core.lease import MOST_ASKERS, TRANSITIONS, LeaseState
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
 

@@ -252,10 +252,11 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 @pytest.mark.parametrize(("enumeration", "words"), [
     (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping "
-     "not_holder no_lease lease_held lease_denied"),
+     "not_holder no_lease lease_held lease_denied landing"),
     (Mode, "starting idle active estopped bus_fault stopping"),
     (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
-     "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked"),
+     "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked "
+     "landing"),
     (Cause, "command watchdog estop startup shutdown repeat"),
 ])  # fmt: skip
 def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from gateway.protocol.frames import stop_leg
+from gateway.protocol.frames import OneServo, stop_leg
 from gateway.settings import Settings
 from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
@@ -90,6 +90,32 @@ async def test_servos() -> None:
     await asyncio.sleep(0.1)
     assert robot.ask(LEG_3, leg("set", 0, 160.01, 180)).reason == Reason.JOINT_LIMIT
     assert robot.ask(LEG_3, leg("stop")).accepted
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("speed", "first_deg", "last_deg"), [(0, 100, 100), (100, 95, 100), (50, 92.5, 97.5)])
+async def test_max_speed_deg_s(speed: float, first_deg: float, last_deg: float) -> None:
+    robot = await started_and_quiet(limits={"servos": {"31": {"max_speed_deg_s": speed}}})
+    assert robot.ask(LEG_3, START).accepted
+    await asyncio.sleep(0.05)
+    assert robot.ask(keys.servo_command(31), servo("set", 100)).accepted
+    assert robot.conductor.state().legs[2].servos[0].target_deg == 100
+    assert robot.conductor.state().legs[2].servos[0].angle_deg == pytest.approx(first_deg, abs=0.01)
+    await asyncio.sleep(0.11)
+    assert robot.conductor.state().legs[2].servos[0].angle_deg == pytest.approx(last_deg, abs=0.6)
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("landing_ms", "landing_deg"), [(0, 30), (500, 30), (500, 120)])
+async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> None:
+    robot = await started_and_quiet(watchdog={"landing_ms": landing_ms, "landing": {"31": landing_deg}, "repeats": 0})
+    began = len(robot.frames)
+    robot.put(LEG_3, START)
+    await asyncio.sleep(2)
+    times_ms = [at_ms for at_ms, _ in robot.frames[began:]]
+    assert times_ms[-1] - times_ms[0] == pytest.approx(250 + landing_ms, abs=1)
+    told = [frame.command.angle_cdeg for _, frame in robot.frames[began:] if isinstance(frame, OneServo)]
+    assert told[-1:] == ([landing_deg * 100] if landing_ms else [])
 
 
 @pytest.mark.virtual_time

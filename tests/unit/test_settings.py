@@ -40,6 +40,8 @@ timeout_ms = 250.0
 scope = "leg"
 repeats = 3
 repeat_interval_ms = 20.0
+landing_ms = 0
+landing = {}
 [lease]
 required = false
 ttl_ms = 1000
@@ -125,6 +127,8 @@ timeout_ms = 20
 scope = "robot"
 repeats = 0
 repeat_interval_ms = 1
+landing_ms = 5000
+landing = { 11 = 90 }
 [lease]
 required = true
 ttl_ms = 200
@@ -219,9 +223,11 @@ RANGES: dict[str, tuple[float, float]] = {
     "limits.start_stagger_ms": (0, 2000),
     "limits.servos.32.min_deg": (0, 180),
     "limits.servos.32.max_deg": (0, 180),
+    "limits.servos.32.max_speed_deg_s": (0, 1000),
     "watchdog.timeout_ms": (20, 10_000),
     "watchdog.repeats": (0, 100),
     "watchdog.repeat_interval_ms": (1, 1000),
+    "watchdog.landing_ms": (0, 5000),
     "lease.ttl_ms": (200, 10_000),
     "recorder.seconds": (10, 600),
     "telemetry.state_hz": (0, 1000),

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Mode

@@ -13,9 +13,9 @@ from gateway.core.events import (
     StoppedOutside,
     TimePassed,
 )
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS
-from gateway.core.supervisor import TRANSITIONS, IllegalEvent
+from gateway.core.transitions import TRANSITIONS, IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to

@@ -26,9 +26,10 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS
-from gateway.core.supervisor import TRANSITIONS, Supervisor
+from gateway.core.supervisor import Supervisor
+from gateway.core.transitions import TRANSITIONS
 from gateway.errors import SpiError
 from gateway.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.protocol.framing import Framing
@@ -58,6 +59,9 @@ RULES = st.builds(
     unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
     start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
     joint_limits_cdeg=st.sampled_from([{}, {11: (10_00, 90_00), 62: (0, 0)}]),
+    max_speed_cdeg_s=st.sampled_from([{}, {}, {11: 1, 12: 60_00, 21: 1000_00}]),
+    landing_ns=st.sampled_from([0, 0, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
+    landing_cdeg=st.sampled_from([{}, {11: 0, 12: 180_00, 21: 30_00, 62: 0}]),
     lease_required=st.sampled_from([False, False, True]),
     lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
     lease_takeover=st.booleans(),

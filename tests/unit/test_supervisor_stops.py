@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.core.events import Rejected, Transmit
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS
 from schemas.telemetry import Mode, WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to

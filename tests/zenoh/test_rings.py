@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from gateway.core.events import BusOpened, Command, Transmit
-from gateway.core.legs import Rules
+from gateway.core.leg import Rules
 from gateway.core.supervisor import Supervisor
 from gateway.edge.rings import PASSES, PUT_DEPTH, RING_DEPTH, Rings
 from gateway.protocol.frames import STOP, Op, ServoOp, servo_ids_of

@@ -1,0 +1,180 @@
+"""The calibration on disk: TOML that a person can read, written whole or not at all, with the ten before it.
+
+A file that is broken, cut off or of another version is an error and not a default: with the wrong direction or trim a
+servo would go where nobody sent it.
+"""
+
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from gateway.core.calibration import Calibration, CalibrationError, ServoCalibration
+from gateway.errors import ConfigError
+from gateway.protocol.frames import centidegrees
+from schemas.robot import SERVO_IDS
+
+VERSION: Final = 1
+KEPT: Final = 10
+"""How many earlier calibrations are kept beside the file."""
+MAX_BYTES: Final = 64 * 1024
+"""A whole calibration takes 2 kB; what is larger is no calibration, and is not read."""
+
+_HEAD: Final = """\
+# How this robot's servos differ from the drawing. Written by `hexapod-gateway calibrate`; whoever changes it by hand
+# restarts the service. On the wire a servo gets (180 - angle if inverted else angle) + trim_deg; min_deg, max_deg and
+# the landing pose are angles as commands name them.
+"""
+
+
+def read(path: Path) -> Calibration | None:
+    """The calibration kept there; None: there is none yet. Raises ConfigError with one sentence."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(data) > MAX_BYTES:
+        raise ConfigError(f"{path}: is larger than {MAX_BYTES} bytes; that is no calibration")
+    try:
+        return from_toml(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def write(path: Path, calibration: Calibration) -> None:
+    """Keep it: on disk when this returns, or the old one stays. Raises ConfigError. Takes as long as the disk does."""
+    staged = path.with_name(f".{path.name}.new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with staged.open("wb") as file:
+            file.write(to_toml(calibration).encode())
+            file.flush()
+            os.fsync(file.fileno())
+        _keep_previous(path)
+        staged.replace(path)
+        _sync(path.parent)
+    except OSError as error:
+        with suppress(OSError):
+            staged.unlink()
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the old calibration stays") from error
+
+
+def previous(path: Path) -> list[Path]:
+    """The earlier calibrations beside it, newest first."""
+    numbered = [
+        (int(number), found)
+        for found in path.parent.glob(f"{path.stem}.*{path.suffix}")
+        if (number := found.name[len(path.stem) + 1 : -len(path.suffix)]).isdecimal()
+    ]
+    return [found for _, found in sorted(numbered, reverse=True)]
+
+
+def _keep_previous(path: Path) -> None:
+    """A second name for the file as it is; only then is it replaced, so that there is a whole one at any time."""
+    try:
+        name = str(from_toml(path.read_text(encoding="utf-8")).revision)
+    except FileNotFoundError:
+        return
+    except ValueError:
+        name = "broken"
+    copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
+    copy.unlink(missing_ok=True)
+    os.link(path, copy)
+    for old in previous(path)[KEPT:]:
+        old.unlink()
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+# ---- as text
+
+
+def to_toml(calibration: Calibration) -> str:
+    """The file's text. Its last line names the revision again, so that a file that was cut off can be told."""
+    lines = [f"{_HEAD}version = {VERSION}", f"revision = {calibration.revision}", "", "[landing]"]
+    lines += [f"{servo_id} = {angle / 100!r}" for servo_id, angle in sorted(calibration.landing_cdeg.items())]
+    for servo_id in SERVO_IDS:
+        servo = calibration.of(servo_id)
+        lines += [
+            "",
+            f"[servos.{servo_id}]",
+            f"trim_deg = {servo.trim_cdeg / 100!r}",
+            f"inverted = {str(servo.inverted).lower()}",
+            f"min_deg = {servo.min_cdeg / 100!r}",
+            f"max_deg = {servo.max_cdeg / 100!r}",
+        ]
+    return "\n".join([*lines, "", "[end]", f"of_revision = {calibration.revision}", ""])
+
+
+def from_toml(text: str) -> Calibration:
+    """The calibration in a file's text. Raises ValueError with one sentence."""
+    try:
+        values = tomllib.loads(text)
+    except ValueError as error:
+        raise ValueError(f"is not TOML: {error}") from error
+    version = values.get("version")
+    if version != VERSION:
+        raise ValueError(f"version is {version!r}; this gateway reads {VERSION}")
+    _names(values, {"version", "revision", "landing", "servos", "end"}, "the file")
+    revision = values["revision"]
+    if type(revision) is not int or revision < 0:
+        raise ValueError(f"revision is {revision!r}; it is a whole number")
+    if values["end"] != {"of_revision": revision}:
+        raise ValueError(f"the last line is not of_revision = {revision}; the file was cut off, or half of it changed")
+    servos = _table(values["servos"], "servos")
+    _names(servos, set(map(str, SERVO_IDS)), "servos")
+    landing = _table(values["landing"], "landing")
+    return Calibration(
+        revision,
+        {int(name): _servo(f"servos.{name}", servo) for name, servo in servos.items()},
+        {_servo_id(name): _cdeg(f"landing.{name}", angle) for name, angle in landing.items()},
+    )
+
+
+def _servo(place: str, value: object) -> ServoCalibration:
+    table = _table(value, place)
+    _names(table, {"trim_deg", "inverted", "min_deg", "max_deg"}, place)
+    if type(table["inverted"]) is not bool:
+        raise ValueError(f"{place}.inverted is {table['inverted']!r}; it is true or false")
+    trim, low, high = (_cdeg(f"{place}.{name}", table[name]) for name in ("trim_deg", "min_deg", "max_deg"))
+    return ServoCalibration(trim, table["inverted"], low, high)
+
+
+def _servo_id(name: str) -> int:
+    if name not in map(str, SERVO_IDS):
+        raise CalibrationError(f"servo {name} does not exist; an id is the leg and the joint, such as 32")
+    return int(name)
+
+
+def _cdeg(place: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{place} is {value!r}; it is a number of degrees")
+    if abs(value) > 360:
+        raise ValueError(f"{place} is {value!r}; that is more than a turn")
+    return centidegrees(value)
+
+
+def _table(value: object, place: str) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{place} is {value!r}; it is a table")
+    return value
+
+
+def _names(table: Mapping[str, object], wanted: set[str], place: str) -> None:
+    missing, unknown = sorted(wanted - table.keys()), sorted(table.keys() - wanted)
+    if missing:
+        raise ValueError(f"{place} has no {missing[0]}; a whole calibration names every servo and all of its numbers")
+    if unknown:
+        raise ValueError(f"{place} has {unknown[0]!r}, which is not known here")

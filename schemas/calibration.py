@@ -1,0 +1,74 @@
+"""How this robot differs from the drawing: trim, direction and limits of each servo, and the landing pose.
+
+The same names go in and out: what `hexapod/calibration` says can be sent to `hexapod/calibration/cmd`, whole or in
+part.
+"""
+
+from typing import Annotated, Final, Literal, get_args
+
+from pydantic import Field
+
+from schemas.command import AngleDeg, Closed, Sender
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Count, Report
+
+MAX_TRIM_DEG: Final = 90.0
+"""A horn that sits further off is on the wrong tooth by a quarter of a turn, and should be moved by hand."""
+
+TrimDeg = Annotated[
+    float,
+    Field(
+        ge=-MAX_TRIM_DEG,
+        le=MAX_TRIM_DEG,
+        allow_inf_nan=False,
+        description="degrees added to the angle on the wire, to the nearest hundredth",
+    ),
+]
+
+# fmt: off
+ServoName = Literal[
+    "11", "12", "13", "21", "22", "23", "31", "32", "33", "41", "42", "43", "51", "52", "53", "61", "62", "63"
+]
+# fmt: on
+if get_args(ServoName) != tuple(map(str, SERVO_IDS)):  # a type cannot be computed
+    raise AssertionError("ServoName names other servos than schemas.robot")
+
+
+class ServoCalibration(Report):
+    """One servo: `wire = (180 - angle if inverted else angle) + trim_deg`; the limits are users' angles."""
+
+    trim_deg: float = 0.0
+    inverted: bool = False
+    min_deg: float = 0.0
+    max_deg: float = 180.0
+
+
+class Calibration(Report):
+    """The payload of `hexapod/calibration`: what is in force. A servo that is not named has no trim and full range."""
+
+    revision: Count
+    servos: dict[str, ServoCalibration]
+    landing: Annotated[dict[str, float], Field(description="the landing pose: degrees, as users count them")]
+
+
+class ServoChange(Closed):
+    """What changes of one servo; what is not named stays."""
+
+    trim_deg: TrimDeg | None = None
+    inverted: bool | None = None
+    min_deg: AngleDeg | None = None
+    max_deg: AngleDeg | None = None
+
+
+class CalibrationCommand(Sender):
+    """The payload of `hexapod/calibration/cmd`: a whole Calibration, or the part of it that changes.
+
+    `revision` is that of the calibration which it changes: another one means that somebody else changed it meanwhile.
+    Left out, nothing is compared. A landing angle of null takes the servo out of the landing pose. `accept_default`
+    takes the calibration without any trim as this robot's, where the file that kept its own cannot be read.
+    """
+
+    revision: Count | None = None
+    servos: Annotated[dict[ServoName, ServoChange], Field(default_factory=dict)]
+    landing: Annotated[dict[ServoName, AngleDeg | None], Field(default_factory=dict)]
+    accept_default: Literal[True] | None = None

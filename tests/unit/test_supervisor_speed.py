@@ -1,0 +1,82 @@
+"""A servo whose speed is limited goes to its target in steps, one in each rate slot. Each step is judged."""
+
+import pytest
+
+from gateway.core.leg import Rules
+from tests.support.steps import Steps, leg_to, servo_to
+
+
+def speed_steps(deg_s: float = 100) -> Steps:
+    """Servo 31 runs at 90 degrees since 0 ms; leg 3 has a rate slot each 20 ms."""
+    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: round(deg_s * 100)}))
+    steps.command(1, leg_to(3, "start 90"))
+    return steps
+
+
+def angles(steps: Steps, until_ms: float) -> list[float]:
+    """What servo 31 is told as time passes."""
+    said: list[float] = []
+    while steps.due_ms is not None and steps.due_ms <= until_ms:
+        for line in steps.time(steps.due_ms):
+            words = line.split()
+            if words[:3] == ["command", "31", "set"]:
+                said.append(float(words[3]))
+            else:
+                assert words[0] != "command", line
+    return said
+
+
+def test_a_far_target_is_approached_and_reached() -> None:
+    steps = speed_steps()
+    assert steps.command(51, servo_to(31, "set 110")) == ["command 31 set 95", "completed 2"]
+    said = angles(steps, 300)
+    assert said == sorted(said)
+    assert said[-1] == 110
+    assert len(said) >= (110 - 95) / (100 / 50)
+
+
+def test_a_near_target_is_reached_at_once() -> None:
+    steps = speed_steps()
+    assert steps.command(51, servo_to(31, "set 94"))[0] == "command 31 set 94"
+    assert angles(steps, 200) == []
+
+
+def test_the_newest_target_counts() -> None:
+    steps = speed_steps()
+    steps.command(51, servo_to(31, "set 180"))
+    assert steps.command(71, servo_to(31, "set 90"))[0] == "command 31 set 93"
+    assert angles(steps, 300)[-1] == 90
+
+
+def test_a_start_of_a_servo_that_runs_is_no_way_round_it() -> None:
+    assert speed_steps().command(51, servo_to(31, "start 180"))[0] == "command 31 start 95"
+
+
+def test_a_start_of_one_that_does_not_run_goes_where_it_says() -> None:
+    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: 100}))
+    assert steps.command(1, servo_to(31, "start 180"))[0] == "command 31 start 180"
+
+
+def test_other_servos_are_as_quick_as_ever() -> None:
+    assert speed_steps().command(51, leg_to(3, "set 180"))[0] == "command 3 set 95 | set 180 | set 180"
+
+
+def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last() -> None:
+    steps = speed_steps()
+    steps.command(41, ((32, leg_to(3, "set 80")[1][1]), (33, leg_to(3, "set 80")[2][1])))
+    assert steps.command(51, servo_to(31, "set 180"))[0] == "command 31 set 91"
+
+
+@pytest.mark.parametrize("word", ["stop", "estop", "silence"])
+def test_a_stop_ends_it(word: str) -> None:
+    steps = speed_steps(10)
+    steps.command(51, servo_to(31, "set 180"))
+    if word == "stop":
+        steps.command(60, servo_to(31, "stop"))
+    elif word == "estop":
+        steps.estop(60)
+    else:
+        assert angles(steps, 400)
+        assert not steps.running
+    assert not angles(steps, 1000)
+    assert 31 not in steps.running
