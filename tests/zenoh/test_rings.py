@@ -220,7 +220,7 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
 
 def test_an_ordinary_command_looks_into_few_rings() -> None:
     """Each key has two rings; a leg's command concerns its own, `legs` and, if it stops, three servos."""
-    for op, most in ((START, 5), (STOP, 12)):
+    for op, most in ((START, 5), (STOP, 11)):
         deliveries = Deliveries(deque([(0, message((LEG, "put"), op))]))
         robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
         robot.rings.read([LEG])
