@@ -162,6 +162,14 @@ class StopLatency(Report):
     max: float | None
 
 
+class LoopLag(Report):
+    """Microseconds by which the gateway's timers were late, since the start; percentiles are upper ends of buckets."""
+
+    p50: float | None = None
+    p99: float | None = None
+    max: float | None = None
+
+
 class WatchdogReport(Report):
     """The watchdog's setting and record."""
 
@@ -196,6 +204,7 @@ class GatewayState(Report):
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
     estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
+    loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
     incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
 
 

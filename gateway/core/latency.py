@@ -44,3 +44,12 @@ class Latency:
             return None, None
         ordered = sorted(self.recent_us)
         return percentile(ordered, 0.5), percentile(ordered, 0.99)
+
+    def at_most_us(self, share: float) -> float | None:
+        """What that share of all did not exceed, as a bucket's upper end or the worst: coarse, but it sorts nothing."""
+        left = share * sum(self.buckets)
+        for bound_us, count in zip(BOUNDS_US, self.buckets, strict=False):
+            left -= count
+            if left <= 0 and self.max_us is not None:
+                return min(float(bound_us), self.max_us)
+        return self.max_us

@@ -18,6 +18,7 @@ from schemas.telemetry import (
     Kind,
     LeaseReport,
     LegReport,
+    LoopLag,
     ServoReport,
     SpiReport,
     StopLatency,
@@ -81,6 +82,9 @@ def report(
         estop=supervisor.estops,
         estop_source=estop_source,
         incident=incident,
+        loop_lag_us=LoopLag(
+            p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
+        ),
         lease=_lease(supervisor.lease, now_ns),
     )
 

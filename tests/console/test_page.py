@@ -35,6 +35,8 @@ def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visi
         sender.close()
     page.expect_status(3, "stopped by the watchdog")
     page.expect_status(2, "rests")
+    for number in ("number-lag", "number-latency"):
+        expect(page[number]).to_have_text(re.compile(r"^[\d.]+ · [\d.]+ · [\d.]+ ms$"))
     expect(page.page.locator("#picture canvas")).to_have_attribute(
         "aria-label", re.compile("leg 3 stopped by the watch")
     )

@@ -56,7 +56,7 @@ export class Numbers {
     const rate = model.framesPerSecond();
     this.#set("frames", rate === null || !live ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
     this.#set("latency", latency(state.watchdog.stop_latency_us, "no Stop yet"));
-    this.#set("lag", state.loop_lag_us ? latency(state.loop_lag_us, "–") : "this gateway does not say");
+    this.#set("lag", state.loop_lag_us ? latency(state.loop_lag_us, "none yet") : "unknown");
     this.#set("expirations", String(state.watchdog.expirations));
     this.#set("accepted", state.commands.accepted.toLocaleString("en"));
     this.#set("rejected", state.commands.rejected.toLocaleString("en"));
