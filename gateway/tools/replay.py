@@ -20,7 +20,7 @@ from gateway.tools.driving import drives
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
-from schemas.keys import EVENT, FRAME
+from schemas.keys import EVENT, FRAME, STATE
 from schemas.telemetry import Cause, Event, FrameRecord, GatewayState, Kind, Mode
 
 SOURCE: Final = "hexapod-gateway replay"
@@ -45,7 +45,7 @@ def replay(
     """Replay `path` and return the exit code. Raises ConfigError, RejectedError, StoppedError, ZenohError."""
     if check and speed != 1:
         raise ConfigError("--check compares times, so it goes with --speed 1")
-    recorded = plan((message.content for message in read(path) if message.topic == FRAME), watchdog_too=speed != 1)
+    recorded = plan(_frames(path), watchdog_too=speed != 1)
     _look_at(path, recorded)
     with connect() as client:
         state = client.state()
@@ -62,6 +62,17 @@ def replay(
         say(f"replayed: {said}")
         return 0
     return _report(recorded, player, said, tolerance_ms)
+
+
+def _frames(path: Path) -> Iterator[dict[str, Any]]:
+    """The recorded frames. Raises ConfigError where their angles are not those that commands count in."""
+    for message in read(path):
+        if message.topic == FRAME:
+            yield message.content
+        elif message.topic == STATE and message.content.get("calibration", {}).get("revision"):
+            raise ConfigError(
+                f"{path}: this robot was calibrated, so its frames carry other angles than commands; nothing is sent"
+            )
 
 
 def _look_at(path: Path, recorded: Plan) -> None:

@@ -1,15 +1,18 @@
 """What is sent for recorded frames, and whether two lists of frames are the same."""
 
 import io
+from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
 from gateway.errors import ConfigError
 from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.recordings import Recording
 from gateway.recordings.replaying import APART_NS, NS_PER_MS, Written, compare, plan
-from gateway.tools.replay import _ask
+from gateway.tools.replay import _ask, _frames
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
+from schemas.keys import FRAME, STATE
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 
@@ -162,6 +165,15 @@ def test_the_gateways_own_frames_may_come_before_or_after_those_of_other_legs() 
     repeat = Written(21 * NS_PER_MS, stop_leg(6).to_bytes(), commanded=False)
     expected = [*GAIT[:5], GAIT[6], repeat]
     assert compare(expected, [*GAIT[:5], repeat, GAIT[6]]).swapped == 0
+
+
+def test_frames_of_a_calibrated_robot_are_not_sent(tmp_path: Path) -> None:
+    path = tmp_path / "ride.mcap"
+    with Recording(path, time_ns=BEGUN_NS) as recording:
+        recording.add_report(FRAME, record(0, leg(1, Op.START)), BEGUN_NS)
+        recording.add(STATE, {"calibration": {"revision": 2}}, BEGUN_NS)
+    with pytest.raises(ConfigError, match="calibrated"):
+        list(_frames(path))
 
 
 def test_a_real_robot_does_not_move_where_nobody_can_be_asked(
