@@ -72,9 +72,10 @@ def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: b
 def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
     code = _report(client.ask(key, payload, again=not moves), "accepted")
     end = time.monotonic() + hold_s
+    again = _set_instead_of_start(payload)
     while code == 0 and time.monotonic() < end:
         time.sleep(HOLD_PERIOD_S)
-        ack = client.ask(key, payload)
+        ack = client.ask(key, again)
         if not ack.accepted:
             code = _report(ack, "")
     if code == 0 and moves:
@@ -85,6 +86,14 @@ def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bo
             else f"The watchdog stops it {timeout_ms:g} ms after a command; --hold S repeats it for S seconds."
         )
     return code
+
+
+def _set_instead_of_start(payload: dict[str, object]) -> dict[str, object]:
+    """What keeps running what a command started: a start, sent again, would undo somebody else's Stop."""
+    servos = payload.get("servos")
+    if isinstance(servos, list | tuple):
+        return {**payload, "servos": [_set_instead_of_start(servo) for servo in servos]}
+    return {**payload, "op": "set"} if payload.get("op") == "start" else payload
 
 
 def estop(connect: Connection) -> int:

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,17 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
         commands = [record for record in heard.all if record.cause == "command"]
         assert len(commands) > 3, "more often than it must"
         assert stop.monotonic_ns - commands[0].monotonic_ns > 1_500_000_000
+
+
+@pytest.mark.parametrize("what", [("leg", "3", "start", "90", "45", "120"), ("servo", "31", "start", "90")])
+def test_hold_starts_nothing_again_that_somebody_has_stopped(gateway: Gateway, what: tuple[str, ...]) -> None:
+    held = Child([*COMMAND, "send", *what, "--hold", "60", "--connect", gateway.endpoint], os.environ)
+    with closing(held), gateway.client() as client:
+        held.wait_for_output("accepted", 20)
+        assert client.stop().accepted
+        assert held.wait(20) == 1
+        assert "rejected: servo_stopped" in held.stdout
+        assert client.state().mode == Mode.IDLE
 
 
 def test_a_rejection_is_printed_with_its_reason_and_exit_code_1(gateway: Gateway) -> None:
