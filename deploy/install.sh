@@ -6,6 +6,7 @@
 #                                          follows the protocol's document); without it, a terminal is asked
 #   sudo deploy/install.sh --wheels DIR    without a network, from a folder that `make wheels` filled
 #   sudo deploy/install.sh --certs DIR     besides, bring the gateway's certificates (`hexapod-gateway certs init`)
+#   sudo deploy/install.sh --console       besides, the web console as a service of its own
 #   sudo deploy/install.sh --rollback      back to the release before this one
 #   sudo deploy/install.sh --force …       also while a servo runs (all legs stop)
 #   sudo deploy/install.sh --uninstall     stops the service and removes all but the configuration
@@ -38,13 +39,14 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no uninstall=no rollback=no force=no before='' wheels='' certs='' framing=''
+dry=no uninstall=no rollback=no force=no console=no before='' wheels='' certs='' framing=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
 	--uninstall) uninstall=yes ;;
 	--rollback) rollback=yes ;;
 	--force) force=yes ;;
+	--console) console=yes ;;
 	--wheels | --certs)
 		[ $# -ge 2 ] || fail "$1 needs a folder"
 		[ -d "$2" ] || fail "$1: $2 is no folder"
@@ -137,12 +139,12 @@ build_venv() {
 	if [ -n "$wheels" ]; then
 		# --isolated: no pip configuration of this machine, which may name an index.
 		"$venv/bin/pip" --isolated install --quiet --disable-pip-version-check --no-cache-dir --no-index \
-			--find-links "$wheels" "${NAME}[spi]"
+			--find-links "$wheels" "${NAME}[spi,console]"
 	else
 		# From a copy: a build as root would leave files in the repository.
 		sources=$(mktemp -d)
 		cp -r "$ROOT/pyproject.toml" "$ROOT/README.md" "$ROOT/LICENSE" "$ROOT/gateway" "$ROOT/schemas" "$sources"
-		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "${sources}[spi]"
+		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "${sources}[spi,console]"
 	fi || fail "pip could not install $NAME (above is why); nothing else was changed"
 	{ "$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev'; } ||
 		fail "what was installed does not run (above is why); nothing else was changed"
@@ -259,32 +261,6 @@ allow_spi() {
 	fi
 }
 
-# Whether a config.txt on stdin switches SPI on for every Pi: what stands under a filter such as [cm4] does not count.
-spi_is_on() {
-	awk '{ sub(/\r$/, ""); sub(/^[ \t]+/, "") }
-		/^\[/ { filtered = $0 !~ /^\[all\]/ }
-		!filtered && /^dtparam=/ {
-			n = split(substr($0, 9), parameters, ",")
-			for (i = 1; i <= n; i++) {
-				if (parameters[i] ~ /^spi(=on|=1|=true|=yes)?[ \t]*$/) on = 1
-				else if (parameters[i] ~ /^spi=/) on = 0
-			}
-		}
-		END { exit !on }'
-}
-
-# A config.txt from stdin to stdout: its own dtparam=spi line switched on, or else one as the first line, where no
-# filter and no overlay can claim it.
-switch_spi_on() {
-	awk '{ lines[NR] = $0 }
-		/^[ \t]*\[/ { filtered = $0 !~ /\[all\]/ }
-		!filtered && /^[ \t]*#?[ \t]*dtparam=spi(=on|=off)?[ \t\r]*$/ { lines[NR] = "dtparam=spi=on"; found = 1 }
-		END {
-			if (!found) print "dtparam=spi=on"
-			for (i = 1; i <= NR; i++) print lines[i]
-		}'
-}
-
 start_service() {
 	changed=no
 	switch_release
@@ -345,6 +321,7 @@ install_all() {
 	configured=$changed
 	allow_spi
 	start_service
+	install_console
 	if [ -n "$hint" ]; then
 		say "$hint"
 	else
@@ -354,6 +331,7 @@ install_all() {
 }
 
 uninstall_all() {
+	uninstall_console
 	if [ -e $UNIT ]; then
 		say "stop and disable the service: all legs stop"
 		run systemctl disable --quiet --now $NAME
@@ -397,4 +375,8 @@ cd / # the folder it was called from may be gone, or be one that a new user may 
 check_machine
 # shellcheck source=deploy/releases.sh
 . "$HERE/releases.sh"
+# shellcheck source=deploy/console.sh
+. "$HERE/console.sh"
+# shellcheck source=deploy/config_txt.sh
+. "$HERE/config_txt.sh"
 if [ $uninstall = yes ]; then uninstall_all; elif [ $rollback = yes ]; then rollback; else install_all; fi

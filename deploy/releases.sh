@@ -93,4 +93,5 @@ rollback() {
 	run systemctl daemon-reload
 	say "restart the service: all legs stop"
 	restart_service
+	[ ! -e "$CONSOLE_UNIT" ] || run systemctl try-restart "$CONSOLE"
 }

@@ -21,14 +21,14 @@ trap 'rm -rf "$sources"' EXIT
 cp -r pyproject.toml README.md LICENSE gateway schemas "$sources" # a build would leave files here, and find old ones
 
 if [ -z "$processor" ]; then
-	pip wheel --wheel-dir "$folder" "${sources}[spi]"
+	pip wheel --wheel-dir "$folder" "${sources}[spi,console]"
 else
 	pip wheel --no-deps --wheel-dir "$folder" "$sources"
 	# Raspberry Pi OS 12 has glibc 2.36; pip wants each older one named too.
 	platforms=$(printf -- "--platform manylinux_%s_$processor " 2_36 2_35 2_34 2_31 2_28 2_17)
 	# shellcheck disable=SC2086 # one word each
 	pip download --dest "$folder" --only-binary=:all: $platforms --platform "manylinux2014_$processor" \
-		--implementation cp --python-version "$version" "$folder"/hexapod_gateway-*.whl
+		--implementation cp --python-version "$version" "$(echo "$folder"/hexapod_gateway-*.whl)[console]"
 	pip download --dest "$folder" --no-deps --no-binary spidev 'spidev>=3.6'
 	pip download --dest "$folder" --only-binary=:all: setuptools wheel # what builds spidev there
 	echo "spidev is there as source: the robot needs gcc and python3-dev to install it"

@@ -45,6 +45,8 @@ DEAD_MS: Final = 15_000
 END_S: Final = 1
 RECEIVE_BYTES: Final = MAX_BYTES
 """Of the kernel's buffer: what has come from one page is taken at once, and meanwhile a STOP ALL of another waits."""
+SEND_BYTES: Final = 4096
+"""Of what waits for one page in this process, and in the kernel besides what is under way: some five states."""
 MAX_BYTES_A_SECOND: Final = 131_072.0
 """From one page; one that drives each leg by a message of its own sends 40 000."""
 
@@ -142,12 +144,21 @@ async def _run(
 
 
 class _WebSocket(WebSocketsSansIOProtocol):
-    """Gives up on a page that floods, also after it was told to go: it may not listen, and all it sends costs time."""
+    """Gives up on a page that floods, also after it was told to go: it may not listen, and all it sends costs time.
+
+    And keeps little for one that reads slowly: what waits in buffers is the past, and the newest state waits behind it.
+    """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._allowed = MAX_BYTES_A_SECOND
         self._counted_s = time.monotonic()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self.transport.set_write_buffer_limits(high=SEND_BYTES)
+        connection: socket.socket = self.transport.get_extra_info("socket")
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, SEND_BYTES)
 
     def data_received(self, data: bytes) -> None:
         now_s = time.monotonic()

@@ -46,8 +46,8 @@ class Figures:
         return "\n".join(
             (
                 f"state, just before the next one came, {len(self.state_age_ms)} times: {_spread(self.state_age_ms)}",
-                f"STOP ALL, tap to the gateway's own latency begun, {len(self.stop_ms)} times: {_spread(self.stop_ms)}",
-                f"STOP ALL, tap to the page's knowing: {_spread(self.stop_round_trip_ms)}",
+                f"STOP ALL, there and back, {len(self.stop_ms)} times: {_spread(self.stop_ms)}",
+                f"the same with the gateway's own latency: {_spread(self.stop_round_trip_ms)}",
                 f"console's memory: {self.before_mb:.0f} MB before, {self.after_mb:.0f} MB after; "
                 f"floods ended: {self.floods_ended}",
             )

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -41,9 +42,10 @@ def stopped_by(robot: InstalledGateway, opening: int, timeout_s: float = 10) -> 
     return written(robot.bed.wait_for(lambda seen: {t.data for t in written(seen) if t.delivered} >= STOPS, timeout_s))
 
 
-def test_exposure() -> None:
+@pytest.mark.parametrize("unit", [UNIT, UNIT.with_name("hexapod-console.service")], ids=lambda unit: unit.stem)
+def test_exposure(unit: Path) -> None:
     """At most 2.0, as `systemd-analyze security` counts it."""
-    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(UNIT)]
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(unit)]
     analysed = subprocess.run(command, capture_output=True, text=True, check=False)
     assert analysed.returncode == 0, analysed.stdout
 

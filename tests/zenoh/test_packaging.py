@@ -47,6 +47,8 @@ def test_the_wheel_holds_both_packages_their_types_the_schemas_and_the_licence(d
     names = zipfile.ZipFile(wheel).namelist()
     for name in ("gateway/py.typed", "schemas/py.typed", "schemas/json/LegCommand.json", "gateway/cli.py"):
         assert name in names
+    page = REPOSITORY / "gateway" / "console" / "page"
+    assert {str(path.relative_to(REPOSITORY)) for path in page.rglob("*") if path.is_file()} <= set(names)
     assert any(name.endswith("LICENSE") for name in names)
     assert not any(name.startswith("tests") for name in names)
     (source,) = dist.glob("*.tar.gz")
@@ -76,6 +78,16 @@ def test_it_runs_where_nothing_else_is_installed(python: Path, tmp_path: Path) -
         assert gateway.wait() == 0
     finally:
         gateway.close()
+
+
+def test_the_console_says_what_it_lacks(python: Path) -> None:
+    """In one line, and what to install."""
+    said = subprocess.run([python, "-m", "gateway", "console"], check=False, capture_output=True, text=True)
+    assert said.returncode == 2
+    assert said.stderr == (
+        "hexapod-gateway: the console needs starlette, uvicorn, websockets, segno: "
+        "pip install 'hexapod-gateway[console]'\n"
+    )
 
 
 def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) -> None:
