@@ -53,7 +53,7 @@ def link(listen: str) -> int:
     from gateway.console.serve import show  # noqa: PLC0415 (the same)
 
     address, port = address_of(listen)
-    made = Register(register.folder(), port).new_link("operator")
+    made = Register(register.folder(), port).new_link()
     try:
         socket.create_connection((address, port), LOOK_S).close()
     except OSError as error:

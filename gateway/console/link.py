@@ -185,11 +185,13 @@ class GatewayLink:
             self._look_why()
 
     async def _ask_for_state(self) -> None:
-        with suppress(*_ERRORS):
-            state = await self._client.state(ANSWER_S)
-            self._ended = False
-            self._heard(state, time.monotonic_ns())
-        self._asking = None
+        try:
+            with suppress(*_ERRORS):
+                state = await self._client.state(ANSWER_S)
+                self._ended = False
+                self._heard(state, time.monotonic_ns())
+        finally:
+            self._asking = None
 
     def _look_why(self) -> None:
         if time.monotonic() >= self._next_look_s and self._looking is None:
@@ -197,14 +199,16 @@ class GatewayLink:
             self._looking = asyncio.create_task(self._look())
 
     async def _look(self) -> None:
-        with suppress(*_ERRORS):
-            if self._open.is_set():
-                found = await asyncio.to_thread(self._why_unanswered, self._client.client)
-            else:
-                found = await asyncio.to_thread(self._why_unreached)
-            if found and self._link.status != "connected":
-                self._tell(self._link.status, "\n".join(found))
-        self._looking = None
+        try:
+            with suppress(*_ERRORS):
+                if self._open.is_set():
+                    found = await asyncio.to_thread(self._why_unanswered, self._client.client)
+                else:
+                    found = await asyncio.to_thread(self._why_unreached)
+                if found and self._link.status != "connected":
+                    self._tell(self._link.status, "\n".join(found))
+        finally:
+            self._looking = None
 
     def _tell(self, status: Any, detail: str = "") -> None:
         link = LinkMessage(status=status, detail=detail)

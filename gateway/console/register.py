@@ -51,6 +51,7 @@ class _Entries(BaseModel):
     url: str = ""
     """Of the console that runs, or ran last, at this port."""
     link_s: float = LINK_ELSEWHERE_S
+    role: Role = "observer"
     links: tuple[Entry, ...] = ()
     sessions: tuple[Entry, ...] = ()
 
@@ -64,18 +65,18 @@ class Register:
         self._seen: tuple[int, int, int] | None = None
         self._entries = _Entries()
 
-    def begin(self, url: str, link_s: float) -> None:
-        """A console begins to serve at `url`; its links live for `link_s`. Raises ConfigError."""
+    def begin(self, url: str, link_s: float, role: Role) -> None:
+        """A console begins at `url`; its links live for `link_s` and open pages of `role`. Raises ConfigError."""
         with self._changing() as change:
-            change(change().model_copy(update={"url": url, "link_s": link_s}))
+            change(change().model_copy(update={"url": url, "link_s": link_s, "role": role}))
 
-    def new_link(self, role: Role) -> str:
+    def new_link(self) -> str:
         """A link that works once. Raises ConfigError where no console has begun or the folder cannot be written."""
         if not self._read().url:
             raise ConfigError(f"no console has run there: {self._path} is missing; start one, or name its --listen")
         with self._changing() as change:
             now = change()
-            token, entry = self._new(role, now.link_s)
+            token, entry = self._new(now.role, now.link_s)
             change(now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]}))
         return f"{now.url}/?token={token}"
 

@@ -73,9 +73,9 @@ def serve(options: Options) -> NoReturn:
     geometry = load(options.geometry).model_dump(mode="json")
     with _listening(options.site) as listening:
         found = Register(register.folder(), options.site.port)
-        found.begin(options.site.url, LINK_S if options.site.certificate is None else LINK_ELSEWHERE_S)
-        link = found.new_link(options.role)
-        asyncio.run(_run(options, listening, found, link, connect, person, _least(role, options.role), geometry))
+        role = _least(role, options.role)
+        found.begin(options.site.url, LINK_S if options.site.certificate is None else LINK_ELSEWHERE_S, role)
+        asyncio.run(_run(options, listening, found, found.new_link(), connect, person, role, geometry))
 
 
 def show(link: str) -> None:

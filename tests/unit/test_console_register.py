@@ -29,7 +29,7 @@ def clock() -> Clock:
 @pytest.fixture
 def register(tmp_path: Path, clock: Clock) -> Register:
     found = Register(tmp_path, 8080, clock)
-    found.begin(URL, LINK_S)
+    found.begin(URL, LINK_S, "operator")
     return found
 
 
@@ -39,13 +39,14 @@ def token_of(link: str) -> str:
 
 
 def sign_in(register: Register) -> str:
-    found = register.exchange(token_of(register.new_link("operator")))
+    found = register.exchange(token_of(register.new_link()))
     assert found is not None
     return found[0]
 
 
 def test_a_link_works_once(register: Register) -> None:
-    token = token_of(register.new_link("observer"))
+    register.begin(URL, LINK_S, "observer")
+    token = token_of(register.new_link())
     found = register.exchange(token)
     assert found is not None
     session, entry = found
@@ -62,8 +63,19 @@ def test_what_is_no_session(register: Register, token: str | None) -> None:
     assert register.session(token) is None
 
 
+def test_a_page_that_only_looks_goes_on_so(register: Register) -> None:
+    """Also at a console that is started again for operators."""
+    register.begin(URL, LINK_S, "observer")
+    found = register.exchange(token_of(register.new_link()))
+    assert found is not None
+    register.begin(URL, LINK_S, "operator")
+    entry = register.session(found[0])
+    assert entry is not None
+    assert entry.role == "observer"
+
+
 def test_a_link_becomes_too_old(register: Register, clock: Clock) -> None:
-    token = token_of(register.new_link("operator"))
+    token = token_of(register.new_link())
     clock.now_s += LINK_S
     assert register.exchange(token) is None
 
@@ -88,7 +100,7 @@ def test_what_seems_to_come_from_the_future_is_void(register: Register, clock: C
 
 def test_another_process_knows_the_session_and_revokes_it(register: Register, tmp_path: Path, clock: Clock) -> None:
     token = sign_in(register)
-    link = register.new_link("operator")
+    link = register.new_link()
     other = Register(tmp_path, 8080, clock)
     entry = other.session(token)
     assert entry is not None
@@ -104,12 +116,12 @@ def test_the_port_has_its_own(register: Register, tmp_path: Path, clock: Clock) 
     other = Register(tmp_path, 8081, clock)
     assert other.session(token) is None
     with pytest.raises(ConfigError, match="no console has run there"):
-        other.new_link("operator")
+        other.new_link()
 
 
 def test_the_file_holds_no_token_and_is_private(register: Register, tmp_path: Path) -> None:
     token = sign_in(register)
-    link = token_of(register.new_link("operator"))
+    link = token_of(register.new_link())
     file = tmp_path / "console-8080.json"
     assert token not in file.read_text()
     assert link not in file.read_text()
@@ -121,7 +133,7 @@ def test_a_faulty_file_lets_nobody_in(register: Register, tmp_path: Path, conten
     token = sign_in(register)
     (tmp_path / "console-8080.json").write_bytes(content)
     assert register.session(token) is None
-    register.begin(URL, LINK_S)
+    register.begin(URL, LINK_S, "operator")
     assert register.session(sign_in(register)) is not None
 
 
@@ -136,4 +148,4 @@ def test_it_is_bounded(register: Register) -> None:
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot write"):
-        Register(tmp_path / "file", 8080).begin(URL, LINK_S)
+        Register(tmp_path / "file", 8080).begin(URL, LINK_S, "operator")
