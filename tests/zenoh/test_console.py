@@ -34,7 +34,8 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
 
 @pytest.fixture(scope="module")
 def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
+    browser = {"BROWSER": "echo opened %s"}
+    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint, "--open", env=browser) as running:
         yield running
 
 
@@ -120,6 +121,10 @@ def test_nobody_without_the_cookie(console: Console) -> None:
     assert "console --link" in console.get("/").text
     with pytest.raises(InvalidStatus, match="403"):
         Page(console.url, "")
+
+
+def test_the_browser_is_opened_with_the_link(console: Console) -> None:
+    assert console.child.wait_for_output("opened ").split()[1] == console.link
 
 
 def test_the_cookie(console: Console) -> None:
