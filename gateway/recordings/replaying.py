@@ -8,7 +8,8 @@ Frames of several legs that one message caused are sent as one message again: no
 messages that arrive in one instant.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, Final, NamedTuple
@@ -181,6 +182,16 @@ def _servo(command: ServoOp) -> dict[str, Any]:
 
 
 # ---- did it write the same?
+
+
+def delayed(frames: Iterable[Written], delays: Sequence[tuple[int, int]]) -> Iterator[Written]:
+    """The frames, as late as the sender was: `delays` has from when, in the recording's time, and by how much more."""
+    left = deque(delays)
+    delay_ns = 0
+    for frame in frames:
+        while left and frame.at_ns >= left[0][0]:
+            delay_ns += left.popleft()[1]
+        yield frame._replace(at_ns=frame.at_ns + delay_ns)
 
 
 class Comparison(NamedTuple):

@@ -9,7 +9,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.recordings import Recording
-from gateway.recordings.replaying import APART_NS, NS_PER_MS, Written, compare, plan
+from gateway.recordings.replaying import APART_NS, NS_PER_MS, Written, compare, delayed, plan
 from gateway.tools.replay import _ask, _frames
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
 from schemas.keys import FRAME, STATE
@@ -165,6 +165,15 @@ def test_the_gateways_own_frames_may_come_before_or_after_those_of_other_legs() 
     repeat = Written(21 * NS_PER_MS, stop_leg(6).to_bytes(), commanded=False)
     expected = [*GAIT[:5], GAIT[6], repeat]
     assert compare(expected, [*GAIT[:5], repeat, GAIT[6]]).swapped == 0
+
+
+def test_a_sender_that_was_late_is_expected_to_be_late_from_then_on() -> None:
+    delays = [(100 * NS_PER_MS, 30 * NS_PER_MS), (200 * NS_PER_MS, 5 * NS_PER_MS)]
+    late = list(delayed(GAIT, delays))
+    moved_ms = {(after.at_ns - before.at_ns) // NS_PER_MS for before, after in zip(GAIT, late, strict=True)}
+    assert moved_ms == {0, 30, 35}
+    assert compare(late, shifted(late, 7)).passes(0)
+    assert not compare(GAIT, late).passes(5)
 
 
 def test_frames_of_a_calibrated_robot_are_not_sent(tmp_path: Path) -> None:
