@@ -3,6 +3,7 @@
 import math
 import os
 import re
+import signal
 from pathlib import Path
 from typing import Final
 
@@ -13,13 +14,20 @@ from playwright.sync_api import Browser, expect
 from gateway import geometry
 from gateway.geometry.kinematics import foot_m
 from schemas.robot import LEGS, SERVO_IDS
-from tests.console.browser import Visitor
+from tests.console.browser import Visitor, put_to_rest
 from tests.support.child import Child
 from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.browser
 
+COUNT_SOCKETS: Final = """
+() => {
+  window.sockets = 0;
+  const Real = WebSocket;
+  window.WebSocket = class extends Real { constructor(address) { super(address); window.sockets += 1; } };
+}
+"""
 PHONE: Final = {"width": 360, "height": 740}
 
 
@@ -221,3 +229,27 @@ def test_an_observer_looks_and_is_sent_to_the_switch(browser: Browser, gateway: 
         page.expect_live()
         with gateway.client() as robot:
             assert robot.state().mode == "idle"
+
+
+def test_a_stop_that_was_asked_of_a_frozen_console_is_asked_again(
+    browser: Browser, gateway: Gateway, tmp_path: Path
+) -> None:
+    with (
+        Console(tmp_path, "--connect", gateway.endpoint) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+    ):
+        page = visitor.open()
+        page.page.evaluate(COUNT_SOCKETS)
+        console.child.send_signal(signal.SIGSTOP)
+        try:
+            page.page.keyboard.press("Escape")
+            expect(page["stop-known"]).to_contain_text("no answer yet")
+            expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
+            expect(page["stop-known"]).to_contain_text("asked again once connected")
+        finally:
+            console.child.send_signal(signal.SIGCONT)
+        expect(page["stop-known"]).to_contain_text("6 Stops written within")
+        assert page.page.evaluate("window.sockets") >= 1  # the old connection was given up
+        with gateway.client() as robot:
+            assert robot.state().mode == "estopped"
+    put_to_rest(gateway)

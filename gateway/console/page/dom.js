@@ -81,8 +81,8 @@ export function worded(sentence) {
  */
 export function confirmed(question, explanation, yes, no) {
   const dialog = /** @type {HTMLDialogElement} */ (byId("question"));
+  if (dialog.open) return Promise.resolve(false); // one question at a time
   const before = document.activeElement;
-  if (dialog.open) dialog.close("no");
   text(byId("question-title"), question);
   text(byId("question-text"), explanation);
   text(byId("question-yes"), yes);

@@ -7,6 +7,8 @@ const ALIVE_EVERY_MS = 1000;
 /** What the browser keeps unsent beyond this waits for a network that is gone. */
 const MOST_UNSENT_BYTES = 4096;
 const REJECTED = 1008;
+/** A connection on which nothing comes for so long is given up: a phone that changed its network waits for minutes. */
+const DEAF_MS = 5000;
 
 export class Link {
   /**
@@ -23,7 +25,12 @@ export class Link {
     this.socket = null;
     this.pauseMs = FIRST_PAUSE_MS;
     this.lastId = 0;
-    setInterval(() => this.sendNow({ type: "alive", now_ms: performance.now() }), ALIVE_EVERY_MS);
+    /** When something was heard, or a connection was begun. */
+    this.heardMs = performance.now();
+    setInterval(() => {
+      this.sendNow({ type: "alive", now_ms: performance.now() });
+      this.renewIfDeaf(DEAF_MS);
+    }, ALIVE_EVERY_MS);
     this.#connect();
   }
 
@@ -50,19 +57,38 @@ export class Link {
     return true;
   }
 
+  /** Try a new connection, if there is one on which nothing was heard for so long. @param {number} ms */
+  renewIfDeaf(ms) {
+    const { socket } = this;
+    if (!socket || performance.now() - this.heardMs < ms) return;
+    this.open = false;
+    this.socket = null;
+    socket.close(); // whatever it still says is not heard
+    this.told.closed("nothing is heard from the console");
+    this.#connect();
+  }
+
   #connect() {
+    this.heardMs = performance.now();
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
     const socket = new WebSocket(address);
     this.socket = socket;
     socket.addEventListener("open", () => {
+      if (this.socket !== socket) return;
       this.open = true;
       this.pauseMs = FIRST_PAUSE_MS;
       this.sendNow({ type: "alive", now_ms: performance.now() });
       this.told.opened();
     });
-    socket.addEventListener("message", (event) => this.told.heard(JSON.parse(event.data)));
-    socket.addEventListener("close", (event) => this.#ended(event));
+    socket.addEventListener("message", (event) => {
+      if (this.socket !== socket) return;
+      this.heardMs = performance.now();
+      this.told.heard(JSON.parse(event.data));
+    });
+    socket.addEventListener("close", (event) => {
+      if (this.socket === socket) void this.#ended(event);
+    });
   }
 
   /** @param {CloseEvent} event */

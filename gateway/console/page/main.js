@@ -81,6 +81,7 @@ function heard(message) {
   switch (message.type) {
     case "hello":
       model.hello = message;
+      model.forgetEvents(); // the newest ones come again
       break;
     case "state":
       model.takeState(message.state, message.age_ms, performance.now());

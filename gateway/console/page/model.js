@@ -68,7 +68,6 @@ export class Model {
     this.trouble = "connecting …";
     /** @type {GatewayEvent[]} newest first */
     this.events = [];
-    this.eventsLeftOut = 0;
     /** @type {Map<string, {count: number, reason: string}>} */
     this.rejections = new Map();
     /** @type {Moment[]} oldest first */
@@ -122,6 +121,12 @@ export class Model {
     while (this.history[0].atMs < nowMs - HISTORY_MS) this.history.shift();
     this.frames.push({ atMs: this.stateAtMs, frames: state.spi.frames });
     while (this.frames.length > 2 && this.frames[1].atMs < nowMs - RATE_MS) this.frames.shift();
+  }
+
+  /** What the console tells anew to each connection. */
+  forgetEvents() {
+    this.events = [];
+    this.rejections.clear();
   }
 
   /** @param {GatewayEvent} event */

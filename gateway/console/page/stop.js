@@ -6,6 +6,10 @@ import { attribute, byId, confirmed, enable, show, text, typesText } from "./dom
 /** @typedef {import("./types.js").StopMessage} StopMessage */
 
 const LEGS = 6;
+/** A click that comes so soon after a pointer's press is the end of it. */
+const SAME_TAP_MS = 1000;
+/** Where nothing at all is heard for so long after a press, a new connection is tried. */
+const DEAF_MS = 1000;
 
 /**
  * What is known of a STOP ALL, in one line.
@@ -54,8 +58,14 @@ export class StopAll {
     /** @type {number | null} */
     this.resetId = null;
     this.spoken = "";
-    byId("stop-all").addEventListener("pointerdown", (event) => this.press(event));
-    byId("stop-all").addEventListener("click", (event) => event.detail === 0 && this.press(event)); // without a pointer
+    let pointedMs = -Infinity;
+    byId("stop-all").addEventListener("pointerdown", (event) => {
+      pointedMs = event.timeStamp;
+      this.press(event);
+    });
+    byId("stop-all").addEventListener("click", (event) => {
+      if (event.timeStamp - pointedMs > SAME_TAP_MS) this.press(event); // of a keyboard, or of a screen reader
+    });
     byId("reset").addEventListener("click", () => this.#reset());
     window.addEventListener("keydown", (event) => this.#key(event), { capture: true });
   }
@@ -101,6 +111,7 @@ export class StopAll {
   /** @param {number} nowMs */
   refresh(nowMs) {
     const { model } = this;
+    if (this.asked && nowMs - this.asked.atMs > DEAF_MS) this.link.renewIfDeaf(DEAF_MS);
     const latched = model.state?.mode === "estopped";
     if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // somebody has reset it
     const known = inWords({
