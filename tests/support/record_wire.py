@@ -1,6 +1,6 @@
 """Records what a gateway sends, for every later version to read.
 
-    python -m tests.support.record_wire tests/data/wire/1.0
+    python -m tests.support.record_wire tests/data/wire/1.1
 
 One JSON payload a line, in a file for each kind. Every answer, mode, kind of event and cause that a simulated
 controller can bring about is among them.
@@ -26,7 +26,7 @@ LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
 def main(folder: Path) -> None:
     """Run a gateway, bring everything about, and write what was heard."""
     changed = threading.Condition()
-    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack")}
+    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack", "lease")}
     settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 2}}
     with (
         tempfile.TemporaryDirectory() as scratch,
@@ -44,6 +44,14 @@ def main(folder: Path) -> None:
                 if reply.ok is not None:
                     heard["ack"].append(reply.ok.payload.to_string())
 
+        def lease(do: str, source: str | None = None, **more: str | None) -> str | None:
+            fields = {"do": do, **({} if source is None else {"source": source}), **more}
+            for reply in client.session.get(keys.LEASE, payload=json.dumps(fields), timeout=5):
+                if reply.ok is not None:
+                    heard["lease"].append(reply.ok.payload.to_string())
+            token: str | None = json.loads(heard["lease"][-1]).get("lease")
+            return token
+
         def wait_for(word: str, name: str) -> None:
             with changed:
                 if not changed.wait_for(lambda: any(word in line for line in heard[name]), timeout=10):
@@ -58,6 +66,20 @@ def main(folder: Path) -> None:
         ask(keys.ESTOP, {})
         ask(keys.leg_command(1), LEG)
         ask(keys.RESET, {})
+        lease("challenge")
+        anna = lease("acquire", "anna")
+        lease("renew", lease=anna)
+        ask(keys.leg_command(1), LEG)
+        lease("ask", "bert")
+        lease("release", lease=anna, to="bert")
+        lease("acquire", "carl")
+        lease("acquire", "bert")
+        carl = lease("take", "carl")
+        lease("renew", lease=anna)
+        wait_for('"holder":"carl"', "state")
+        wait_for("lease_expired", "event")
+        lease("release", lease=carl)
+        lease("release", lease=lease("acquire", "anna"))
         gateway.child.send_signal(signal.SIGTERM)
         wait_for("stopping", "event")
         for subscriber in subscribers:

@@ -7,10 +7,17 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
 
 WIRE = Path(__file__).parents[1] / "data" / "wire"
-MODELS: dict[str, type[BaseModel]] = {"ack": Ack, "state": GatewayState, "event": Event, "frame": FrameRecord}
+MODELS: dict[str, type[BaseModel]] = {
+    "ack": Ack,
+    "state": GatewayState,
+    "event": Event,
+    "frame": FrameRecord,
+    "lease": LeaseAck,
+}
 RECORDED = [
     pytest.param(path.stem, line, id=f"{path.parent.name}-{path.stem}-{number}")
     for path in sorted(WIRE.glob("*/*.jsonl"))
@@ -41,8 +48,9 @@ _WORDS = ("kind", "mode", "reason", "cause", "watchdog")
 
 
 def test_every_kind_of_payload_has_been_recorded() -> None:
-    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0"}
-    assert {path.stem for path in WIRE.glob("1.0/*.jsonl")} == set(MODELS)
+    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0", "1.1"}
+    assert {path.stem for path in WIRE.glob("1.0/*.jsonl")} == MODELS.keys() - {"lease"}
+    assert {path.stem for path in WIRE.glob("1.1/*.jsonl")} == MODELS.keys()
 
 
 @pytest.mark.parametrize(("name", "line"), RECORDED)
