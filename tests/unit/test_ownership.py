@@ -3,7 +3,9 @@
 import asyncio
 import random
 import threading
+import weakref
 from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 import pytest
@@ -295,12 +297,14 @@ def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
     assert found == [2, 3, 4]
 
 
-def receiver(deal: Callable[[object, int], Callable[[], None]]) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
+def receiver(note: Callable[[object, int], Callable[[], None]]) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
     """One whose ring has a message, which is heard at the stage's first point."""
     stage = Stage(lambda names: names[0])
     loop, ring = SteppedLoop(stage), Ring(stage)
     ring.items += [b"", b""]
-    made = ReceiverThread("receiver", cast(Any, ring), cast(asyncio.AbstractEventLoop, loop), Ownership(), deal)
+    made = ReceiverThread(
+        "receiver", cast(Any, ring), cast(asyncio.AbstractEventLoop, loop), Ownership(), cast(Any, note)
+    )
     return made, stage, loop, ring
 
 
@@ -343,5 +347,24 @@ def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> 
     assert [made.goes_on() for _ in range(MOST_LOOKS + 1)] == [True] * MOST_LOOKS + [False]
     stuck.set()
     runs.join(PATIENCE_S)
-    assert made.goes_on()
+    assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "nor that nothing comes any more"
     stage.end()
+
+
+def test_a_receiver_thread_keeps_nothing_of_a_message_while_it_waits_for_the_next() -> None:
+    """Whoever asks waits as long as anybody holds the query."""
+
+    class Query:
+        pass
+
+    def answer(_query: object) -> None:
+        pass
+
+    made, stage, _, ring = receiver(lambda item, _: partial(answer, item))
+    ring.items.clear()
+    ring.items.append(Query())
+    held = weakref.ref(ring.items[0])
+    stage.run(1)
+    assert held() is None
+    stage.end()
+    made.thread.join(PATIENCE_S)
