@@ -42,6 +42,10 @@ _HEADER: Final = struct.Struct("<18sHII")  # magic, version, slot size, slots
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
 _CRC: Final = struct.Struct("<I")
+HEAD_BYTES: Final = _HEAD.size
+pack_head: Final = _HEAD.pack
+pack_slot_into: Final = _SLOT.pack_into
+"""The two halves of `put`: a head before a record's content, and both with their checksum into a slot."""
 _NEWEST_INCIDENT: Final = struct.Struct("<Q")
 _NEWEST_INCIDENT_AT: Final = 64
 
@@ -89,12 +93,16 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class FrameWritten:
-    """A frame on the wire; the record's time is when its transfer had ended. `late_ns`: of a watchdog's, how late."""
+    """A frame on the wire; the record's time is when its transfer had ended. `late_ns`: of a watchdog's, how late.
+
+    `number`: the command that was accepted with it, which then needs no Decision; 0: none.
+    """
 
     data: bytes
     cause: str
     transfer_ns: int
     late_ns: int = 0
+    number: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +206,8 @@ def newest_incident(head: bytes) -> int:
 
 def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes, more: bool = False) -> None:
     """Write one slot; `rest` has at most ROOM bytes."""
-    body = _HEAD.pack(len(rest) + _HEAD.size, kind, more, sequence, ns) + rest
-    _SLOT.pack_into(buffer, offset, zlib.crc32(body), body)
+    body = pack_head(len(rest) + HEAD_BYTES, kind, more, sequence, ns) + rest
+    pack_slot_into(buffer, offset, zlib.crc32(body), body)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,20 +239,34 @@ def read_slot(data: bytes) -> Slot | None:
 _WALL: Final = struct.Struct("<q")
 _COMMAND: Final = struct.Struct("<IdB")
 _DECISION: Final = struct.Struct("<I")
-_FRAME: Final = struct.Struct("<IIB")
-_MAX_NS: Final = 0xFFFFFFFF
+_FRAME: Final = struct.Struct("<IIIB")
+_UINT32: Final = 0xFFFFFFFF
 _LEFT_OUT: Final = struct.Struct("<I")
 _TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
 
-_OF_OP: Final = {Op.START: 0, Op.SET: 20_000, Op.STOP: 65_535}
-"""Operation and angle (0 to 18000) in one number of 16 bits."""
+_STOP, _SET = 65_535, 20_000
+_OF_OP: Final = (0, 0, _STOP, _SET)
+"""By the operation's code. Operation and angle (0 to 18000) are one number of 16 bits."""
 _MAX_ANGLE: Final = 18_000
 _MAX_BYTE: Final = 255
 
 
+_known: dict[tuple[str | None, ...], bytes] = {}
+MAX_KNOWN: Final = 200
+
+
 def _texts(*texts: str | None) -> bytes:
-    """Texts of at most 255 bytes, each behind its length; None is written as an empty one."""
+    """Texts of at most 255 bytes, each behind its length; None is written as an empty one. The same come again."""
+    made = _known.get(texts)
+    if made is None:
+        if len(_known) >= MAX_KNOWN:
+            _known.clear()
+        made = _known[texts] = _encoded(texts)
+    return made
+
+
+def _encoded(texts: Sequence[str | None]) -> bytes:
     made = b""
     for text in texts:
         data = text.encode("utf-8", "replace") if text else b""
@@ -272,24 +294,28 @@ def command(
     for servo_id, op in targets:
         flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
     count = len(targets)
-    fixed = _COMMAND.pack(number & 0xFFFFFFFF, _SENT_NOT if sent_ms is None else sent_ms, count)
-    return fixed + _TARGETS[count].pack(*flat) + _texts(verb, key, source)
+    fixed = _COMMAND.pack(number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, count)
+    texts = _known.get((verb, key, source)) or _texts(verb, key, source)
+    return fixed + _TARGETS[count].pack(*flat) + texts
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
     """Of a Decision."""
-    return _DECISION.pack(number & 0xFFFFFFFF) + _texts(verdict, key, source)
+    return _DECISION.pack(number & _UINT32) + _texts(verdict, key, source)
 
 
-def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0) -> bytes:
+def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
     """Of a FrameWritten."""
-    fixed = _FRAME.pack(min(max(transfer_ns, 0), _MAX_NS), min(max(late_ns, 0), _MAX_NS), len(data))
-    return fixed + data + _texts(cause)
+    return (
+        _FRAME.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
+        + data
+        + (_known.get((cause,)) or _texts(cause))
+    )
 
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
     """Of an EventTold."""
-    fixed = _LEFT_OUT.pack(min(left_out, 0xFFFFFFFF)) + _texts(kind, source, key, reason)
+    fixed = _LEFT_OUT.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
     return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
 
 
@@ -347,9 +373,9 @@ def _decision(rest: bytes) -> Decision:
 
 
 def _frame(rest: bytes) -> FrameWritten:
-    transfer_ns, late_ns, length = _FRAME.unpack_from(rest)
+    transfer_ns, late_ns, number, length = _FRAME.unpack_from(rest)
     (cause,) = _read_texts(rest, _FRAME.size + length, 1)
-    return FrameWritten(rest[_FRAME.size : _FRAME.size + length], cause, transfer_ns, late_ns)
+    return FrameWritten(rest[_FRAME.size : _FRAME.size + length], cause, transfer_ns, late_ns, number)
 
 
 def _event(rest: bytes) -> EventTold:
@@ -361,11 +387,11 @@ def _event(rest: bytes) -> EventTold:
 
 def _op(value: int) -> ServoOp:
     """Raises FrameError, a ValueError, for what is no operation."""
-    if value == _OF_OP[Op.STOP]:
+    if value == _STOP:
         return ServoOp(Op.STOP)
     if value <= _MAX_ANGLE:
         return ServoOp(Op.START, value)
-    return ServoOp(Op.SET, value - _OF_OP[Op.SET])
+    return ServoOp(Op.SET, value - _SET)
 
 
 def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:

@@ -9,6 +9,7 @@ from pydantic import AwareDatetime, Field
 from gateway.protocol.frames import Op
 from gateway.recorder import format as form
 from gateway.recorder.incidents import Incident
+from gateway.recorder.recorder import ACCEPTED
 from gateway.recordings import Message
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report
@@ -100,6 +101,8 @@ def _verdicts(records: list[form.Record]) -> dict[int, form.Record]:
                 waiting[number or key] = record.sequence
             case form.Decision(number=number, key=key) if (number or key) in waiting:
                 found[waiting.pop(number or key)] = record
+            case form.FrameWritten(number=number) if number in waiting:
+                found[waiting.pop(number)] = record
     return found
 
 
@@ -167,7 +170,7 @@ def _note(record: form.Record, time: datetime) -> tuple[str, Report] | None:
 
 
 def _verdict(record: form.Record) -> str:
-    return record.content.verdict if isinstance(record.content, form.Decision) else ""
+    return record.content.verdict if isinstance(record.content, form.Decision) else ACCEPTED
 
 
 def _topic(key: str) -> str:

@@ -9,7 +9,7 @@ Who calls owns the gateway's state, as with the supervisor.
 
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
@@ -40,6 +40,8 @@ INCIDENTS: Final = {
 }
 """Events that are kept as incidents, and how their ids end."""
 MISTAKE: Final = "mistake"
+ACCEPTED: Final = "accepted"
+_STOP: Final = Op.STOP
 
 logger = logging.getLogger(__name__)
 
@@ -63,6 +65,10 @@ class Recorder:
 
     incident: str | None = None
     """The id of the latest incident of this run."""
+    step: Sequence[Written] = ()
+    """The frames that the supervisor's present step has written up to now."""
+    told = 0
+    """How many of them are recorded."""
 
     def __enter__(self) -> Self:
         return self
@@ -87,8 +93,8 @@ class Recorder:
     def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
         """What became of it; number 0: of a message that was not read as a command."""
 
-    def frames(self, written: list[Written]) -> None:
-        """The frames of a step up to now, once no Stop follows in it. Those that were told before are known."""
+    def frames(self) -> None:
+        """Record the frames of `step` that are not recorded; to be called when no Stop follows in it."""
 
     def mode(self, mode: Mode) -> None:
         """The gateway's mode changes."""
@@ -124,8 +130,6 @@ class RingRecorder(Recorder):
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._held: _Command | None = None  # one that stops, until its frames are written
-        self._step: list[Written] = []
-        self._told = 0  # frames of this step that are recorded
         self._clock_ns = 0  # when the time that people read was recorded last
         self._first_ns = self._last_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
@@ -154,26 +158,29 @@ class RingRecorder(Recorder):
             self._ring = None
 
     def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
-        command = ns, number, verb, key, source, intent
-        if number and any(op.op is Op.STOP for _, op in intent.targets):
-            self._held = command
-        else:
-            self._record(command)
+        for target in intent.targets:
+            if target[1].op is _STOP:
+                self._held = ns, number, verb, key, source, intent
+                return
+        self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
 
     def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
         if self._held is not None:
             self._release()
-        self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
+        if verdict == ACCEPTED and self.told == len(self.step) - 1:
+            data, cause, ns, transfer_ns, _ = self.step[self.told]
+            self.told += 1
+            self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns, 0, number))
+        else:
+            self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
 
-    def frames(self, written: list[Written]) -> None:
+    def frames(self) -> None:
         if self._held is not None:
             self._release()
-        if written is not self._step:
-            self._step, self._told = written, 0
-        for data, cause, ns, transfer_ns, deadline_ns in written[self._told :]:
+        for data, cause, ns, transfer_ns, deadline_ns in self.step[self.told :]:
             late_ns = 0 if deadline_ns is None else ns - deadline_ns
             self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns, late_ns))
-        self._told = len(written)
+        self.told = len(self.step)
 
     def mode(self, mode: Mode) -> None:
         self._append(form.MODE, self._clock(), form.mode(mode))
@@ -219,12 +226,8 @@ class RingRecorder(Recorder):
     def _release(self) -> None:
         """Record the command that was held, now that its Stops are written."""
         if self._held is not None:
-            self._record(self._held)
-            self._held = None
-
-    def _record(self, command: _Command) -> None:
-        ns, number, verb, key, source, intent = command
-        self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
+            (ns, number, verb, key, source, intent), self._held = self._held, None
+            self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
 
     def _wait(self, kind: int, ns: int, rest: bytes) -> None:
         if len(self._waiting) < KEPT_BEFORE_OPEN:

@@ -14,10 +14,13 @@ import stat
 import struct
 from pathlib import Path
 from typing import Final
+from zlib import crc32
 
 from gateway.recorder import format as form
+from gateway.recorder.format import HEAD_BYTES, pack_head, pack_slot_into
 
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
+_HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
 _SEQUENCES: Final = 8
 """Bytes of a sequence number, and where it begins in its slot."""
 
@@ -55,9 +58,10 @@ class Ring:
     def append(self, kind: int, ns: int, rest: bytes) -> None:
         """Write a record. One that does not fit is continued in further slots."""
         sequence = self.sequence
-        offset = form.HEADER_BYTES + sequence % self._slots * form.SLOT
-        if len(rest) <= form.ROOM:
-            form.put(self._map, offset, kind, sequence, ns, rest)
+        offset = _HEADER + sequence % self._slots * _SLOT
+        if len(rest) <= _ROOM:
+            body = pack_head(len(rest) + HEAD_BYTES, kind, 0, sequence, ns) + rest  # `put`, without a call
+            pack_slot_into(self._map, offset, crc32(body), body)
             self.sequence = sequence + 1
             return
         form.put(self._map, offset, kind, sequence, ns, rest[: form.ROOM], True)

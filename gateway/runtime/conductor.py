@@ -256,7 +256,7 @@ class Conductor:
         """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
         fault: SpiError | None = None
         written: list[Written] = []
-        repeats = False
+        self.recorder.step, self.recorder.told, repeats = written, 0, False
         for effect in effects:
             match effect:
                 case Transmit():
@@ -271,8 +271,8 @@ class Conductor:
                     now_ns = self._clock()
                     data, took_ns = self.bus.last_transfer, self.bus.last_transfer_ns
                     written.append(Written(data, effect.cause, now_ns, took_ns, effect.deadline_ns))
-                    if data[FIRST_OP] != Op.STOP:
-                        self.recorder.frames(written)  # no Stop follows in this step, so none waits for it
+                    if len(written) > 1 and data[FIRST_OP] != Op.STOP:
+                        self.recorder.frames()  # no Stop follows in this step, so none waits for it
                     self.metrics.frames[effect.cause] += 1
                     if effect.deadline_ns is not None:
                         self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
@@ -286,7 +286,8 @@ class Conductor:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
                     self._sources.announce(effect, self._clock(), self._tell)
-        self._teller.frames(written)
+        if written:
+            self._teller.frames(written)
         return [frame.cause for frame in written], fault
 
     # ---- the bus

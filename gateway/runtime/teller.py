@@ -39,7 +39,8 @@ class Teller:
 
     def frames(self, written: list[Written]) -> None:
         """Tell the frames of a step, after the last of them was written."""
-        self._recorder.frames(written)
+        if self._recorder.told < len(written):
+            self._recorder.frames()
         if self._publish_frames:
             for frame in written:
                 record = telemetry.FrameRecord(

@@ -1,6 +1,6 @@
 """The benchmark: this gateway beside the naive script, in one run, on emulated SPI devices.
 
-    python -m tests.benchmarks [--quick] [--only steady|calls|lease|flood|idle|memory] [--markdown]
+    python -m tests.benchmarks [--quick] [--only steady|calls|lease|recorder|flood|idle|memory] [--markdown]
 
 Each is a process of its own, and so is each publisher. A message carries its number in its angles, so that a transfer
 is matched with the moment when its message was published; all clocks are the machine's one monotonic clock. The two
@@ -25,6 +25,7 @@ from tests.benchmarks.calls import calls
 from tests.benchmarks.lease import lease
 from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb, say
 from tests.benchmarks.publisher import number_of
+from tests.benchmarks.recorder import recorder
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, as_markdown, as_text, microseconds
@@ -221,6 +222,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "steady": steady,
     "calls": calls,
     "lease": lease,
+    "recorder": recorder,
     "flood": flood,
     "idle": idle,
     "memory": memory,
