@@ -51,10 +51,13 @@ class Visitor(AbstractContextManager["Visitor"]):
         self.faults: list[str] = []
         """What the pages complained of; a connection that ends is no complaint."""
 
-    def open(self, *, webgl: bool = False, script: str = "", **options: Any) -> "Opened":
+    def open(
+        self, *, webgl: bool = False, script: str = "", context: BrowserContext | None = None, **options: Any
+    ) -> "Opened":
         """A page that shows the robot. Without WebGL unless it is wanted: drawing takes a processor."""
-        context = self._browser.new_context(**options)
-        self._stack.callback(context.close)
+        if context is None:
+            context = self._browser.new_context(**options)
+            self._stack.callback(context.close)
         context.set_default_timeout(LATE_MS)
         context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
         if not webgl:

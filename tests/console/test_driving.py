@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Playwright, expect
 
 from gateway.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
-from tests.console.browser import HIDE, LATE_MS, Opened, Visitor, put_to_rest
+from tests.console.browser import ARGUMENTS, CHROMIUM, HIDE, LATE_MS, Opened, Visitor, put_to_rest
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.child import Child
 from tests.support.console_process import Console
 from tests.support.cuttable import Link
 from tests.support.gateway_process import Gateway
@@ -181,6 +182,26 @@ def test_what_is_lost_stops_the_legs_and_the_page_says_why(
     expect(page.said).to_contain_text(re.compile("topped.* legs 1 and 4"))
     page.page.keyboard.down("h")  # the same key, still held: it repeats itself
     expect(page["hold"]).to_have_attribute("data-held", "no")
+
+
+def test_another_tab_hides_the_page_and_stops_the_legs(playwright: Playwright, robot: Robot, tmp_path: Path) -> None:
+    """Real tabs of one window: the driver otherwise keeps each page visible and focused."""
+    command = [str(CHROMIUM), "--headless", "--remote-debugging-port=0", f"--user-data-dir={tmp_path}", *ARGUMENTS]
+    chromium = Child(command, os.environ)
+    try:
+        address = chromium.wait_for_output("DevTools listening on ").split()[-1]
+        browser = playwright.chromium.connect_over_cdp(address, no_defaults=True)
+        with Visitor(browser, robot.console.url, robot.cookie) as visitor:
+            page = visitor.open(context=browser.contexts[0])
+            since = hold(page, robot, 1, 4)
+            page.context.new_page()
+            robot.expect_stopped(1, 4, since=since)
+            assert page.page.evaluate("document.visibilityState") == "hidden"
+            page.page.bring_to_front()
+            expect(page.said).to_contain_text(re.compile("this page is hidden|this window has lost the focus"))
+    finally:
+        chromium.close()
+    put_to_rest(robot.gateway)
 
 
 def test_a_page_that_is_closed_stops_nothing_itself(pages: Visitor, robot: Robot) -> None:
