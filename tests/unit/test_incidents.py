@@ -263,3 +263,39 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     assert content.damaged == 2
     path = kept.keep(folder / place.INCIDENTS, found[0], content.records)
     assert "made up: " in "\n".join(story(list(read(path))))
+
+
+def records(*contents: tuple[float, form.Content]) -> list[form.Record]:
+    """Records at these seconds, behind the start of a gateway."""
+    behind = [(1.0, form.Start(WALL_NS, {})), *contents]
+    return [form.Record(number, round(at_s * SECOND), content) for number, (at_s, content) in enumerate(behind, 1)]
+
+
+def event(kind: str) -> form.EventTold:
+    return form.EventTold(kind, "\x1b[2Janna", None, None, "a sentence", 0)
+
+
+BEGUN = form.IncidentBegun(WALL_NS, "20260921-141320-123-watchdog")
+
+
+def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
+    (alone,) = find(records((20, event("watchdog_expired")), (20, BEGUN)), written=True, now_ns=0)
+    assert (alone.begin_ns, alone.end_ns) == (10 * SECOND, 25 * SECOND)
+    later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 3)]
+    (two,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
+    assert two.end_ns == 33 * SECOND
+    later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 12)]
+    (many,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
+    assert many.end_ns == 50 * SECOND
+
+
+def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
+    stop = form.FrameWritten(bytes.fromhex("0e011f020000200200002102 0000"), "watchdog", 45_000, 300_000)
+    found = records((20.001, event("watchdog_expired")), (20.001, BEGUN), (20.0003, stop))
+    (incident,) = find(found, written=True, now_ns=0)
+    assert incident.zero_ns == 20 * SECOND
+    lines = story(list(messages(incident, found)))
+    assert [line.strip() for line in lines[1:]] == [
+        "0.000 s  watchdog: a sentence (\\x1b[2Janna)",
+        "+0.3 ms  Stop written to leg 3 (watchdog), 300 µs after the deadline",
+    ], "and no source controls a terminal"

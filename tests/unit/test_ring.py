@@ -192,3 +192,13 @@ def test_a_reader_never_fails_on_noise(path: Path) -> None:
             form.put(changed, slot, chance.randrange(14), chance.randrange(100), 0, rest, bool(chance.randrange(2)))
         records, damaged, _ = reader.parse(bytes(changed))
         assert len(records) + damaged <= 50
+
+
+def test_what_is_left_of_an_older_round_or_in_a_wrong_place_says_nothing(path: Path) -> None:
+    filled(path, 120)
+    data = bytearray(path.read_bytes())
+    for slot, sequence in ((10, 60), (11, 12)):
+        form.put(data, form.HEADER_BYTES + slot * form.SLOT, form.MODE, sequence, 0, form.mode("old"))
+    records, damaged, missing = reader.parse(bytes(data))
+    assert [record.sequence for record in records] == [each for each in range(71, 121) if each not in (110, 111)]
+    assert (damaged, missing) == (1, 2)
