@@ -203,6 +203,8 @@ class Oracle:
         demand(
             expired == [stop_leg(leg) for leg in watchdog], f"legs not heard for the timeout are stopped: {watchdog}"
         )
+        if watchdog and self.rules.start_pause_ns:
+            self._drop_starts()
         stops: frozenset[int] = frozenset()
         if isinstance(event, Command):
             stops = self._command(event, now_ns, effects)
@@ -231,6 +233,14 @@ class Oracle:
         stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
         if self.rules.start_pause_ns and (stopped_all or watchdog):
             self._queue_ended(event)
+
+    def _drop_starts(self) -> None:
+        """With staggered starts, the watchdog's Stop ends what waits to be energised, before a command of the step."""
+        numbers = {servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on}
+        self._lost |= numbers
+        for servo in self.servos.values():
+            if servo.want is not None and servo.want.number in numbers:
+                servo.want = None
 
     def _queue_ended(self, event: Event) -> None:
         """Whoever stops a leg does not want another to start a moment later."""
