@@ -22,5 +22,5 @@ def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns:
     way_cdeg = to_cdeg - from_cdeg
     if abs(way_cdeg) <= most_cdeg:
         return Step(to_cdeg, now_ns)
-    used_ns = most_cdeg * NS_PER_S // speed_cdeg_s
+    used_ns = -(-most_cdeg * NS_PER_S // speed_cdeg_s)  # rounded up: never faster, by no nanosecond
     return Step(from_cdeg + (most_cdeg if way_cdeg > 0 else -most_cdeg), since_ns + used_ns)

@@ -203,8 +203,6 @@ class Oracle:
         demand(
             expired == [stop_leg(leg) for leg in watchdog], f"legs not heard for the timeout are stopped: {watchdog}"
         )
-        if watchdog and self.rules.start_pause_ns:
-            self._drop_starts()
         stops: frozenset[int] = frozenset()
         if isinstance(event, Command):
             stops = self._command(event, now_ns, effects)
@@ -278,6 +276,8 @@ class Oracle:
                     self._lost.add(servo.want.number)
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
                 servo.owe(self.rules, now_ns)
+        if stopped and self.rules.start_pause_ns:
+            self._drop_starts()
         return stopped
 
     def _lands(self, heard_ns: int, now_ns: int) -> bool:
