@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs, settings
-from gateway.settings import LimitSettings, ServoLimits, Settings
+from gateway.settings import LimitSettings, ServoLimits, Settings, WatchdogSettings
 from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.box.installed import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
 
@@ -117,12 +117,14 @@ def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
     lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another
     uncommented = tmp_path / "gateway.toml"
     uncommented.write_text("\n".join(re.sub(r"^# (\w+ = |\[)", r"\1", line) for line in lines))
-    servo = ServoLimits(min_deg=20, max_deg=160)  # and the one example that is no default
+    servo = ServoLimits(min_deg=20, max_deg=160)  # and the two examples that are no defaults
     limits = LimitSettings(servos={"11": servo})
-    assert settings.load(uncommented).model_dump() == Settings(limits=limits).model_dump()
+    watchdog = WatchdogSettings(landing={"11": 90})
+    assert settings.load(uncommented).model_dump() == Settings(limits=limits, watchdog=watchdog).model_dump()
     shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
     sections = [*(getattr(Settings(), name) for name in Settings.model_fields), servo]
-    assert shown == {name for section in sections for name in type(section).model_fields} - {"servos"}
+    tables = {"servos", "landing"}
+    assert shown - {"11"} == {name for section in sections for name in type(section).model_fields} - tables
 
 
 def test_rejections(bare: Machine) -> None:
