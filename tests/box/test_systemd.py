@@ -247,6 +247,7 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
             said = robot.box.run(*command).stdout
             assert "The running gateway counts all servos as stopped" in said
             journal.wait_for_output("stop-servos stopped all servos past the gateway")
+            journal.wait_for_output("lease_expired")  # of whoever held the leg, and was killed
         assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
 
 
