@@ -126,6 +126,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
         runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
+    _leave(0)  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
 
 
 def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None"]:

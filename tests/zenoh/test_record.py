@@ -21,7 +21,7 @@ from gateway.recordings import is_cut_off, read
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
-from tests.support.heard import frames
+from tests.support.heard import events, frames
 
 KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
 """50 in the long form."""
@@ -100,11 +100,12 @@ def test_all_that_the_gateway_says_is_in_the_file_and_as_the_files_own_schemas_s
     gateway: Gateway, robot: Client, tmp_path: Path
 ) -> None:
     path = tmp_path / "ride.mcap"
-    heard = frames(robot)
+    heard, told = frames(robot), events(robot)
     with recording(gateway, path) as child:
         with walking(robot):
             heard.wait(lambda _: len(heard.all) > 300)
         assert not robot.set_leg(1, 90, 90, 90).accepted
+        told.wait(lambda event: event.kind == "command_rejected")
         newest = heard.all[-1]
         heard.wait(lambda record: record.cause == "repeat")
         # Once the recorder has this event, it has what was said before it.
