@@ -21,7 +21,7 @@ from gateway.recordings import is_cut_off, read
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
-from tests.support.heard import events, frames
+from tests.support.heard import events, frames, states
 
 KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
 """50 in the long form."""
@@ -106,6 +106,8 @@ def test_all_that_the_gateway_says_is_in_the_file_and_as_the_files_own_schemas_s
             heard.wait(lambda _: len(heard.all) > 300)
         assert not robot.set_leg(1, 90, 90, 90).accepted
         told.wait(lambda event: event.kind == "command_rejected")
+        later = states(robot)  # half a second of them: until then the recorder has heard the event as well
+        later.wait(lambda _: len(later.all) > 5)
         newest = heard.all[-1]
         heard.wait(lambda record: record.cause == "repeat")
         # Once the recorder has this event, it has what was said before it.
