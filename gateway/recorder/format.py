@@ -1,4 +1,4 @@
-"""The black box's records: values ↔ bytes, and nothing else.
+"""The black box's records: what they say, where each byte is, and how they are written; `decoding` reads them.
 
 A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
 
@@ -17,14 +17,13 @@ UTF-8, preceded by their length, so that a kind, reason or cause that is added l
 """
 
 import json
-import math
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from gateway.protocol.frames import Op, ServoOp
+from gateway.protocol.frames import ServoOp
 
 VERSION: Final = 1
 MAGIC: Final = b"hexapod black box\n"
@@ -236,19 +235,19 @@ def read_slot(data: bytes) -> Slot | None:
 
 # ---- what the types say
 
-_WALL: Final = struct.Struct("<q")
-_COMMAND: Final = struct.Struct("<IdB")
-_DECISION: Final = struct.Struct("<I")
-_FRAME: Final = struct.Struct("<IIIB")
+WALL: Final = struct.Struct("<q")
+COMMAND_HEAD: Final = struct.Struct("<IdB")
+DECISION_HEAD: Final = struct.Struct("<I")
+FRAME_HEAD: Final = struct.Struct("<IIIB")
 _UINT32: Final = 0xFFFFFFFF
-_LEFT_OUT: Final = struct.Struct("<I")
-_TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
+EVENT_HEAD: Final = struct.Struct("<I")
+TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
 
-_STOP, _SET = 65_535, 20_000
-_OF_OP: Final = (0, 0, _STOP, _SET)
+STOP_CODE, SET_CODE = 65_535, 20_000
+_OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
 """By the operation's code. Operation and angle (0 to 18000) are one number of 16 bits."""
-_MAX_ANGLE: Final = 18_000
+MAX_ANGLE_CDEG: Final = 18_000
 _MAX_BYTE: Final = 255
 
 
@@ -278,7 +277,7 @@ def _encoded(texts: Sequence[str | None]) -> bytes:
 
 def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
     """Of a Start."""
-    return _WALL.pack(wall_ns) + json.dumps(facts).encode()
+    return WALL.pack(wall_ns) + json.dumps(facts).encode()
 
 
 def command(
@@ -294,20 +293,20 @@ def command(
     for servo_id, op in targets:
         flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
     count = len(targets)
-    fixed = _COMMAND.pack(number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, count)
+    fixed = COMMAND_HEAD.pack(number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, count)
     texts = _known.get((verb, key, source)) or _texts(verb, key, source)
-    return fixed + _TARGETS[count].pack(*flat) + texts
+    return fixed + TARGETS[count].pack(*flat) + texts
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
     """Of a Decision."""
-    return _DECISION.pack(number & _UINT32) + _texts(verdict, key, source)
+    return DECISION_HEAD.pack(number & _UINT32) + _texts(verdict, key, source)
 
 
 def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
     """Of a FrameWritten."""
     return (
-        _FRAME.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
+        FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
         + data
         + (_known.get((cause,)) or _texts(cause))
     )
@@ -315,7 +314,7 @@ def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: i
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
     """Of an EventTold."""
-    fixed = _LEFT_OUT.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
+    fixed = EVENT_HEAD.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
     return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
 
 
@@ -326,94 +325,9 @@ def mode(name: str) -> bytes:
 
 def number(value: int) -> bytes:
     """Of a Lag or a Clock."""
-    return _WALL.pack(value)
+    return WALL.pack(value)
 
 
 def incident(wall_ns: int, name: str) -> bytes:
     """Of an IncidentBegun."""
-    return _WALL.pack(wall_ns) + name.encode()
-
-
-def decode(kind: int, rest: bytes) -> Content | None:
-    """What a record of this type says; None: a type of a later version. Raises DamagedError."""
-    reader = _READERS.get(kind)
-    if reader is None:
-        return None
-    try:
-        return reader(rest)
-    except (struct.error, ValueError, IndexError, RecursionError) as error:
-        raise DamagedError(str(error)) from error
-
-
-def _wall_ns(rest: bytes) -> int:
-    (wall_ns,) = _WALL.unpack_from(rest)
-    if not 0 <= wall_ns < MAX_NS:
-        raise DamagedError(f"{wall_ns} ns is no time of day")
-    return int(wall_ns)
-
-
-def _start(rest: bytes) -> Start:
-    facts = json.loads(rest[_WALL.size :])
-    if not isinstance(facts, dict):
-        raise DamagedError("a start without facts")
-    return Start(_wall_ns(rest), facts)
-
-
-def _command(rest: bytes) -> CommandRecord:
-    number, sent_ms, count = _COMMAND.unpack_from(rest)
-    flat = _TARGETS[count].unpack_from(rest, _COMMAND.size)
-    targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
-    verb, key, source = _read_texts(rest, _COMMAND.size + _TARGETS[count].size, 3)
-    return CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
-
-
-def _decision(rest: bytes) -> Decision:
-    verdict, key, source = _read_texts(rest, _DECISION.size, 3)
-    return Decision(_DECISION.unpack_from(rest)[0], verdict, key, source or None)
-
-
-def _frame(rest: bytes) -> FrameWritten:
-    transfer_ns, late_ns, number, length = _FRAME.unpack_from(rest)
-    (cause,) = _read_texts(rest, _FRAME.size + length, 1)
-    return FrameWritten(rest[_FRAME.size : _FRAME.size + length], cause, transfer_ns, late_ns, number)
-
-
-def _event(rest: bytes) -> EventTold:
-    kind, source, key, reason = texts = _read_texts(rest, _LEFT_OUT.size, 4)
-    begin = _LEFT_OUT.size + sum(1 + len(text.encode()) for text in texts)
-    detail = rest[begin:].decode("utf-8", "ignore")  # it may have been cut within a character
-    return EventTold(kind, source or None, key or None, reason or None, detail, _LEFT_OUT.unpack_from(rest)[0])
-
-
-def _op(value: int) -> ServoOp:
-    """Raises FrameError, a ValueError, for what is no operation."""
-    if value == _STOP:
-        return ServoOp(Op.STOP)
-    if value <= _MAX_ANGLE:
-        return ServoOp(Op.START, value)
-    return ServoOp(Op.SET, value - _SET)
-
-
-def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
-    texts = []
-    for _ in range(count):
-        end = begin + 1 + rest[begin]
-        if end > len(rest):
-            raise DamagedError("a text is cut off")
-        texts.append(rest[begin + 1 : end].decode())
-        begin = end
-    return texts
-
-
-_READERS: Final[dict[int, Callable[[bytes], Content]]] = {
-    START: _start,
-    END: lambda rest: End(rest.decode()),
-    COMMAND: _command,
-    DECISION: _decision,
-    FRAME: _frame,
-    MODE: lambda rest: ModeChange(rest.decode()),
-    EVENT: _event,
-    CLOCK: lambda rest: Clock(_wall_ns(rest)),
-    LAG: lambda rest: Lag(_WALL.unpack(rest)[0]),
-    INCIDENT: lambda rest: IncidentBegun(_wall_ns(rest), rest[_WALL.size :].decode()),
-}
+    return WALL.pack(wall_ns) + name.encode()

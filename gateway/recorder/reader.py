@@ -12,6 +12,7 @@ from typing import Final
 
 from gateway.errors import GatewayError
 from gateway.recorder import format as form
+from gateway.recorder.decoding import decode
 from gateway.recorder.place import MAX_SLOTS
 from gateway.recorder.ring import written_by_anyone
 
@@ -84,7 +85,7 @@ def parse(data: bytes) -> tuple[tuple[form.Record, ...], int, int]:
         if slot.kind == form.MORE:
             continue
         try:
-            content = form.decode(slot.kind, _whole(slot, found))
+            content = decode(slot.kind, _whole(slot, found))
         except form.DamagedError:
             damaged += 1
             continue
