@@ -2,16 +2,14 @@
 
 import asyncio
 import logging
-import os
 import selectors
-import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from math import ceil
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
@@ -35,27 +33,18 @@ from gateway.recorder.place import folder_of
 from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime import prometheus as exposition
 from gateway.runtime.conductor import Conductor
+from gateway.runtime.ending import END_S, End, close_within, leave, stop_the_robot
 from gateway.runtime.lease_answers import LeaseAnswers
 from gateway.runtime.report import wall_clock
-from gateway.settings import Settings, WatchdogSettings, ZenohSettings
+from gateway.settings import Settings, ZenohSettings
 from gateway.spi import SpiDevice
-from gateway.spi.bus import Bus, bus_for
+from gateway.spi.bus import bus_for
 from gateway.spi.kernel import KernelDevice
 from gateway.spi.simulator import SimulatedController
-from gateway.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.keys import STATE
-from schemas.robot import LEGS
 
 if TYPE_CHECKING:
     from gateway.certs import ProofChecker
-
-END_S = 0.8
-"""What the end may take: the second of docs/interface.md, Behaviour 7, less what the process needs to go."""
-REPEATS_S = 0.3
-"""Of that, what the repeats of the last Stops may take."""
-
-LAST_WORDS_S = 0.1
-"""Beyond that, what the log may take where nothing else waits for the end."""
 
 BEAT_S = 0.1
 """How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""
@@ -126,7 +115,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
         runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
-    _leave(0)  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
+    leave(0)  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
 
 
 def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None"]:
@@ -143,7 +132,7 @@ async def _run(
     settings: Settings, recorder: Recorder, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]
 ) -> None:
     loop, owner = asyncio.get_running_loop(), Ownership()
-    end = _End(loop, owner, recorder)
+    end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker = _configured(settings.zenoh)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
@@ -170,8 +159,8 @@ async def _run(
         await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
         if not opening.done():
             notifier.stopping()
-            await _stop_the_robot(conductor, bus, settings.watchdog)
-            _leave(end.exit_code)
+            await stop_the_robot(conductor, bus, settings.watchdog)
+            leave(end.exit_code)
         ended.cancel()
         session = opening.result()
         outbox.open(session)
@@ -198,10 +187,12 @@ async def _run(
         for task in tasks:
             task.cancel()
         deadline = loop.time() + END_S
-        await _stop_the_robot(conductor, bus, settings.watchdog)
+        await stop_the_robot(conductor, bus, settings.watchdog)
         with owner:
             conductor.close()
-        await _within(deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close)
+        await close_within(
+            deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close
+        )
     finally:
         with owner:
             conductor.close()
@@ -240,90 +231,6 @@ def _inbox(
     return inbox
 
 
-class _End:
-    """What ends the service: a signal, or a mistake of our own.
-
-    After an exception that nobody expected, nobody knows what state is left; so the robot is stopped and the service
-    ends, to be started afresh by systemd.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
-        self.failure: str | None = None
-        self._owner = owner
-        self._recorder = recorder
-        self._event = asyncio.Event()
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
-                continue  # nohup
-            loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal, or the link to it, is gone
-        for number in (signal.SIGTSTP, signal.SIGTTOU):
-            signal.signal(number, signal.SIG_IGN)  # a gateway that its terminal suspends would stop no leg
-        loop.set_exception_handler(self._failed)
-
-    async def wait(self) -> None:
-        await self._event.wait()
-
-    @property
-    def exit_code(self) -> int:
-        return 0 if self.failure is None else GatewayError.exit_code
-
-    def because(self, failure: str) -> None:
-        """End, and report `failure`."""
-        with self._owner:
-            self._recorder.mistake(failure)
-        self.failure = self.failure or failure
-        self._event.set()
-
-    def task_done(self, task: "asyncio.Task[None]") -> None:
-        """A task of the service may be cancelled, but must not fail."""
-        if not task.cancelled() and task.exception() is not None:
-            self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
-
-    def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        error = context.get("exception")
-        logger.critical("%s; stopping the robot", context["message"], exc_info=error)
-        self.because(f"a mistake in the gateway ended it: {error or context['message']}")
-
-
-async def _stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSettings) -> None:
-    """Stop all six legs and repeat it for REPEATS_S at most; past the conductor where that did not write all six."""
-    deadline = asyncio.get_running_loop().time() + REPEATS_S
-    with conductor.owner:
-        try:
-            stopped = conductor.shut_down()
-        except Exception:
-            logger.exception("the orderly end failed; writing the Stops past it")
-            stopped = False
-        if not stopped:
-            _last_attempt(bus, watchdog, deadline)
-    if stopped:
-        with suppress(TimeoutError):
-            await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
-    with conductor.owner:
-        how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
-        conductor.recorder.ended(how)
-
-
-def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
-    """All six legs again and again: a fault of a moment, or of one leg's frame, must not leave the others moving.
-
-    It keeps the state, and the loop: nobody knows what else would be done, and these Stops are the last to be written.
-    """
-    unstopped, rounds_left, opened = set(LEGS), 1 + watchdog.repeats, True
-    while True:
-        stopped, fault = stop_once(bus, opened=opened)
-        unstopped -= stopped
-        opened = fault is None
-        rounds_left -= opened
-        if not rounds_left or time.monotonic() > deadline:
-            break
-        time.sleep(min(watchdog.repeat_interval_ms, MOST_PAUSE_MS) / 1000)
-    if unstopped:
-        logger.critical("no Stop could be written to legs %s: %s", ", ".join(map(str, sorted(unstopped))), fault)
-    else:
-        logger.warning("all six legs got their Stop at the last attempt")
-
-
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
     """Publish the state `telemetry.state_hz` times a second (changes of mode are published as they happen)."""
     while settings.telemetry.state_hz:
@@ -333,7 +240,7 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
                 outbox.publish(STATE, conductor.state())
 
 
-async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: _End) -> None:
+async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: End) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
 
     While somebody keeps the state, this waits, so that systemd hears nothing either.
@@ -360,29 +267,6 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
     end.because("a thread that waits for commands has ended")
 
 
-async def _within(timeout_s: float, exit_code: int, *closes: Callable[[], object]) -> None:
-    """Close in a thread that nobody has to wait for: a frozen peer can hold Zenoh's close for ten seconds.
-
-    The servos are safe by then, so after `timeout_s` the process goes without it.
-    """
-    closed = asyncio.Event()
-    loop = asyncio.get_running_loop()
-
-    def run_close() -> None:
-        for close in closes:
-            with suppress(zenoh.ZError):
-                close()
-        with suppress(RuntimeError):
-            loop.call_soon_threadsafe(closed.set)
-
-    threading.Thread(target=run_close, name="close", daemon=True).start()
-    try:
-        await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
-    except TimeoutError:
-        logger.warning("a peer does not let go of its connection; ending without waiting for it")
-        _leave(exit_code)
-
-
 def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
     """Call it in a thread that does not keep the process from ending, unlike those of `asyncio.to_thread`."""
     loop = asyncio.get_running_loop()
@@ -398,9 +282,3 @@ def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
 
     threading.Thread(target=run_call, name="open", daemon=True).start()
     return result
-
-
-def _leave(exit_code: int) -> NoReturn:
-    """End at once: a thread inside Zenoh would keep the interpreter from ending."""
-    logs.close(LAST_WORDS_S)
-    os._exit(exit_code)
