@@ -263,7 +263,7 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)
             if stranger is not None:
-                conductor.reject_unread(*stranger)
+                conductor.answers.reject_unread(*stranger)
     end.because("a thread that waits for commands has ended")
 
 

@@ -5,7 +5,6 @@ transfer.
 """
 
 import asyncio
-import itertools
 import logging
 from collections.abc import Callable, Iterable
 from typing import Final
@@ -38,6 +37,7 @@ from gateway.errors import SpiError
 from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.protocol.frames import FIRST_OP, Op
 from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
+from gateway.runtime.answers import Answers
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
 from gateway.runtime.report import report
@@ -55,10 +55,6 @@ LAST_REOPEN_S: Final = 1.0
 """Half of what Behaviour 6 allows: a busy machine may wake up late, and a Stop may be waiting."""
 
 logger = logging.getLogger(__name__)
-
-
-_Sender = tuple[str, str | None, Reply | None]
-"""Of a command that the supervisor knows by its number: its key, its source, and how it is answered."""
 
 
 class Conductor:
@@ -86,10 +82,8 @@ class Conductor:
         self._clock = clock
         self._simulated = simulated
         self._started_ns = self._instant_ns = clock()
-        self._pending: dict[int, _Sender] = {}
-        self._numbers = itertools.count(1)
         self._sources = Sources()
-        self._losses, self._rejected = Losses(), 0  # the number of the last command that was rejected
+        self._losses = Losses()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer = OwnersTimer(loop, self.owner, self.tick)
         self._reopen_timer = OwnersTimer(loop, self.owner, self._reopen)
@@ -106,6 +100,8 @@ class Conductor:
         self.recorder = recorder
         self._teller = Teller(outbox, recorder, publish_frames=settings.telemetry.frames)
         self._tell = self._teller.event
+        self.answers = Answers(self.metrics, recorder, self._sources, self._tell, clock)
+        self._pending, self._numbers = self.answers.pending, self.answers.numbers
         self.take: Callable[[], Iterable[Received]] = tuple
         """Where messages come from; the service connects the inbox here once everything stands."""
         self.instant_open: Callable[[], bool] = lambda: False
@@ -191,13 +187,15 @@ class Conductor:
             return
         intent = intent_of(received)
         if isinstance(intent, Rejection):
-            self._reject(received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail)
+            self.answers.reject(
+                received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail
+            )
             return
         source = intent.source or received.source
         too_old = self._too_old(intent, source, instant_ns)
         if too_old is not None:
             self.recorder.command(0, received.verb, received.key, source, intent, received.received_ns)
-            self._reject(received.key, source, received.reply, Reason.STALE, too_old)
+            self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)
             return
         self._pending[number := next(self._numbers)] = received.key, source, received.reply
         self.recorder.command(number, received.verb, received.key, source, intent, received.received_ns)
@@ -205,7 +203,7 @@ class Conductor:
             self._step(Reset(number, source, received.key, intent.estop, intent.lease), instant_ns)
         else:
             self._step(Command(number, received.channel, intent.targets, source, intent.lease), instant_ns)
-            if self._losses.key and self._rejected != number:
+            if self._losses.key and self.answers.rejected != number:
                 self._losses.accepted(intent.targets)
 
     def ask_lease(self, request: LeaseRequest) -> list[Effect]:
@@ -218,7 +216,7 @@ class Conductor:
         key, targets = self._losses.take()
         stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
-            self._reject(key, None, None, Reason.SERVO_STOPPED, DETAIL)
+            self.answers.reject(key, None, None, Reason.SERVO_STOPPED, DETAIL)
             self._pending[number := next(self._numbers)] = key, None, None
             self._step(Command(number, f"put {key}", stops), instant_ns)
 
@@ -277,11 +275,13 @@ class Conductor:
                     if effect.deadline_ns is not None:
                         self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
                 case Completed() if fault is not None:
-                    self._reject_pending(effect.number, Reason.BUS_FAULT, f"the frame could not be written: {fault}")
+                    self.answers.reject_pending(
+                        effect.number, Reason.BUS_FAULT, f"the frame could not be written: {fault}"
+                    )
                 case Completed():
-                    self._accept(effect)
+                    self.answers.accept(effect)
                 case Rejected():
-                    self._reject_pending(effect.number, effect.reason, effect.detail)
+                    self.answers.reject_pending(effect.number, effect.reason, effect.detail)
                 case Announce(kind=Kind.BUS_RECOVERED) if fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
@@ -348,34 +348,6 @@ class Conductor:
             self._timer.set(due_ns / 1e9)
 
     # ---- answers and reports
-
-    def _accept(self, completed: Completed) -> None:
-        self.metrics.accepted += 1
-        self.metrics.coalesced += completed.coalesced
-        key, source, reply = self._pending.pop(completed.number)
-        self.recorder.decided(completed.number, "coalesced" if completed.coalesced else "accepted", key, source)
-        if reply is not None:
-            reply(Ack(accepted=True, coalesced=True if completed.coalesced else None).model_dump_json().encode())
-
-    def _reject_pending(self, number: int, reason: Reason, detail: str) -> None:
-        self._rejected = number
-        key, source, reply = self._pending.pop(number)
-        self._reject(key, source, reply, reason, detail, number)
-
-    def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
-        """Tell of a message that is rejected without being taken: on a key that nothing reads, or about the lease."""
-        self._reject(key[:MAX_KEY], source, None, reason, detail)
-
-    def _reject(
-        self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str, number: int = 0
-    ) -> None:
-        self.metrics.rejected[reason] += 1
-        self.recorder.decided(number, reason, key, source)
-        if reply is not None:
-            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())
-        left_out = self._sources.rejections.admit(source, self._clock())
-        if left_out is not None:
-            self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out)
 
     def _tell_mode(self) -> None:
         mode = self.supervisor.mode

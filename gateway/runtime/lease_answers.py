@@ -38,4 +38,4 @@ class LeaseAnswers:
         """Answer a request that changes nothing, and tell of it."""
         ack = LeaseAck(accepted=False, reason=reason, detail=detail, holder=holder)
         reply(ack.model_dump_json().encode())
-        self._conductor.reject_unread(keys.LEASE, source, detail, reason)
+        self._conductor.answers.reject_unread(keys.LEASE, source, detail, reason)

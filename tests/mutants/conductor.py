@@ -78,8 +78,8 @@ CONDUCTOR = Subject(
             "a program cannot say who it is",
         ),
         Mutant(
-            "self._reject(received.key, source, received.reply, Reason.STALE, too_old)\n            return\n",
-            "self._reject(received.key, source, received.reply, Reason.STALE, too_old)\n",
+            "self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)\n            return\n",
+            "self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)\n",
             "a delayed command is rejected and executed",
         ),
         Mutant(
@@ -278,24 +278,6 @@ CONDUCTOR = Subject(
             "for received in self.take():",
             "an emergency stop that no tick has taken is never served",
         ),
-        Mutant("        self.metrics.accepted += 1\n", "", "accepted commands are not counted"),
-        Mutant("        self.metrics.coalesced += completed.coalesced\n", "", "replaced commands are not counted"),
-        Mutant(
-            "coalesced=True if completed.coalesced else None",
-            "coalesced=None",
-            "nobody is told that a target was replaced",
-        ),
-        Mutant("        self.metrics.rejected[reason] += 1\n", "", "rejected commands are not counted"),
-        Mutant(
-            "            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())\n",
-            "            pass\n",
-            "who is rejected waits for an answer",
-        ),
-        Mutant(
-            "        if left_out is not None:\n            self._tell",
-            "        if True:\n            self._tell",
-            "a flood of rejected commands is a flood of events",
-        ),
         Mutant(
             "        if received.key == keys.ESTOP:\n",
             "        if received.key == keys.ESTOP and received.verb is not Verb.DELETE:\n",
@@ -313,14 +295,39 @@ CONDUCTOR = Subject(
         ),
         Mutant("self._losses.note(received.key)", "pass", "a Stop in a flood is lost"),
         Mutant(
-            "            if self._losses.key and self._rejected != number:\n",
+            "            if self._losses.key and self.answers.rejected != number:\n",
             "            if self._losses.key:\n",
             "a start that is rejected undoes a Stop that was lost",
         ),
         Mutant(
-            "            if self._losses.key and self._rejected != number:\n",
+            "            if self._losses.key and self.answers.rejected != number:\n",
             "            if False:\n",
             "a flood of starts stops its leg",
+        ),
+    ),
+)
+
+ANSWERS = Subject(
+    "gateway/runtime/answers.py",
+    tests=CONDUCTOR.tests,
+    mutants=(
+        Mutant("        self._metrics.accepted += 1\n", "", "accepted commands are not counted"),
+        Mutant("        self._metrics.coalesced += completed.coalesced\n", "", "replaced commands are not counted"),
+        Mutant(
+            "coalesced=True if completed.coalesced else None",
+            "coalesced=None",
+            "nobody is told that a target was replaced",
+        ),
+        Mutant("        self._metrics.rejected[reason] += 1\n", "", "rejected commands are not counted"),
+        Mutant(
+            "            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())\n",
+            "            pass\n",
+            "who is rejected waits for an answer",
+        ),
+        Mutant(
+            "        if left_out is not None:\n            self._tell",
+            "        if True:\n            self._tell",
+            "a flood of rejected commands is a flood of events",
         ),
     ),
 )

@@ -2,7 +2,7 @@
 
 from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
-from tests.mutants.conductor import CONDUCTOR, INTENTS, LOSSES
+from tests.mutants.conductor import ANSWERS, CONDUCTOR, INTENTS, LOSSES
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
@@ -27,6 +27,7 @@ SUBJECTS: tuple[Subject, ...] = (
     INTAKE,
     STALENESS,
     CONDUCTOR,
+    ANSWERS,
     INTENTS,
     LOSSES,
     SUPERVISOR,
