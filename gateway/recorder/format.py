@@ -34,6 +34,8 @@ SLOT: Final = 128
 ROOM: Final = SLOT - 24
 MAX_NS: Final = 2**62
 """Later than any time of a record: the year 2116, or a machine that runs for 146 years."""
+MAX_SEQUENCE: Final = 2**63
+"""A gateway that continues a ring goes on from its newest record: it never runs out of numbers."""
 MAX_TEXT: Final = 4000
 """Bytes of a record's continued content: the longest sentence of an event has some 400."""
 
@@ -220,12 +222,19 @@ class Slot:
     rest: bytes
 
 
+def slot_bytes(data: bytes, index: int) -> bytes:
+    """A slot of a file, by its place in it."""
+    begin = HEADER_BYTES + index * SLOT
+    return data[begin : begin + SLOT]
+
+
 def read_slot(data: bytes) -> Slot | None:
     """What a slot of SLOT bytes holds; None: no whole record."""
     (checksum,) = _CRC.unpack_from(data)
     length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
     if (
         not 0 <= ns < MAX_NS
+        or not 0 < sequence < MAX_SEQUENCE
         or not _HEAD.size <= length <= SLOT - _CRC.size
         or zlib.crc32(data[4 : 4 + length]) != checksum
     ):

@@ -1,12 +1,15 @@
 """Finds the incidents in a ring: what the gateway noted as one, and each end of a gateway that did not end in order."""
 
 import re
-from collections.abc import Sequence
+from array import array
+from bisect import bisect
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from datetime import UTC, datetime
 from typing import Final
 
 from gateway.recorder import format as form
+from gateway.recorder.reader import Records
 from gateway.recorder.recorder import FOLLOW_NS, INCIDENTS, LONGEST_NS, MISTAKE, incident_id
 from schemas import keys
 from schemas.telemetry import Cause, Kind
@@ -14,17 +17,18 @@ from schemas.telemetry import Cause, Kind
 BEFORE_NS: Final = 10_000_000_000
 """How far back an incident reaches."""
 CRASH: Final = "crash"
-ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
+_ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
 """What an id looks like: it is the name of a file, too."""
 JUST_BEFORE_NS: Final = 1_000_000_000
 NEAR_RECORDS: Final = 200
 """What led to an incident is looked for in this time before it was noted, and among so many records on both sides."""
+MOST: Final = 100
+"""The newest of a ring: as many as are kept. A gateway notes one in 5 s at most."""
 LAST_RECORDS: Final = 20
 """Among these is the latest: a command's time is its arrival, which may be before that of what is recorded earlier."""
 
 _TRIGGERS: Final = frozenset({*INCIDENTS, MISTAKE})
-
-Records = Sequence[form.Record]
+_TELL_THE_TIME: Final = frozenset({form.START, form.CLOCK, form.INCIDENT})
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +50,21 @@ class Incident:
     def zero_wall_ns(self) -> int:
         return self.zero_ns + self.wall_offset_ns
 
-    def records(self, records: Records) -> list[form.Record]:
-        """Those that it takes in, in the order in which they happened."""
-        return sorted((each for each in records if self.begin_ns <= each.ns <= self.end_ns), key=lambda each: each.ns)
+
+def is_id(name: str) -> bool:
+    """Whether this is an incident's id, and as such safe as a file's name."""
+    if not _ID.fullmatch(name):
+        return False
+    try:
+        time_of(name)
+    except ValueError:
+        return False
+    return True
+
+
+def time_of(name: str) -> datetime:
+    """The time in an incident's id, without its milliseconds. Raises ValueError."""
+    return datetime.strptime(name[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
 
 
 def kind_of(name: str) -> str:
@@ -57,56 +73,82 @@ def kind_of(name: str) -> str:
 
 
 def find(records: Records, *, written: bool, now_ns: int) -> list[Incident]:
-    """The incidents in a ring, oldest first. `written`: a gateway writes to it now."""
-    found: list[Incident] = []
-    starts = [index for index, record in enumerate(records) if isinstance(record.content, form.Start)]
-    bounds = sorted({0, *starts, len(records)})
-    for begin, end in pairwise(bounds):
-        of_one_run = records[begin:end]
-        alive = written and end == len(records)
-        noted = _noted(of_one_run, alive=alive, now_ns=now_ns)
-        if not alive and not any(isinstance(each.content, form.End) for each in of_one_run[-LAST_RECORDS:]):
-            killed_ns = max(each.ns for each in of_one_run[-LAST_RECORDS:])
-            if noted and noted[-1].begin_ns <= killed_ns <= noted[-1].end_ns:
-                noted[-1] = replace(noted[-1], killed_ns=killed_ns)
-            else:
-                crash = _crash(of_one_run, killed_ns, now_ns=now_ns)
-                noted += [] if crash is None else [crash]
-        found += noted
-    return found
+    """The newest incidents in a ring, oldest first. `written`: a gateway writes to it now."""
+    if not len(records):
+        return []
+    starts = (index for index, kind in enumerate(records.kinds) if kind == form.START and index)
+    bounds = array("L", (0, *starts, len(records)))
+    found: list[Incident] = []  # newest first
+    for number in reversed(range(len(bounds) - 1)):
+        run = range(bounds[number], bounds[number + 1])
+        found += _of_one_run(records, run, alive=written and run.stop == len(records), now_ns=now_ns)
+        if len(found) >= MOST:
+            break
+    return found[:MOST][::-1]
 
 
-def _noted(records: Records, *, alive: bool, now_ns: int) -> list[Incident]:
-    """What the gateway noted itself."""
-    found = []
-    for index, record in enumerate(records):
-        if isinstance(record.content, form.IncidentBegun) and ID.fullmatch(record.content.incident):
-            end_ns = _end(records[index:], record.ns)
+def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
+    """The incidents of one gateway, newest first. `run` are the places of its records."""
+    noted = _noted(records, run, alive=alive, now_ns=now_ns)
+    latest = next(noted, None)
+    last = run[-LAST_RECORDS:]
+    if not alive and not any(records.kinds[index] == form.END for index in last):
+        killed_ns = max(records.times_ns[index] for index in last)
+        if latest is not None and latest.begin_ns <= killed_ns <= latest.end_ns:
+            latest = replace(latest, killed_ns=killed_ns)
+        else:
+            crash = _crash(records, run, killed_ns, now_ns=now_ns)
+            if crash is not None:
+                yield crash
+    if latest is not None:
+        yield latest
+    yield from noted
+
+
+def _noted(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
+    """What the gateway noted itself, newest first."""
+    begun = [index for index in run if records.kinds[index] == form.INCIDENT][-MOST:]
+    triggers = _triggers(records, range(begun[0], run.stop)) if begun else array("L")
+    for index in reversed(begun):
+        record = records[index]
+        if isinstance(record.content, form.IncidentBegun) and is_id(record.content.incident):
             name = record.content.incident
-            zero_ns = _zero(records[max(0, index - NEAR_RECORDS) : index + NEAR_RECORDS], record.ns, kind_of(name))
+            end_ns = _end(records, triggers[bisect(triggers, index) :], record.ns)
+            near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
+            zero_ns = _zero(records, near, record.ns, kind_of(name))
             offset_ns = record.content.wall_ns - record.ns
             whole = not alive or now_ns > end_ns
-            found.append(Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns, whole))
+            yield Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns, whole)
+
+
+def _triggers(records: Records, places: range) -> Sequence[int]:
+    """Where the events are that prolong an incident."""
+    found = array("L")
+    for index in places:
+        if records.kinds[index] == form.EVENT:
+            content = records[index].content
+            if isinstance(content, form.EventTold) and content.kind in _TRIGGERS:
+                found.append(index)
     return found
 
 
-def _end(following: Records, begun_ns: int) -> int:
+def _end(records: Records, triggers: Sequence[int], begun_ns: int) -> int:
     """What happens within the time that an incident takes in prolongs it, as the gateway counts it."""
     end_ns = begun_ns + FOLLOW_NS
-    for record in following:
-        if record.ns > end_ns:
+    for index in triggers:
+        if records.times_ns[index] > end_ns:
             break
-        if isinstance(record.content, form.EventTold) and record.content.kind in _TRIGGERS:
-            end_ns = min(record.ns + FOLLOW_NS, begun_ns + LONGEST_NS)
+        end_ns = min(records.times_ns[index] + FOLLOW_NS, begun_ns + LONGEST_NS)
     return end_ns
 
 
-def _zero(near: Records, noted_ns: int, kind: str) -> int:
+def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
     """When it happened: the watchdog's deadline, or the arrival of the emergency stop; else when it was noted."""
     zero_ns = noted_ns
-    for record in near:
-        if not noted_ns - JUST_BEFORE_NS < record.ns <= noted_ns:
+    for index in near:
+        if not noted_ns - JUST_BEFORE_NS < records.times_ns[index] <= noted_ns:
             continue
+        record = records[index]
         match record.content:
             case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if kind == INCIDENTS[Kind.WATCHDOG_EXPIRED]:
                 zero_ns = min(zero_ns, record.ns - late_ns)
@@ -115,12 +157,17 @@ def _zero(near: Records, noted_ns: int, kind: str) -> int:
     return zero_ns
 
 
-def _crash(records: Records, killed_ns: int, *, now_ns: int) -> Incident | None:
+def _crash(records: Records, run: range, killed_ns: int, *, now_ns: int) -> Incident | None:
     """The end of a gateway that said nothing of it; None where no record tells the time of day."""
-    for record in reversed(records):
-        match record.content:
-            case form.Start(wall_ns=wall_ns) | form.Clock(wall_ns=wall_ns) | form.IncidentBegun(wall_ns=wall_ns):
-                offset_ns = wall_ns - record.ns
+    for index in reversed(run):
+        if records.kinds[index] not in _TELL_THE_TIME:
+            continue
+        match records[index]:
+            case form.Record(
+                ns=ns,
+                content=form.Start(wall_ns=wall_ns) | form.Clock(wall_ns=wall_ns) | form.IncidentBegun(wall_ns=wall_ns),
+            ):
+                offset_ns = wall_ns - ns
                 name = incident_id(killed_ns + offset_ns, CRASH)
                 end_ns = killed_ns + FOLLOW_NS
                 begin_ns, whole = killed_ns - BEFORE_NS, now_ns > end_ns

@@ -1,7 +1,6 @@
 """The folder of incidents: one MCAP file each, written whole or not at all, the newest ones kept."""
 
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -9,9 +8,9 @@ from typing import Final, NamedTuple
 
 from pydantic import BaseModel, TypeAdapter
 
-from gateway.recorder import format as form
-from gateway.recorder.incidents import ID, Incident
+from gateway.recorder.incidents import Incident, is_id
 from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
+from gateway.recorder.reader import Records
 from gateway.recordings import REPORTS, Recording
 from gateway.recordings.plain_schema import Schema, plain_schema
 from schemas.keys import FRAME
@@ -47,13 +46,13 @@ def kept(folder: Path) -> list[Kept]:
     found = []
     with suppress(OSError):
         for path in sorted(folder.glob(f"*{SUFFIX}")):
-            if ID.fullmatch(path.stem):
+            if is_id(path.stem):
                 with suppress(OSError):
                     found.append(Kept(path.stem, path, path.stat().st_size))
     return found
 
 
-def write(path: Path, incident: Incident, records: Sequence[form.Record], *, overwrite: bool) -> None:
+def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> None:
     """Write an incident to a file. Raises OSError; FileExistsError unless `overwrite`."""
     begin_ns = incident.begin_ns + incident.wall_offset_ns
     with Recording(path, overwrite=overwrite, time_ns=begin_ns) as recording:
@@ -66,7 +65,7 @@ def write(path: Path, incident: Incident, records: Sequence[form.Record], *, ove
                 recording.add(message.topic, message.content, message.time_ns)
 
 
-def keep(folder: Path, incident: Incident, records: Sequence[form.Record]) -> Path:
+def keep(folder: Path, incident: Incident, records: Records) -> Path:
     """Write an incident into the folder; it is there whole, or as it was. Raises OSError."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     path = folder / f"{incident.name}{SUFFIX}"

@@ -1,6 +1,7 @@
 """An incident's records as messages of a recording: on the channels of our keys, in the time that people read."""
 
-from collections.abc import Iterable, Iterator
+from array import array
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Final
 
@@ -9,6 +10,7 @@ from pydantic import AwareDatetime, Field
 from gateway.protocol.frames import Op
 from gateway.recorder import format as form
 from gateway.recorder.incidents import Incident
+from gateway.recorder.reader import Records
 from gateway.recorder.recorder import ACCEPTED
 from gateway.recordings import Message
 from schemas import keys
@@ -64,20 +66,26 @@ class Note(Report):
 COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
 
 
-def messages(incident: Incident, records: Iterable[form.Record]) -> Iterator[Message]:
-    """The incident itself, and what it takes in, oldest first."""
-    taken = incident.records(list(records))
-    verdicts = _verdicts(taken)
-    told = {record.sequence for record in verdicts.values()}
+def messages(incident: Incident, records: Records) -> Iterator[Message]:
+    """The incident itself, and what it takes in, oldest first.
+
+    What became of a command is found before its message is made. So each record is decoded twice rather than kept.
+    """
+    times_ns = records.times_ns
+    taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
+    decisions = _Decisions(records, taken)
     zero_ns = incident.zero_wall_ns
     note = Note(time=_time(zero_ns), what=INCIDENT, detail=incident.name)
     yield Message(RECORDER, note.model_dump(mode="json"), zero_ns, zero_ns)
     killed_ns = incident.killed_ns
-    for record in taken:
+    for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
+        record = records[taken[place]]
         if killed_ns is not None and record.ns > killed_ns:
             yield _killed(killed_ns + incident.wall_offset_ns)
             killed_ns = None
-        topic_and_report = _message(record, verdicts, incident.wall_offset_ns, known=record.sequence in told)
+        topic_and_report = _message(
+            record, decisions.of(place), incident.wall_offset_ns, is_told=decisions.is_told(place)
+        )
         if topic_and_report is not None:
             topic, report = topic_and_report
             wall_ns = record.ns + incident.wall_offset_ns
@@ -86,33 +94,44 @@ def messages(incident: Incident, records: Iterable[form.Record]) -> Iterator[Mes
         yield _killed(killed_ns + incident.wall_offset_ns)
 
 
+class _Decisions:
+    """What became of each command: an accepted one names its frame, any other has a Decision."""
+
+    def __init__(self, records: Records, taken: Sequence[int]) -> None:
+        self._records = records
+        self._by = array("L", bytes(len(taken) * array("L").itemsize))  # of each command: 1 + the place in `records`
+        self._told = bytearray(len(taken))  # of each Decision: whether it is a command's here
+        waiting: dict[int | str, int] = {}
+        for place, index in enumerate(taken):
+            match records[index].content:
+                case form.CommandRecord(number=number, key=key):
+                    waiting[number or key] = place
+                case form.Decision(number=number, key=key) if (number or key) in waiting:
+                    self._by[waiting.pop(number or key)] = index + 1
+                    self._told[place] = True
+                case form.FrameWritten(number=number) if number in waiting:
+                    self._by[waiting.pop(number)] = index + 1
+
+    def of(self, place: int) -> form.Record | None:
+        """What became of the command at this place of those that are taken in; None: it is not known."""
+        return self._records[self._by[place] - 1] if self._by[place] else None
+
+    def is_told(self, place: int) -> bool:
+        """Whether what is at this place is part of a command's message."""
+        return bool(self._told[place])
+
+
 def _killed(wall_ns: int) -> Message:
     note = Note(time=_time(wall_ns), what="killed", detail="its last record; it ended without a word")
     return Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
 
 
-def _verdicts(records: list[form.Record]) -> dict[int, form.Record]:
-    """For the sequence number of each command: the record of what became of it."""
-    found: dict[int, form.Record] = {}
-    waiting: dict[int | str, int] = {}
-    for record in sorted(records, key=lambda each: each.sequence):
-        match record.content:
-            case form.CommandRecord(number=number, key=key):
-                waiting[number or key] = record.sequence
-            case form.Decision(number=number, key=key) if (number or key) in waiting:
-                found[waiting.pop(number or key)] = record
-            case form.FrameWritten(number=number) if number in waiting:
-                found[waiting.pop(number)] = record
-    return found
-
-
 def _message(
-    record: form.Record, verdicts: dict[int, form.Record], offset_ns: int, *, known: bool
+    record: form.Record, decided: form.Record | None, offset_ns: int, *, is_told: bool
 ) -> tuple[str, Report] | None:
     time = _time(record.ns + offset_ns)
     match record.content:
         case form.CommandRecord() as command:
-            decided = verdicts.get(record.sequence)
             return _topic(command.key), CommandInBox(
                 time=time,
                 number=command.number,
@@ -128,7 +147,7 @@ def _message(
                 verdict=None if decided is None else _verdict(decided),
                 decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
             )
-        case form.Decision() as decision if not known and decision.number == 0:
+        case form.Decision() as decision if not is_told and decision.number == 0:
             return RECORDER, Note(
                 time=time, what="rejected", detail=decision.verdict, source=decision.source, key=decision.key
             )

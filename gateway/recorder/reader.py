@@ -1,14 +1,17 @@
 """Reads a ring that may be written to meanwhile, cut off, damaged or made by somebody else: it trusts nothing.
 
 It holds a copy of the file, never more than `form.file_bytes(place.MAX_SLOTS)`: a mapping would end the reader with
-SIGBUS where somebody makes the file shorter.
+SIGBUS where somebody makes the file shorter. Besides, it holds some 13 bytes for each record: all of them as objects
+would take eight times the file's size, more than the recorder's service may have (docs/blackbox.md).
 """
 
 import os
 import stat
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, overload
 
 from gateway.errors import GatewayError
 from gateway.recorder import format as form
@@ -23,11 +26,36 @@ class NoRingError(GatewayError):
     """There is no black box to read."""
 
 
+class Records(Sequence[form.Record]):
+    """Records in the order in which they were written. Each is decoded when it is asked for."""
+
+    def __init__(self, times_ns: Sequence[int], kinds: Sequence[int], read: Callable[[int], form.Record]) -> None:
+        """`read` makes the record at a place from 0 on; their times and types are told without that."""
+        self.times_ns = times_ns
+        self.kinds = kinds
+        self._read = read
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    @overload
+    def __getitem__(self, index: int) -> form.Record: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[form.Record]: ...
+    def __getitem__(self, index: int | slice) -> form.Record | list[form.Record]:
+        if isinstance(index, slice):
+            return [self._read(each) for each in range(*index.indices(len(self)))]
+        return self._read(range(len(self))[index])
+
+    def __iter__(self) -> Iterator[form.Record]:
+        return map(self._read, range(len(self)))
+
+
 @dataclass(frozen=True, slots=True)
 class Content:
     """What a ring holds, oldest first."""
 
-    records: tuple[form.Record, ...]
+    records: Records
     damaged: int
     """Slots that hold no whole record, or one of a wrong place."""
     missing: int
@@ -60,48 +88,75 @@ def read(path: Path) -> Content:
     return Content(records, damaged, missing, written)
 
 
-def parse(data: bytes) -> tuple[tuple[form.Record, ...], int, int]:
+def parse(data: bytes) -> tuple[Records, int, int]:
     """The records in a file's bytes, oldest first; how many slots are damaged and how many missing.
 
-    Raises DamagedError.
+    The bytes' length bounds its time and memory, whatever they say. Raises DamagedError.
     """
     slots = form.slots_of(data[: form.HEADER_BYTES], len(data))
-    found: dict[int, form.Slot] = {}
+    sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
     damaged = 0
     for index in range(slots):
-        begin = form.HEADER_BYTES + index * form.SLOT
-        raw = data[begin : begin + form.SLOT]
+        raw = form.slot_bytes(data, index)
         slot = form.read_slot(raw)
-        if slot is not None and slot.sequence and slot.sequence % slots == index:
-            found[slot.sequence] = slot
-        elif any(raw):
+        if slot is not None and slot.sequence % slots == index:
+            sequences[index] = slot.sequence
+        elif raw.count(0) < form.SLOT:
             damaged += 1
-    newest = max(found, default=0)
+    newest = max(sequences)
+    ring = _Slots(data, slots)
+    numbers, times_ns, kinds = array("Q"), array("q"), bytearray()
+    oldest = kept = 0
     # What is more than a round behind was overwritten in part: a slot that was left over says nothing.
-    kept = sorted(number for number in found if number > newest - slots)
-    records: list[form.Record] = []
-    for number in kept:
-        slot = found[number]
-        if slot.kind == form.MORE:
+    for number in range(max(1, newest - slots + 1), newest + 1):
+        if sequences[number % slots] != number:
             continue
+        oldest, kept = oldest or number, kept + 1
         try:
-            content = decode(slot.kind, _whole(slot, found))
+            slot, content = ring.decoded(number)
         except form.DamagedError:
             damaged += 1
             continue
         if content is not None:
-            records.append(form.Record(number, slot.ns, content))
-    missing = newest - kept[0] + 1 - len(kept) if kept else 0
-    return tuple(records), damaged, missing
+            numbers.append(number)
+            times_ns.append(slot.ns)
+            kinds.append(slot.kind)
+    missing = newest - oldest + 1 - kept if kept else 0
+    return Records(times_ns, kinds, lambda index: ring.record(numbers[index])), damaged, missing
 
 
-def _whole(slot: form.Slot, found: dict[int, form.Slot]) -> bytes:
-    """A record's content with what continues it."""
-    rest, last = slot.rest, slot
-    while last.more:
-        following = found.get(last.sequence + 1)
-        if following is None or following.kind != form.MORE or len(rest) > form.MAX_TEXT:
+class _Slots:
+    """A file's slots, by sequence number."""
+
+    def __init__(self, data: bytes, slots: int) -> None:
+        self._data = data
+        self._slots = slots
+
+    def record(self, number: int) -> form.Record:
+        """A record that has been decoded before, when it was found."""
+        slot, content = self.decoded(number)
+        if content is None:
+            raise form.DamagedError("it is no record of its own")
+        return form.Record(number, slot.ns, content)
+
+    def decoded(self, number: int) -> tuple[form.Slot, form.Content | None]:
+        """A record's own slot and what it says, with what continues it; None: MORE, or a type of a later version.
+
+        Raises DamagedError.
+        """
+        slot = last = self._slot(number)
+        if slot.kind == form.MORE:
+            return slot, None
+        rest = slot.rest
+        while last.more:
+            last = self._slot(last.sequence + 1)
+            if last.kind != form.MORE or len(rest) > form.MAX_TEXT:
+                raise form.DamagedError("a continued record is cut off")
+            rest += last.rest
+        return slot, decode(slot.kind, rest)
+
+    def _slot(self, number: int) -> form.Slot:
+        slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))
+        if slot is None or slot.sequence != number:
             raise form.DamagedError("a continued record is cut off")
-        rest += following.rest
-        last = following
-    return rest
+        return slot

@@ -5,13 +5,12 @@ import signal
 import sys
 import threading
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.recorder import kept, place, reader
-from gateway.recorder.incidents import ID, Incident, find
+from gateway.recorder.incidents import Incident, find, is_id, time_of
 from gateway.recorder.keeper import LOOK_S, Keeper
 from gateway.recorder.messages import messages
 from gateway.recorder.story import NoStoryError, story, what
@@ -19,7 +18,6 @@ from gateway.recordings import Message, read
 from gateway.settings import Settings
 
 LAST: Final = "last"
-_TIME: Final = "%Y%m%d-%H%M%S"
 
 
 class _Found(NamedTuple):
@@ -36,7 +34,7 @@ def list_all(settings: Settings) -> int:
     folder = _folder(settings)
     found = _find(folder)
     for each in reversed(found):
-        when = datetime.strptime(each.name[:15], _TIME).replace(tzinfo=UTC)
+        when = time_of(each.name)
         size = f"{each.path.stat().st_size / 1000:.0f} kB" if each.path is not None else "in the ring"
         print(f"{each.name:<32}  {when:%Y-%m-%d %H:%M:%S} UTC  {size:>12}  {what(each.name)}")  # noqa: T201
     if not found:
@@ -120,7 +118,7 @@ def _one(settings: Settings, name: str) -> _Found:
     for each in found:
         if each.name == name:
             return each
-    if name != LAST and not ID.fullmatch(name):
+    if name != LAST and not is_id(name):
         raise NoIncidentError(
             f"{name!r} is no id of an incident; `incidents list` shows them, and `last` is the newest"
         )

@@ -13,7 +13,7 @@ from typing import Final
 from gateway.protocol.frames import STOP, Op, ServoOp, stop_leg
 from gateway.recorder import format as form
 from gateway.recorder import kept, reader
-from gateway.recorder.incidents import ID, find
+from gateway.recorder.incidents import find, is_id
 from gateway.recorder.messages import messages
 from gateway.recorder.story import story
 from gateway.recordings import read
@@ -75,7 +75,7 @@ def fuzz_ring(data: bytes) -> str:
     assert all(earlier.sequence < later.sequence for earlier, later in pairwise(records))
     found = find(records, written=bool(data[1] & 1), now_ns=30 * 1_000_000_000)
     for incident in found:
-        assert ID.fullmatch(incident.name)
+        assert is_id(incident.name)
         made = list(messages(incident, records))
         for message in made:
             json.dumps(message.content, allow_nan=False)

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from gateway.errors import SpiError
 from gateway.recorder import format as form
 from gateway.recorder import kept, place, reader
-from gateway.recorder.incidents import ID, Incident, find
+from gateway.recorder.incidents import Incident, find, is_id
 from gateway.recorder.keeper import Keeper
 from gateway.recorder.messages import messages
 from gateway.recorder.ring import Ring
@@ -198,7 +198,7 @@ async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(fol
     assert keeper.look() == []
     await asyncio.sleep(4.5)
     (path,) = keeper.look()
-    assert ID.fullmatch(path.stem)
+    assert is_id(path.stem)
     assert keeper.look() == []
     assert Keeper(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
     robot.put(keys.ESTOP)
@@ -265,10 +265,20 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     assert "made up: " in "\n".join(story(list(read(path))))
 
 
-def records(*contents: tuple[float, form.Content]) -> list[form.Record]:
+KINDS: dict[type[form.Content], int] = {
+    form.Start: form.START,
+    form.EventTold: form.EVENT,
+    form.FrameWritten: form.FRAME,
+    form.IncidentBegun: form.INCIDENT,
+}
+
+
+def records(*contents: tuple[float, form.Content]) -> reader.Records:
     """Records at these seconds, behind the start of a gateway."""
     behind = [(1.0, form.Start(WALL_NS, {})), *contents]
-    return [form.Record(number, round(at_s * SECOND), content) for number, (at_s, content) in enumerate(behind, 1)]
+    made = [form.Record(number, round(at_s * SECOND), content) for number, (at_s, content) in enumerate(behind, 1)]
+    kinds = [KINDS[type(record.content)] for record in made]
+    return reader.Records([record.ns for record in made], kinds, made.__getitem__)
 
 
 def event(kind: str) -> form.EventTold:

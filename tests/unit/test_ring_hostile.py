@@ -1,0 +1,106 @@
+"""Rings that no gateway wrote, or one with the largest that settings allow: what reading them costs is bounded."""
+
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gateway.protocol.frames import Op, ServoOp
+from gateway.recorder import format as form
+from gateway.recorder import reader
+from gateway.recorder.incidents import MOST, find, is_id
+from gateway.recorder.messages import messages
+from gateway.recorder.ring import Ring
+from tests.support.robot import WALL_NS
+
+SECOND = 1_000_000_000
+
+
+def ring_of(slots: int, record: Callable[[int], tuple[int, bytes]]) -> bytes:
+    """A full ring's bytes; `record` says what has each sequence number. One a millisecond."""
+    image = bytearray(form.header(slots).ljust(form.file_bytes(slots), b"\0"))
+    for number in range(1, slots + 1):
+        kind, rest = record(number)
+        form.put(image, form.HEADER_BYTES + number % slots * form.SLOT, kind, number, number * 1_000_000, rest)
+    return bytes(image)
+
+
+def begun(number: int) -> tuple[int, bytes]:
+    name = f"20260921-{number // 60_000:02d}{number // 1000 % 60:02d}13-{number % 1000:03d}-watchdog"
+    return form.INCIDENT, form.incident(WALL_NS + number, name)
+
+
+def drive(number: int) -> tuple[int, bytes]:
+    """What six legs are told, and their frames; a gateway starts, and there is an incident near the end."""
+    if number == 1:
+        return form.START, form.start(WALL_NS, {"pid": 1})
+    if number == 3_500:
+        return begun(number)
+    leg = number // 2 % 6 + 1
+    if number % 2:
+        targets = tuple((leg * 10 + joint, ServoOp(Op.SET, number)) for joint in (1, 2, 3))
+        return form.COMMAND, form.command(number, "put", f"hexapod/leg/{leg}/cmd", "anna", number / 1e3, targets)
+    return form.FRAME, form.frame(bytes(14), "command", 45_000, 0, number - 1)
+
+
+def test_reading_a_ring_and_telling_an_incident_takes_little_more_memory_than_the_file(tmp_path: Path) -> None:
+    """As objects the records would take eight times as much, and the recorder's service may have 192 MB."""
+    path = tmp_path / "ring"
+    path.write_bytes(ring_of(4_000, drive))
+    tracemalloc.start()
+    try:
+        content = reader.read(path)
+        incidents = find(content.records, written=False, now_ns=0)
+        count = sum(1 for _ in messages(incidents[0], content.records))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert count > 3_000
+    assert len(content.records) == 4_000
+    assert [len(incidents), incidents[0].name[-8:]] == [1, "watchdog"]
+    assert peak < 2.5 * path.stat().st_size
+
+
+@pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
+def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int], tuple[int, bytes]]) -> None:
+    records, _, _ = reader.parse(ring_of(5_000, what))
+    decoded: list[int] = []
+
+    def counted(index: int) -> form.Record:
+        decoded.append(index)
+        return records[index]
+
+    found = find(reader.Records(records.times_ns, records.kinds, counted), written=True, now_ns=0)
+    assert len(found) == MOST
+    assert found[-1].zero_ns >= 4_999 * 1_000_000, "the newest"
+    assert [each.zero_ns for each in found] == sorted(each.zero_ns for each in found)
+    assert len(decoded) <= 10_000 + MOST * 400, "each some times, and not once for each of the others"
+
+
+@pytest.mark.parametrize(("name", "good"), [
+    ("20260921-141320-123-watchdog", True),
+    ("20260931-141320-123-watchdog", False),
+    ("20260921-246060-123-watchdog", False),
+    ("00000101-000000-000-crash", False),
+    ("../../etc/passwd", False),
+])  # fmt: skip
+def test_an_id_begins_with_a_time(name: str, good: bool) -> None:
+    assert is_id(name) is good
+
+
+@pytest.mark.parametrize("sequence", [0, 2**63, 2**64 - 1])
+def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence: int) -> None:
+    path = tmp_path / "ring"
+    ring = Ring(path, 15)  # divides 2**64 - 1
+    ring.append(form.MODE, 1, form.mode("active"))
+    ring.close()
+    image = bytearray(path.read_bytes())
+    offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
+    form.put(image, offset, form.MODE, sequence, 2, form.mode("idle"))
+    path.write_bytes(image)
+    assert [record.sequence for record in reader.read(path).records] == [1]
+    ring = Ring(path, 15)
+    ring.append(form.MODE, 3, form.mode("idle"))
+    ring.close()
+    assert [record.sequence for record in reader.read(path).records] == [1, 2]
