@@ -67,6 +67,7 @@ class Kind(StrEnum):
     LEASE_TAKEN = "lease_taken"
     LEASE_ASKED = "lease_asked"
     LANDING = "landing"
+    CALIBRATED = "calibrated"
 
 
 class Cause(StrEnum):

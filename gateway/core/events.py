@@ -3,6 +3,7 @@
 from dataclasses import field
 from enum import StrEnum
 
+from gateway.core.calibration import Calibration, Change
 from gateway.core.value import value
 from gateway.protocol.frames import Frame, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
@@ -83,6 +84,31 @@ class LeaseRequest:
 
 
 @value
+class Calibrate:
+    """Somebody wants the calibration changed: the one with this `revision`, or whichever is in force (None).
+
+    `accept_default` takes the default calibration (with `change`, if that says anything) as this robot's, where the
+    file that kept its own cannot be read.
+    """
+
+    number: int
+    change: Change
+    revision: int | None = None
+    accept_default: bool = False
+    source: str | None = None
+    key: str | None = None
+    lease: str | None = field(default=None, repr=False)
+
+
+@value
+class Kept:
+    """The calibration of the Keep with this number is on the disk; with a `fault`, the old one still is."""
+
+    number: int
+    fault: str | None = None
+
+
+@value
 class StoppedOutside:
     """`stop-servos` is stopping all servos past us; or has ended (not `at_work`), and none of its Stops is to come."""
 
@@ -99,7 +125,19 @@ class ShutDown:
     """The service ends."""
 
 
-Event = BusOpened | BusFailed | Command | EmergencyStop | Reset | LeaseRequest | StoppedOutside | TimePassed | ShutDown
+Event = (
+    BusOpened
+    | BusFailed
+    | Command
+    | EmergencyStop
+    | Reset
+    | LeaseRequest
+    | Calibrate
+    | Kept
+    | StoppedOutside
+    | TimePassed
+    | ShutDown
+)
 
 # ---- effects, to be carried out in their order
 
@@ -151,4 +189,15 @@ class LeaseAnswer:
     verified: bool = False
 
 
-Effect = Transmit | Completed | Rejected | Announce | LeaseAnswer
+@value
+class Keep:
+    """Write this calibration to the disk, without making anything wait for it, and answer with Kept in any case.
+
+    Until then the old calibration is in force, and command `number` has no answer.
+    """
+
+    number: int
+    calibration: Calibration
+
+
+Effect = Transmit | Completed | Rejected | Announce | LeaseAnswer | Keep

@@ -12,6 +12,7 @@ from gateway.core.events import Announce, Command, Completed, Effect, Rejected, 
 from gateway.core.landing import Landing, landing
 from gateway.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.core.pacing import NEVER, RateSlots, StartQueue, merged
+from gateway.core.reach import Reach
 from gateway.core.speed import step
 from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
 from schemas.robot import LEGS
@@ -58,8 +59,9 @@ def _taken_over(leg: Leg, source: str | None) -> list[Effect]:
 class Legs:
     """The six legs, and the commands under way on them."""
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: Rules, reach: Reach) -> None:
         self._rules = rules
+        self._reach = reach
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
         self._pending: dict[int, _PendingCommand] = {}
@@ -232,7 +234,8 @@ class Legs:
         if limited:
             waiting = self._in_steps(leg, now_ns)
         frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
-        effects: list[Effect] = [Transmit(frame, cause)]
+        wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
+        effects: list[Effect] = [Transmit(frame if wire is None else wire.frame(frame), cause)]
         for servo, target in waiting:
             servo.waiting = None
             if target.op is Op.STOP:

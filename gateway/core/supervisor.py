@@ -23,6 +23,8 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
 
  9. While somebody holds the lease, what moves and resets needs its token (`lease`). Whoever takes the lease from its
     holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
+10. Angles here are users'; only a frame that goes out has the servo's own (`Legs`, by the calibration in force). The
+    calibration changes for no servo that runs or waits to be started, and nothing starts one meanwhile (`calibrating`).
 
 `StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -34,15 +36,18 @@ or Set that came by another channel, and the emergency stop wins over a reset.
 
 from typing import Final
 
+from gateway.core.calibrating import Calibrating
 from gateway.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    Calibrate,
     Command,
     Completed,
     Effect,
     EmergencyStop,
     Event,
+    Kept,
     LeaseAnswer,
     LeaseRequest,
     Rejected,
@@ -56,6 +61,7 @@ from gateway.core.lease import Lease
 from gateway.core.leg import Rules
 from gateway.core.legs import Legs
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.core.reach import Reach
 from gateway.core.transitions import TRANSITIONS, IllegalEvent
 from gateway.protocol.frames import Op
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -78,7 +84,9 @@ class Supervisor:
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self.legs = Legs(rules)
+        self._reach = Reach(rules)
+        self.calibrating = Calibrating(self._reach)
+        self.legs = Legs(rules, self._reach)
         self.lease = Lease(rules)
         self._opened = False  # ever
         self._bus_ok = False
@@ -108,6 +116,8 @@ class Supervisor:
         """
         if type(event) not in TRANSITIONS[self.mode]:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
+        if type(event) is Kept and not self.calibrating.awaits(event.number):
+            raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
         lease_due_ns = self.lease.due_ns
         ended = self.lease.expire(now_ns) if lease_due_ns is not None and now_ns >= lease_due_ns else []
@@ -116,7 +126,7 @@ class Supervisor:
                 effects = self._in_time(event, now_ns)
             case LeaseRequest():
                 effects = self._lease_request(event, now_ns)
-            # All else stops everything, or finds a bus that sends nothing: what was due has no meaning any more.
+            # These stop everything, or find a bus that sends nothing: what was due has no meaning any more.
             case EmergencyStop():
                 effects = self._emergency_stop(event, now_ns)
             case StoppedOutside():
@@ -127,6 +137,8 @@ class Supervisor:
                 effects = self._bus_failed(event)
             case ShutDown():
                 effects = self._shut_down(now_ns)
+            case Calibrate() | Kept():
+                effects = self._in_time(event, now_ns)
         self.legs.look()
         if self.legs.landing is not None and self.legs.at_rest:
             self.legs.landing = None  # people have stopped all that was on its way down
@@ -147,9 +159,7 @@ class Supervisor:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
-    def _in_time(
-        self, event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside, now_ns: int
-    ) -> list[Effect]:
+    def _in_time(self, event: Event, now_ns: int) -> list[Effect]:
         """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
         due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
         effects = self._expire(now_ns) if due else []
@@ -162,6 +172,10 @@ class Supervisor:
                 effects += self._without_takeover(event, now_ns)
             case StoppedOutside():
                 self.stopped_outside = False
+            case Calibrate():
+                effects += self._calibrate(event, now_ns)
+            case Kept():
+                effects += self.calibrating.kept(event)
         if due:
             effects += self.legs.repeat_stops(now_ns)
             effects += self.legs.take_slots(now_ns)
@@ -183,13 +197,13 @@ class Supervisor:
         if self.mode in _REJECTING:
             return _REJECTING[self.mode]
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
-        guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None
+        guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
         if moves and (guarded or command.lease is not None):
-            rejection = self._why_closed(command.lease)
+            rejection = self._why_closed(command.lease) or self.calibrating.rejection(moves)
             if rejection is not None:
                 return rejection
-        for servo_id, op in moves if self._rules.joint_limits_cdeg else ():
-            why_not = self._why_not(servo_id, op.angle_cdeg)
+        for servo_id, op in moves if self._reach.limited else ():
+            why_not = self._reach.why_not(servo_id, op.angle_cdeg)
             if why_not is not None:
                 return Reason.JOINT_LIMIT, why_not
         for servo_id, op in moves:
@@ -211,13 +225,14 @@ class Supervisor:
             return rejection
         return None if self.legs.landing is None else (Reason.LANDING, _LANDING)
 
-    def _why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
-        """Why the servo must not go there; None: it may."""
-        limits = self._rules.joint_limits_cdeg.get(servo_id)
-        if limits is None or limits[0] <= angle_cdeg <= limits[1]:
-            return None
-        low, high, angle = (cdeg / 100 for cdeg in (*limits, angle_cdeg))
-        return f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
+    def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
+        rejection = _REJECTING.get(self.mode) or self._why_closed(event.lease)
+        if rejection is not None:
+            return [Rejected(event.number, *rejection)]
+        effects = self.calibrating.change(event, self.legs.servos)
+        if event.lease is not None and self.calibrating.awaits(event.number):
+            self.lease.heard(event.lease, now_ns)
+        return effects
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
         first = self._latched_ns is None
@@ -351,10 +366,7 @@ class Supervisor:
         On five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what
         comes is rejected) nor a second leg's silence (whose own Stop would come later than this one).
         """
-        pose = {
-            servo: angle for servo, angle in self._rules.landing_cdeg.items() if self._why_not(servo, angle) is None
-        }
-        dropped = self.legs.begin_landing(now_ns, ends_ns, pose)
+        dropped = self.legs.begin_landing(now_ns, ends_ns, self._reach.landing_cdeg())
         timeout_ms, landing_ms = self._rules.timeout_ns / NS_PER_MS, self._rules.landing_ns / NS_PER_MS
         detail = (
             f"leg {silent} was not heard for {timeout_ms:g} ms; the robot lands, and is stopped {landing_ms:g} ms later"

@@ -9,15 +9,13 @@ from gateway.core.events import (
     Effect,
     EmergencyStop,
     Event,
-    LeaseRequest,
     Rejected,
     Reset,
-    StoppedOutside,
-    TimePassed,
 )
 from gateway.core.leg import NO_COMMAND, Leg, Rules, Servo
 from gateway.core.legs import Legs
 from gateway.core.pacing import RateSlots, StartQueue
+from gateway.core.reach import Reach
 from gateway.core.supervisor import Supervisor
 from gateway.protocol.frames import ServoOp
 from schemas.telemetry import Cause, Reason
@@ -168,7 +166,7 @@ def with_legs(legs: type[Legs]) -> type[Supervisor]:
     class Planted(Supervisor):
         def __init__(self, rules: Rules) -> None:
             super().__init__(rules)
-            self.legs = legs(rules)
+            self.legs = legs(rules, self._reach)
 
     return Planted
 
@@ -237,9 +235,7 @@ class LatchLostInFault(Supervisor):
 class LateCommandsCount(Supervisor):
     """A command that comes after the deadline, but before anyone looked, saves its leg."""
 
-    def _in_time(
-        self, event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside, now_ns: int
-    ) -> list[Effect]:
+    def _in_time(self, event: Event, now_ns: int) -> list[Effect]:
         if isinstance(event, Command) and self._rejection(event) is None:
             for servo_id, _ in event.targets:
                 self.legs.by_number[servo_id // 10].heard_ns = now_ns
@@ -326,8 +322,8 @@ class NoPause(StartQueue):
 class AllAtOnce(Legs):
     """See NoPause."""
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, reach: Reach) -> None:
+        super().__init__(rules, reach)
         self._queue = NoPause(rules.start_pause_ns)
 
 

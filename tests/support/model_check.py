@@ -18,6 +18,7 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Final
 
+from gateway.core.calibration import Calibration
 from gateway.core.events import (
     BusFailed,
     BusOpened,
@@ -37,6 +38,8 @@ from gateway.core.pacing import RateSlots, StartQueue
 from gateway.core.supervisor import Supervisor
 from gateway.core.transitions import TRANSITIONS
 from schemas.telemetry import Mode
+from tests.support.calibration_history import CalibrationHistory
+from tests.support.calibration_model import calibrating_key, changes, copy_calibrating
 from tests.support.history import STOP_SERVOS, Violation, demand, speed_age_ns
 from tests.support.lease_history import LeaseHistory
 from tests.support.lease_model import copied_lease, lease_key, lease_requests, tokens
@@ -88,6 +91,8 @@ _SUPERVISOR_FIELDS: Final = {
     "_rules",
     "legs",
     "lease",
+    "calibrating",
+    "_reach",
     "_opened",
     "_bus_ok",
     "estops",
@@ -100,7 +105,7 @@ _SUPERVISOR_FIELDS: Final = {
 }
 # The first two rows matter; the third follows from them, and the last counts within a step.
 _LEGS_FIELDS: Final = {
-    *("_rules", "by_number", "servos", "_pending"),
+    *("_rules", "_reach", "by_number", "servos", "_pending"),
     *("_queue", "instant_ns", "landing", "land_ns"),
     *("due_ns", "repeat_ns", "at_rest"),
     *("_moved", "stops"),
@@ -134,6 +139,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     other.lease = copied_lease(supervisor.lease)
+    copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     legs._pending = {
@@ -162,6 +168,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
         lease_key(supervisor.lease, now_ns),
+        calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
         tuple((rank[number], *_pending_fields(pending)) for number, pending in sorted(legs._pending.items())),
@@ -193,7 +200,12 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 
 
 def events(
-    configuration: Configuration, mode: Mode, number: int, estops: int, lease: LeaseHistory
+    configuration: Configuration,
+    mode: Mode,
+    number: int,
+    estops: int,
+    lease: LeaseHistory,
+    calibration: CalibrationHistory,
 ) -> Iterator[tuple[str, Event]]:
     """Everything that can happen, with a name. The next command is `number`, the latest emergency stop `estops`."""
     # Where every command is rejected, one is as good as another.
@@ -204,6 +216,7 @@ def events(
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
     yield from lease_requests(configuration.drivers, number, lease)
+    yield from changes(configuration.changes, number, calibration)
     if configuration.calm:
         return
     yield "emergency stop", EmergencyStop()
@@ -247,7 +260,9 @@ Key = tuple[tuple[object, ...], tuple[object, ...]]
 def start(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> State:
     """A robot that has just been made."""
     supervisor = small(make(configuration.rules), configuration.legs)
-    return State(supervisor, Oracle(configuration.rules, configuration.legs))
+    kept, fault = configuration.calibration or Calibration(), configuration.fault
+    supervisor.calibrating.load(kept, fault)
+    return State(supervisor, Oracle(configuration.rules, configuration.legs, kept, fault))
 
 
 def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key, State]]:
@@ -255,7 +270,10 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
     mode = state.supervisor.mode
     waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
     waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
-    for name, event in events(configuration, mode, state.number, state.supervisor.estops, state.oracle.lease):
+    oracle = state.oracle
+    for name, event in events(
+        configuration, mode, state.number, state.supervisor.estops, oracle.lease, oracle.calibration
+    ):
         if type(event) not in TRANSITIONS[mode]:
             continue
         for wait_ns, same_instant in waits:

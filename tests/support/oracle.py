@@ -5,17 +5,19 @@ repeated, which commands wait for an answer), says beforehand what must happen, 
 else does. It shares no state and no rules with `gateway/core`, only the vocabulary.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import Self
+from collections.abc import Sequence
 
 from gateway.core.events import (
     BusFailed,
     BusOpened,
+    Calibrate,
     Command,
     Completed,
     Effect,
     EmergencyStop,
     Event,
+    Keep,
+    Kept,
     LeaseRequest,
     Rejected,
     Reset,
@@ -24,14 +26,10 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.core.leg import Rules
-from gateway.protocol.frames import Op, leg_of, servo_ids_of, stop_leg
-from schemas.robot import LEGS
+from gateway.protocol.frames import Op, leg_of, stop_leg
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.history import (
     CLOSED,
-    LegHistory,
-    ServoHistory,
     Want,
     change_hands,
     demand,
@@ -39,78 +37,15 @@ from tests.support.history import (
     rejections_of,
     told,
 )
-from tests.support.lease_history import LeaseHistory
 from tests.support.motion import LandingHistory, stepped
+from tests.support.robot_history import RobotHistory
 
 
-class Oracle:
-    """The history of one robot and what it demands of the next step. `legs` are all the legs there are."""
+class Oracle(RobotHistory):
+    """The history of one robot and what it demands of the next step."""
 
-    def __init__(self, rules: Rules, legs: Iterable[int] = LEGS) -> None:
-        self.rules = rules
-        self.legs = {leg: LegHistory() for leg in legs}
-        self.servos = {servo_id: ServoHistory() for leg in self.legs for servo_id in servo_ids_of(leg)}
-        self.pending: dict[int, bool] = {}
-        """Accepted commands without an answer, and whether a newer one has replaced something of them."""
-        self._lost: set[int] = set()  # commands of which the watchdog dropped something in this step
-        self.opened = self.bus_ok = self.ended = self.outside = False
-        self.estops = 0
-        self.latched_ns: int | None = None
-        self.instant_ns = 0
-        """When the present instant began: that of all that was collected together."""
-        self.lease = LeaseHistory(rules)
-        self.landing: LandingHistory | None = None
-        self.energised_leg: int | None = None
-        self.energised_ns = 0
-        self.queue: tuple[int, ...] = ()
-        """Legs with a start that waits, in the order in which they came."""
-
-    # ---- for the model checker
-
-    def clone(self) -> Self:
-        """A copy that shares nothing that changes."""
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        other.legs = {number: leg.clone() for number, leg in self.legs.items()}
-        other.servos = {servo_id: servo.clone() for servo_id, servo in self.servos.items()}
-        other.pending = dict(self.pending)
-        other.lease = self.lease.clone()
-        return other
-
-    def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
-        """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
-        legs = tuple(leg.key(now_ns, self.rules, armed=self._armed(number)) for number, leg in self.legs.items())
-        servos = tuple(servo.key(now_ns, self.instant_ns, rank, self.rules) for servo in self.servos.values())
-        latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
-        pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
-        if not self.rules.start_pause_ns:
-            pause = (None, 0, ())
-        pending = tuple(self.pending[number] for number in sorted(self.pending))
-        lease = self.lease.key(now_ns), self.landing and self.landing.key(now_ns)
-        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos, lease
-
-    def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
-        """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
-        oldest_ns = self.rules.unnumbered_reset_ns
-        return min(self.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)
-
-    # ---- the judge
-
-    @property
-    def energised(self) -> frozenset[int]:
-        """The servos that the frames so far have energised."""
-        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on)
-
-    @property
-    def mode(self) -> Mode:
-        """What the gateway must say it is doing."""
-        if self.ended:
-            return Mode.STOPPING
-        if not self.bus_ok:
-            return Mode.BUS_FAULT if self.opened else Mode.STARTING
-        if self.latched_ns is not None:
-            return Mode.ESTOPPED
-        return Mode.ACTIVE if self.energised else Mode.IDLE
+    _lost: frozenset[int] = frozenset()
+    """Commands of which the watchdog dropped something in this step."""
 
     def judge(
         self,
@@ -128,12 +63,17 @@ class Oracle:
         What came belongs to the instant that began at `instant_ns`, to one of its own if that is not given.
         """
         self.instant_ns = now_ns if instant_ns is None else instant_ns
-        self._lost.clear()
+        kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, Kept) else None
+        effects = self.calibration.read(effects)
+        self._lost = frozenset()
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
         self.lease.pass_time(now_ns, effects)
         match event:
-            case Command() | Reset() | TimePassed():
+            case Command() | Reset() | TimePassed() | Calibrate():
+                self._in_time(event, now_ns, effects)
+            case Kept():
+                self._must_be_rejected(event, effects, kept)
                 self._in_time(event, now_ns, effects)
             case LeaseRequest() if self.lease.judge(event, now_ns, effects, ended=self.ended):
                 self._all_stopped(effects, Cause.COMMAND, Reason.NOT_HOLDER, now_ns)
@@ -166,6 +106,10 @@ class Oracle:
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
                 for servo in self.servos.values():
                     servo.owed = 0  # the bus that opens again is told to stop everything
+        keeps = any(isinstance(effect, Keep) for effect in effects)
+        demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
+        calibrated = told(effects, Kind.CALIBRATED)
+        demand(isinstance(event, Kept) or not calibrated, "a calibration is in force once it is kept")
         demand(mode is self.mode, f"the mode is {self.mode}, not {mode}")
         demand(estops == self.estops, f"{self.estops} emergency stops were requested, not {estops}")
         self._after(now_ns, due_ns)
@@ -191,7 +135,7 @@ class Oracle:
 
     def _in_time(
         self,
-        event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside,
+        event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside | Calibrate | Kept,
         now_ns: int,
         effects: Sequence[Effect],
     ) -> None:
@@ -208,6 +152,8 @@ class Oracle:
             stops = self._command(event, now_ns, effects)
         elif isinstance(event, Reset):
             self._reset(event, effects, now_ns)
+        elif isinstance(event, Calibrate):
+            self._calibrate(event, effects, now_ns)
         for effect in effects:
             match effect:
                 case Transmit(cause=Cause.COMMAND):
@@ -216,18 +162,8 @@ class Oracle:
                     self._repeated(effect, now_ns)
                 case Transmit():
                     self._unasked(effect, now_ns)
-                case Completed():
-                    demand(effect.number not in self._lost, "what the watchdog dropped is rejected")
-                    demand(
-                        all(servo.want is None or servo.want.number != effect.number for servo in self.servos.values()),
-                        "an answer comes after the frames",
-                    )
-                    demand(self._answered(effect.number) == effect.coalesced, "replaced commands are answered as such")
-                case Rejected():
-                    self._answered(effect.number)
-                    for servo in self.servos.values():
-                        if servo.want is not None and servo.want.number == effect.number:
-                            servo.want = None  # a rejected command takes no effect any more
+                case Completed() | Rejected():
+                    self._answers(effect)
         stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
         if self.rules.start_pause_ns and (stopped_all or watchdog):
             self._queue_ended(event)
@@ -247,12 +183,6 @@ class Oracle:
             waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
             demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
-    def _armed(self, leg: int) -> bool:
-        return any(servo.on or servo.starts for servo in self._servos_of(leg))
-
-    def _servos_of(self, leg: int) -> list[ServoHistory]:
-        return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
-
     def _expired(self, now_ns: int) -> list[int]:
         """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
         if not self.bus_ok:
@@ -260,7 +190,7 @@ class Oracle:
         silent = [
             number
             for number, leg in self.legs.items()
-            if self._armed(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
+            if self.armed(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
         ]
         stopped = list(self.legs) if silent and self.rules.whole_robot else silent
         if self.landing is not None:
@@ -270,10 +200,10 @@ class Oracle:
             return []
         for number in stopped:
             self.legs[number].source = None
-            for servo in self._servos_of(number):
+            for servo in self.servos_of(number):
                 servo.written_cdeg = None
                 if servo.want is not None:
-                    self._lost.add(servo.want.number)
+                    self._lost |= {servo.want.number}
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
                 servo.owe(self.rules, now_ns)
         if stopped and self.rules.start_pause_ns:
@@ -286,12 +216,13 @@ class Oracle:
         if not self.energised or now_ns >= ends_ns:
             return False
         ways = {}
+        pose_cdeg = self.calibration.landing_cdeg()
         for servo_id, servo in self.servos.items():
             if servo.want is not None:
-                self._lost.add(servo.want.number)
+                self._lost |= {servo.want.number}
             servo.want = servo.bound_cdeg = None
             if servo.written_cdeg is not None:
-                ways[servo_id] = servo.written_cdeg, self.rules.landing_cdeg.get(servo_id, servo.written_cdeg)
+                ways[servo_id] = servo.written_cdeg, pose_cdeg.get(servo_id, servo.written_cdeg)
         for leg in self.legs.values():
             leg.source = None
         self.landing = LandingHistory(now_ns, ends_ns, ways)
@@ -309,14 +240,12 @@ class Oracle:
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
-        reason = self._reason_to_reject(command)
-        reasons = rejections_of(command.number, effects)
-        demand(reasons == ([] if reason is None else [reason]), f"rejected for {reason}, not for {reasons}")
-        self.pending[command.number] = False
+        reason = self.reason_to_reject(command)
+        self._must_be_rejected(command, effects, reason)
         if reason is not None:
             return frozenset()
         self.lease.heard(command.lease, now_ns)
-        running = [number for number in self.legs if self._armed(number)]
+        running = [number for number in self.legs if self.armed(number)]
         change_hands(self.legs, running, command, effects)
         told_to_stop: set[int] = set()
         for effect in effects:
@@ -338,34 +267,32 @@ class Oracle:
                 servo.bound_cdeg = None
         return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
 
-    def _reason_to_reject(self, command: Command) -> Reason | None:
-        if self.mode in CLOSED:
-            return CLOSED[self.mode]
-        moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
-        no_lease = self.lease.reason_to_reject(command.lease) if moves else None
-        if moves and (self.outside or no_lease is not None or self.landing is not None):
-            return Reason.SERVO_STOPPED if self.outside else no_lease or Reason.LANDING
-        for _, servo_id, op in moves:
-            low, high = self.rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
-            if not low <= op.angle_cdeg <= high:
-                return Reason.JOINT_LIMIT
-        for servo, _, op in moves:
-            if servo.stopped_ns == self.instant_ns and servo.stopped_by - {command.channel}:
-                return Reason.SERVO_STOPPED
-            if op.op is Op.SET and not servo.on and not servo.starts:
-                return Reason.SERVO_STOPPED
-        return None
+    def _must_be_rejected(
+        self, event: Command | Reset | Calibrate | Kept, effects: Sequence[Effect], reason: Reason | None
+    ) -> None:
+        """For this reason; None: it must not be."""
+        reasons = rejections_of(event.number, effects)
+        name = "" if isinstance(event, Command) else f"a {type(event).__name__.lower()} "
+        demand(reasons == ([] if reason is None else [reason]), f"{name}rejected for {reason}, not for {reasons}")
+        self.pending[event.number] = False
+
+    def _calibrate(self, event: Calibrate, effects: Sequence[Effect], now_ns: int) -> None:
+        """Whether it must be accepted; then it is kept, and answered once that is done."""
+        closed = CLOSED.get(self.mode) or self.reason_to_move_nothing(event.lease)
+        reason = self.calibration.calibrate(event, effects, closed, self.alive)
+        self._must_be_rejected(event, effects, reason)
+        if reason is None:
+            del self.pending[event.number]
+            self.lease.heard(event.lease, now_ns)
 
     def _reset(self, reset: Reset, effects: Sequence[Effect], now_ns: int) -> None:
-        self.pending[reset.number] = False
         reason = CLOSED.get(self.mode)
         if reason in (None, Reason.ESTOPPED):
             reason = self.lease.reason_to_reject(reset.lease, reset=True) or reason
         if reason is Reason.ESTOPPED and self.latched_ns is not None:
             age_ns = self.instant_ns - self.latched_ns
             reason = None if is_newer(reset, age_ns, self.estops, self.rules) else reason
-        reasons = rejections_of(reset.number, effects)
-        demand(reasons == ([] if reason is None else [reason]), f"a reset rejected for {reason}, not for {reasons}")
+        self._must_be_rejected(reset, effects, reason)
         if reason is None:
             self.latched_ns = None
             self.lease.heard(reset.lease, now_ns)
@@ -396,7 +323,7 @@ class Oracle:
                 demand(op.op is wanted, f"{servo_id}: the newest target is sent")
                 stepped(servo, servo_id, op.angle_cdeg, target, now_ns, self.rules)
             if not servo.on:
-                self._energised(leg_number, now_ns)
+                self.energise(leg_number, now_ns)
             servo.written_cdeg, servo.want, servo.owed, servo.said_ns = op.angle_cdeg, None, 0, now_ns
 
     def _repeated(self, transmit: Transmit, now_ns: int) -> None:
@@ -408,29 +335,21 @@ class Oracle:
             servo.owed -= 1
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
 
-    # ---- starts one after the other
-
-    def _energised(self, leg: int, now_ns: int) -> None:
-        if self.energised_leg not in (None, leg):
-            demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
-        self.energised_leg, self.energised_ns = leg, now_ns
-
-    def _head_of_queue(self, now_ns: int) -> list[int]:
-        """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
-        starting = [number for number in self.legs if any(s.starts and not s.on for s in self._servos_of(number))]
-        self.queue = tuple(number for number in dict.fromkeys((*self.queue, *starting)) if number in starting)
-        if not self.queue or not self.rules.start_pause_ns:
-            return []
-        pause_ns = 0 if self.energised_leg is None else self.energised_ns + self.rules.start_pause_ns
-        slot_ns = max(self.legs[self.queue[0]].slot_ns(self.rules.period_ns), pause_ns)
-        demand(now_ns < slot_ns, f"leg {self.queue[0]} is energised when it is the first in the queue")
-        return [slot_ns]
-
     # ---- answers, and what holds after every step
 
     def _answered(self, number: int) -> bool:
         demand(number in self.pending, f"command {number} is answered exactly once")
         return self.pending.pop(number)
+
+    def _answers(self, effect: Completed | Rejected) -> None:
+        replaced = self._answered(effect.number)
+        waits = [servo for servo in self.servos.values() if servo.want and servo.want.number == effect.number]
+        if isinstance(effect, Completed):
+            demand(effect.number not in self._lost, "what the watchdog dropped is rejected")
+            demand(not waits, "an answer comes after the frames")
+            demand(replaced == effect.coalesced, "replaced commands are answered as such")
+        for servo in waits:
+            servo.want = None  # a rejected command takes no effect any more
 
     def _after(self, now_ns: int, due_ns: int | None) -> None:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
@@ -438,14 +357,14 @@ class Oracle:
         if not self.bus_ok:
             demand(due_ns == self.lease.due_ns, "no time but the lease's is awaited while the bus is at fault")
             return
-        latest = self._head_of_queue(now_ns) + ([] if self.lease.due_ns is None else [self.lease.due_ns])
+        latest = self.head_of_queue(now_ns) + ([] if self.lease.due_ns is None else [self.lease.due_ns])
         self.landing = self.landing if self.energised else None
         for number, leg in self.legs.items():
-            servos = self._servos_of(number)
+            servos = self.servos_of(number)
             if self.landing is not None:
                 demand(now_ns < self.landing.ends_ns, "a landing ends in time")
                 latest.append(self.landing.ends_ns)
-            elif self._armed(number):
+            elif self.armed(number):
                 deadline_ns = (leg.heard_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
                 latest.append(deadline_ns)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
+from gateway.core.calibration import Calibration, Change
 from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_S
 from gateway.protocol.frames import STOP, Op, ServoOp
@@ -29,6 +30,12 @@ class Configuration:
     """Whether the service may be shut down, too."""
     drivers: tuple[str, ...] = ()
     """Who wants the lease."""
+    calibration: Calibration | None = None
+    """What is in force at first."""
+    fault: str | None = None
+    """Why that cannot be trusted."""
+    changes: tuple[Change, ...] = ()
+    """What may be changed of the calibration."""
     calm: bool = False
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
 

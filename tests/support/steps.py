@@ -1,15 +1,19 @@
 """A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle."""
 
+from gateway.core.calibration import Calibration, Change
 from gateway.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    Calibrate,
     Command,
     Completed,
     Do,
     Effect,
     EmergencyStop,
     Event,
+    Keep,
+    Kept,
     LeaseAnswer,
     LeaseRequest,
     Rejected,
@@ -64,8 +68,8 @@ def said(effect: Effect) -> str:
             return f"rejected {effect.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
-        case LeaseAnswer():
-            return f"lease {effect.reason or 'granted'}"
+        case LeaseAnswer() | Keep():
+            return f"lease {effect.reason or 'granted'}" if isinstance(effect, LeaseAnswer) else f"keep {effect.number}"
 
 
 def _word(command: ServoOp) -> str:
@@ -84,10 +88,19 @@ def _ns(at_ms: float) -> int:
 class Steps:
     """A supervisor whose bus was opened at 0 ms, a minute after the clock began. By default Stops are not repeated."""
 
-    def __init__(self, rules: Rules | None = None, *, opened: bool = True) -> None:
+    def __init__(
+        self,
+        rules: Rules | None = None,
+        *,
+        opened: bool = True,
+        calibration: Calibration | None = None,
+        fault: str | None = None,
+    ) -> None:
         self.rules = rules or Rules(repeats=0)
         self.supervisor = Supervisor(self.rules)
-        self.oracle = Oracle(self.rules)
+        if calibration is not None or fault is not None:
+            self.supervisor.calibrating.load(calibration or Calibration(), fault)
+        self.oracle = Oracle(self.rules, calibration=calibration, fault=fault)
         self.number = 0
         self.effects: list[Effect] = []
         self.instant_ms: float | None = None
@@ -131,6 +144,25 @@ class Steps:
     def reset_without_number(self, at_ms: float) -> list[str]:
         self.number += 1
         return self.take(at_ms, Reset(self.number))
+
+    def calibrate(
+        self,
+        at_ms: float,
+        change: Change,
+        *,
+        revision: int | None = None,
+        accept_default: bool = False,
+        lease: str | None = None,
+    ) -> list[str]:
+        """A change with the next number."""
+        self.number += 1
+        event = Calibrate(self.number, change, revision, accept_default, "anna", "hexapod/calibration/cmd", lease)
+        return self.take(at_ms, event)
+
+    def kept(self, at_ms: float, fault: str | None = None) -> list[str]:
+        """The disk has answered for the latest change."""
+        way = self.supervisor.calibrating._on_its_way
+        return self.take(at_ms, Kept(0 if way is None else way.event.number, fault))
 
     def time(self, at_ms: float) -> list[str]:
         return self.take(at_ms, TimePassed())

@@ -1,0 +1,207 @@
+"""What a judge of the supervisor demands of the calibration, by the contract's words; see `oracle.py`.
+
+The formula, the limits and what a change changes are written once more here, so that a mistake in `gateway/core` meets
+another reading of them.
+"""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from copy import copy
+from typing import NamedTuple, Self
+
+from gateway.core.calibration import Calibration, ServoChange
+from gateway.core.events import Calibrate, Effect, Keep, Kept, Transmit
+from gateway.core.leg import Rules
+from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
+from schemas.telemetry import Kind, Reason
+from tests.support.history import demand, told
+
+
+class OneServos(NamedTuple):
+    """One servo's: what becomes of an angle, and which angles may be asked for."""
+
+    trim_cdeg: int = 0
+    inverted: bool = False
+    low_cdeg: int = 0
+    high_cdeg: int = 180_00
+
+    def wire_cdeg(self, angle_cdeg: int) -> int:
+        """What the contract says the servo is told."""
+        return self.trim_cdeg + (180_00 - angle_cdeg if self.inverted else angle_cdeg)
+
+    def user_cdeg(self, wire_cdeg: int) -> int:
+        """The only angle for which that is so."""
+        return 180_00 + self.trim_cdeg - wire_cdeg if self.inverted else wire_cdeg - self.trim_cdeg
+
+    def allows(self, angle_cdeg: int) -> bool:
+        """Whether it may be asked for."""
+        return self.low_cdeg <= angle_cdeg <= self.high_cdeg and 0 <= self.wire_cdeg(angle_cdeg) <= 180_00
+
+    def with_change(self, change: ServoChange) -> Self:
+        """What it becomes, if that can be."""
+        trim, inverted, low, high = change
+        return type(self)(
+            self.trim_cdeg if trim is None else trim,
+            self.inverted if inverted is None else inverted,
+            self.low_cdeg if low is None else low,
+            self.high_cdeg if high is None else high,
+        )
+
+    @property
+    def possible(self) -> bool:
+        """Whether a servo can be like that."""
+        return abs(self.trim_cdeg) <= 90_00 and 0 <= self.low_cdeg <= self.high_cdeg <= 180_00
+
+
+AS_DRAWN = OneServos()
+
+
+class Whole(NamedTuple):
+    """A robot's calibration. Only servos that are not as drawn are named."""
+
+    revision: int
+    servos: Mapping[int, OneServos]
+    landing_cdeg: Mapping[int, int]
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """The same, as `gateway/core` has it."""
+        servos = {servo_id: OneServos(*servo) for servo_id, servo in calibration.servos.items()}
+        return cls(calibration.revision, _not_as_drawn(servos), dict(calibration.landing_cdeg))
+
+    def allows(self, servo_id: int, angle_cdeg: int) -> bool:
+        """Whether this angle may be asked of this servo."""
+        return self.servos.get(servo_id, AS_DRAWN).allows(angle_cdeg)
+
+    def changed(self, event: Calibrate) -> Self | None:
+        """What it becomes; None: nothing that could be."""
+        servos, landing = dict(self.servos), dict(self.landing_cdeg)
+        for servo_id, change in event.change.servos.items():
+            servos[servo_id] = servos.get(servo_id, AS_DRAWN).with_change(change)
+        for servo_id, angle_cdeg in event.change.landing_cdeg.items():
+            landing.pop(servo_id, None)
+            if angle_cdeg is not None:
+                landing[servo_id] = angle_cdeg
+        after = type(self)(self.revision + 1, _not_as_drawn(servos), landing)
+        possible = all(servo.possible for servo in servos.values())
+        return after if possible and all(after.allows(*pair) for pair in landing.items()) else None
+
+
+def _not_as_drawn(servos: Mapping[int, OneServos]) -> dict[int, OneServos]:
+    return {servo_id: servo for servo_id, servo in sorted(servos.items()) if servo != AS_DRAWN}
+
+
+class _OnItsWay(NamedTuple):
+    number: int
+    whole: Whole
+    servos: frozenset[int]
+
+
+class CalibrationHistory:
+    """The calibration in force, whether it is trusted, and the change that is on its way to the disk."""
+
+    def __init__(self, rules: Rules, calibration: Calibration, fault: str | None) -> None:
+        self._rules = rules
+        self.whole = Whole.of(calibration)
+        self.trusted = fault is None
+        self.on_its_way: _OnItsWay | None = None
+
+    def clone(self) -> Self:
+        """A copy; nothing that it has ever changes."""
+        return copy(self)
+
+    def key(self) -> tuple[object, ...]:
+        """What of it still matters."""
+        way = self.on_its_way
+        return self.trusted, _key(self.whole), way and (_key(way.whole), way.servos)
+
+    # ---- angles
+
+    def allows(self, servo_id: int, angle_cdeg: int) -> bool:
+        """Whether the settings and the calibration both let a servo go there."""
+        low, high = self._rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
+        return low <= angle_cdeg <= high and self.whole.allows(servo_id, angle_cdeg)
+
+    def landing_cdeg(self) -> dict[int, int]:
+        """The landing pose, as far as it may be gone to."""
+        pose = {**self._rules.landing_cdeg, **self.whole.landing_cdeg}
+        return {servo_id: angle for servo_id, angle in pose.items() if self.allows(servo_id, angle)}
+
+    def read(self, effects: Iterable[Effect]) -> list[Effect]:
+        """The same, with frames that say what users mean; raise Violation where no user can have meant one."""
+        return [
+            Transmit(self._read(effect.frame), effect.cause, effect.deadline_ns)
+            if isinstance(effect, Transmit)
+            else effect
+            for effect in effects
+        ]
+
+    def _read(self, frame: Frame) -> Frame:
+        ops = [self._meant(servo_id, op) for servo_id, op in frame.servos]
+        return OneServo(frame.servo_id, ops[0]) if isinstance(frame, OneServo) else OneLeg(frame.leg, _three(ops))
+
+    def _meant(self, servo_id: int, op: ServoOp) -> ServoOp:
+        if op.op is Op.STOP:
+            return op
+        angle_cdeg = self.whole.servos.get(servo_id, AS_DRAWN).user_cdeg(op.angle_cdeg)
+        demand(self.allows(servo_id, angle_cdeg), f"{servo_id} is sent where it must not go: {angle_cdeg}")
+        return ServoOp(op.op, angle_cdeg)
+
+    # ---- changes
+
+    def reason_to_reject(self, servo_ids: Collection[int]) -> Reason | None:
+        """Why none of these may be started or set."""
+        changing = self.on_its_way is not None and not self.on_its_way.servos.isdisjoint(servo_ids)
+        return Reason.SERVO_STOPPED if changing or not self.trusted else None
+
+    def calibrate(
+        self, event: Calibrate, effects: Iterable[Effect], closed: Reason | None, alive: Collection[int]
+    ) -> Reason | None:
+        """Why the change must be rejected, or None: then it must be kept, and is on its way from here on.
+
+        `closed` is why no start would be taken at all; `alive` are the servos that run or wait to be started.
+        """
+        keeps = [effect for effect in effects if isinstance(effect, Keep)]
+        before = self.whole if self.trusted else Whole(self.whole.revision, {}, {})
+        after = before.changed(event)
+        reason = closed or self._reason(event)
+        if reason is None and after is None:
+            reason = Reason.INVALID
+        changed = frozenset[int]()
+        if reason is None and after is not None:
+            servos = {*self.whole.servos, *after.servos}
+            changed = frozenset(s for s in servos if self.whole.servos.get(s) != after.servos.get(s))
+            reason = None if changed.isdisjoint(alive) else Reason.INVALID
+        if reason is not None or after is None:
+            demand(not keeps, f"what is rejected is not kept: {keeps}")
+            return reason
+        self.on_its_way = _OnItsWay(event.number, after, changed)
+        same = [(keep.number, Whole.of(keep.calibration)) for keep in keeps] == [(event.number, after)]
+        demand(same, f"the change is kept as it was asked for, before it is in force: {after}, not {keeps}")
+        return None
+
+    def _reason(self, event: Calibrate) -> Reason | None:
+        if self.on_its_way is not None or event.revision not in (None, self.whole.revision):
+            return Reason.STALE
+        if not self.trusted and not event.accept_default:
+            return Reason.SERVO_STOPPED
+        return Reason.INVALID if self.trusted and event.accept_default else None
+
+    def kept(self, event: Kept, effects: Sequence[Effect], alive: Collection[int]) -> Reason | None:
+        """The disk has answered: why the change is rejected; None: it is in force from here on."""
+        way, self.on_its_way = self.on_its_way, None
+        demand(way is not None and way.number == event.number, "what is kept was on its way")
+        if way is not None and event.fault is None:
+            moving = sorted(way.servos.intersection(alive))
+            demand(not moving, f"a calibration never changes for a servo that runs or is about to: {moving}")
+            self.whole, self.trusted = way.whole, True
+        demand(told(effects, Kind.CALIBRATED) == (event.fault is None), "a new calibration is told")
+        return None if event.fault is None else Reason.INVALID
+
+
+def _key(whole: Whole) -> tuple[object, ...]:
+    return tuple(whole.servos.items()), tuple(sorted(whole.landing_cdeg.items()))
+
+
+def _three(ops: Sequence[ServoOp]) -> tuple[ServoOp, ServoOp, ServoOp]:
+    first, second, third = ops
+    return first, second, third

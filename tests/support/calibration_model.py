@@ -1,0 +1,62 @@
+"""The calibration in the model check: what may be asked of it, how it is copied, and what of it tells states apart."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from gateway.core.calibrating import Calibrating
+from gateway.core.calibration import Calibration, Change
+from gateway.core.events import Calibrate, Event, Kept
+from gateway.core.leg import Rules
+from gateway.core.reach import Reach
+from gateway.core.supervisor import Supervisor
+from tests.support.calibration_history import CalibrationHistory
+
+_KNOWN: Final = [
+    {"_limits_cdeg", "_landing_cdeg", "calibration", "wire", "limited"},
+    {"_reach", "fault", "guards", "_on_its_way"},
+]
+_FIELDS: Final = [set(vars(part)) for part in (Reach(Rules()), Calibrating(Reach(Rules())))]
+if _FIELDS != _KNOWN:
+    raise TypeError(f"reach and calibrating have the fields {_FIELDS}; the model checker knows {_KNOWN}")
+
+
+def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:
+    """Give `other` a calibration of its own, that of `supervisor`; to be called once it has its own legs."""
+    reach: Any = object.__new__(type(supervisor._reach))
+    reach.__dict__.update(supervisor._reach.__dict__)
+    calibrating: Any = object.__new__(type(supervisor.calibrating))
+    calibrating.__dict__.update(supervisor.calibrating.__dict__)
+    other._reach = other.legs._reach = calibrating._reach = reach
+    other.calibrating = calibrating
+
+
+def _key(calibration: Calibration) -> tuple[object, ...]:
+    """One revision is as good as another."""
+    return tuple(sorted(calibration.servos.items())), tuple(sorted(calibration.landing_cdeg.items()))
+
+
+def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
+    """What of it can still matter."""
+    calibrating, reach = supervisor.calibrating, supervisor._reach
+    way = calibrating._on_its_way
+    return (
+        _key(reach.calibration),
+        reach.wire is not None,
+        reach.limited,
+        calibrating.fault,
+        calibrating.guards,
+        way and (_key(way.calibration), way.servos, way.event.accept_default),
+    )
+
+
+def changes(wanted: Sequence[Change], number: int, history: CalibrationHistory) -> Iterator[tuple[str, Event]]:
+    """Everything that may be asked of the calibration, and what the disk may answer."""
+    revision = history.whole.revision
+    for which, change in enumerate(wanted):
+        yield f"calibration {which}", Calibrate(number, change, revision, accept_default=not history.trusted)
+    if wanted:
+        yield "calibration of an older one", Calibrate(number, wanted[0], revision - 1)
+        yield "another default accepted", Calibrate(number, Change({}, {}), accept_default=history.trusted)
+    if history.on_its_way is not None:
+        yield "calibration kept", Kept(history.on_its_way.number)
+        yield "calibration not kept", Kept(history.on_its_way.number, "the disk is full")

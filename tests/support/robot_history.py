@@ -1,0 +1,145 @@
+"""What a judge of the supervisor remembers of one robot, and how the model check tells two such histories apart."""
+
+from collections.abc import Iterable
+from typing import Self
+
+from gateway.core.calibration import Calibration
+from gateway.core.events import Command
+from gateway.core.leg import Rules
+from gateway.protocol.frames import Op, servo_ids_of
+from schemas.robot import LEGS
+from schemas.telemetry import Mode, Reason
+from tests.support.calibration_history import CalibrationHistory
+from tests.support.history import CLOSED, LegHistory, ServoHistory, demand
+from tests.support.lease_history import LeaseHistory
+from tests.support.motion import LandingHistory
+
+
+class RobotHistory:
+    """What was asked of one robot and sent to it. `legs` are all the legs there are."""
+
+    def __init__(
+        self,
+        rules: Rules,
+        legs: Iterable[int] = LEGS,
+        calibration: Calibration | None = None,
+        fault: str | None = None,
+    ) -> None:
+        self.rules = rules
+        self.legs = {leg: LegHistory() for leg in legs}
+        self.servos = {servo_id: ServoHistory() for leg in self.legs for servo_id in servo_ids_of(leg)}
+        self.pending: dict[int, bool] = {}
+        """Accepted commands without an answer, and whether a newer one has replaced something of them."""
+        self.opened = self.bus_ok = self.ended = self.outside = False
+        self.estops = 0
+        self.latched_ns: int | None = None
+        self.instant_ns = 0
+        """When the present instant began: that of all that was collected together."""
+        self.lease = LeaseHistory(rules)
+        self.calibration = CalibrationHistory(rules, calibration or Calibration(), fault)
+        self.landing: LandingHistory | None = None
+        self.energised_leg: int | None = None
+        self.energised_ns = 0
+        self.queue: tuple[int, ...] = ()
+        """Legs with a start that waits, in the order in which they came."""
+
+    # ---- for the model checker
+
+    def clone(self) -> Self:
+        """A copy that shares nothing that changes."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.legs = {number: leg.clone() for number, leg in self.legs.items()}
+        other.servos = {servo_id: servo.clone() for servo_id, servo in self.servos.items()}
+        other.pending = dict(self.pending)
+        other.lease, other.calibration = self.lease.clone(), self.calibration.clone()
+        return other
+
+    def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
+        """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
+        legs = tuple(leg.key(now_ns, self.rules, armed=self.armed(number)) for number, leg in self.legs.items())
+        servos = tuple(servo.key(now_ns, self.instant_ns, rank, self.rules) for servo in self.servos.values())
+        latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
+        pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
+        if not self.rules.start_pause_ns:
+            pause = (None, 0, ())
+        pending = tuple(self.pending[number] for number in sorted(self.pending))
+        lease = self.lease.key(now_ns), self.landing and self.landing.key(now_ns), self.calibration.key()
+        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos, lease
+
+    def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
+        """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
+        oldest_ns = self.rules.unnumbered_reset_ns
+        return min(self.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)
+
+    # ---- what follows from that
+
+    def armed(self, leg: int) -> bool:
+        return any(servo.on or servo.starts for servo in self.servos_of(leg))
+
+    def servos_of(self, leg: int) -> list[ServoHistory]:
+        return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The servos that the frames so far have energised."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on)
+
+    @property
+    def mode(self) -> Mode:
+        """What the gateway must say it is doing."""
+        if self.ended:
+            return Mode.STOPPING
+        if not self.bus_ok:
+            return Mode.BUS_FAULT if self.opened else Mode.STARTING
+        if self.latched_ns is not None:
+            return Mode.ESTOPPED
+        return Mode.ACTIVE if self.energised else Mode.IDLE
+
+    @property
+    def alive(self) -> frozenset[int]:
+        """The servos that run or wait to be started."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on or servo.starts)
+
+    # ---- what is taken
+
+    def reason_to_reject(self, command: Command) -> Reason | None:
+        if self.mode in CLOSED:
+            return CLOSED[self.mode]
+        moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        if moves:
+            closed = self.reason_to_move_nothing(command.lease)
+            closed = closed or self.calibration.reason_to_reject([servo_id for _, servo_id, _ in moves])
+            if closed is not None:
+                return closed
+        if not all(self.calibration.allows(servo_id, op.angle_cdeg) for _, servo_id, op in moves):
+            return Reason.JOINT_LIMIT
+        for servo, _, op in moves:
+            if servo.stopped_ns == self.instant_ns and servo.stopped_by - {command.channel}:
+                return Reason.SERVO_STOPPED
+            if op.op is Op.SET and not servo.on and not servo.starts:
+                return Reason.SERVO_STOPPED
+        return None
+
+    def reason_to_move_nothing(self, lease: str | None) -> Reason | None:
+        if self.outside:
+            return Reason.SERVO_STOPPED
+        return self.lease.reason_to_reject(lease) or (None if self.landing is None else Reason.LANDING)
+
+    # ---- starts one after the other
+
+    def energise(self, leg: int, now_ns: int) -> None:
+        if self.energised_leg not in (None, leg):
+            demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
+        self.energised_leg, self.energised_ns = leg, now_ns
+
+    def head_of_queue(self, now_ns: int) -> list[int]:
+        """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
+        starting = [number for number in self.legs if any(s.starts and not s.on for s in self.servos_of(number))]
+        self.queue = tuple(number for number in dict.fromkeys((*self.queue, *starting)) if number in starting)
+        if not self.queue or not self.rules.start_pause_ns:
+            return []
+        pause_ns = 0 if self.energised_leg is None else self.energised_ns + self.rules.start_pause_ns
+        slot_ns = max(self.legs[self.queue[0]].slot_ns(self.rules.period_ns), pause_ns)
+        demand(now_ns < slot_ns, f"leg {self.queue[0]} is energised when it is the first in the queue")
+        return [slot_ns]
