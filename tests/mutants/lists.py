@@ -2,6 +2,7 @@
 
 from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
+from tests.mutants.calibration import CALIBRATING, CALIBRATION, REACH
 from tests.mutants.conductor import ANSWERS, CONDUCTOR, INTENTS, LOSSES
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
@@ -32,6 +33,9 @@ SUBJECTS: tuple[Subject, ...] = (
     LOSSES,
     SUPERVISOR,
     TABLE,
+    REACH,
+    CALIBRATING,
+    CALIBRATION,
     LEASE,
     NONCES,
     PROOF,
