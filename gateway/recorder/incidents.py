@@ -3,14 +3,14 @@
 import re
 from array import array
 from bisect import bisect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
 
 from gateway.recorder import format as form
 from gateway.recorder.reader import Records
-from gateway.recorder.recorder import FOLLOW_NS, INCIDENTS, LONGEST_NS, MISTAKE, incident_id
+from gateway.recorder.recorder import FOLLOW_NS, INCIDENTS, LONGEST_NS, MISTAKE, follow_ns, incident_id
 from schemas import keys
 from schemas.telemetry import Cause, Kind
 
@@ -108,12 +108,13 @@ def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> It
 def _noted(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
     """What the gateway noted itself, newest first."""
     begun = [index for index in run if records.kinds[index] == form.INCIDENT][-MOST:]
-    triggers = _triggers(records, range(begun[0], run.stop)) if begun else array("L")
+    triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
     for index in reversed(begun):
         record = records[index]
         if isinstance(record.content, form.IncidentBegun) and is_id(record.content.incident):
             name = record.content.incident
-            end_ns = _end(records, triggers[bisect(triggers, index) :], record.ns)
+            later = slice(bisect(triggers, index), None)
+            end_ns = _end(records, zip(triggers[later], follow[later], strict=True), record.ns, kind_of(name))
             near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
             zero_ns = _zero(records, near, record.ns, kind_of(name))
             offset_ns = record.content.wall_ns - record.ns
@@ -121,24 +122,25 @@ def _noted(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterato
             yield Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns, whole)
 
 
-def _triggers(records: Records, places: range) -> Sequence[int]:
-    """Where the events are that prolong an incident."""
-    found = array("L")
+def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[int]]:
+    """Where the events are that prolong an incident, and for how long (ns) each does."""
+    found, follow = array("L"), array("Q")
     for index in places:
         if records.kinds[index] == form.EVENT:
             content = records[index].content
             if isinstance(content, form.EventTold) and content.kind in _TRIGGERS:
                 found.append(index)
-    return found
+                follow.append(follow_ns(content.kind))
+    return found, follow
 
 
-def _end(records: Records, triggers: Sequence[int], begun_ns: int) -> int:
+def _end(records: Records, triggers: Iterable[tuple[int, int]], begun_ns: int, kind: str) -> int:
     """What happens within the time that an incident takes in prolongs it, as the gateway counts it."""
-    end_ns = begun_ns + FOLLOW_NS
-    for index in triggers:
+    end_ns = begun_ns + follow_ns(kind)
+    for index, more_ns in triggers:
         if records.times_ns[index] > end_ns:
             break
-        end_ns = min(records.times_ns[index] + FOLLOW_NS, begun_ns + LONGEST_NS)
+        end_ns = min(max(end_ns, records.times_ns[index] + more_ns), begun_ns + LONGEST_NS)
     return end_ns
 
 
@@ -150,7 +152,9 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
             continue
         record = records[index]
         match record.content:
-            case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if kind == INCIDENTS[Kind.WATCHDOG_EXPIRED]:
+            case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
+                late_ns and kind == INCIDENTS[Kind.WATCHDOG_EXPIRED]  # a landing's frames have no deadline
+            ):
                 zero_ns = min(zero_ns, record.ns - late_ns)
             case form.CommandRecord(key=keys.ESTOP) if kind == INCIDENTS[Kind.ESTOP_ENGAGED]:
                 zero_ns = min(zero_ns, record.ns)

@@ -30,11 +30,14 @@ FOLLOW_NS: Final = 5_000_000_000
 """An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
 LONGEST_NS: Final = 30_000_000_000
 """… up to this."""
+LANDING_NS: Final = 5_000_000_000
+"""What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
 KEPT_BEFORE_OPEN: Final = 200
 """Records of the start, which come before the ring is open: the first Stops do not wait for it."""
 
 INCIDENTS: Final = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
+    Kind.LANDING: "landing",
     Kind.ESTOP_ENGAGED: "estop",
     Kind.BUS_FAULT: "bus-fault",
 }
@@ -131,7 +134,7 @@ class RingRecorder(Recorder):
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._held: _Command | None = None  # one that stops, until its frames are written
         self._clock_ns = 0  # when the time that people read was recorded last
-        self._first_ns = self._last_ns = 0  # what belongs to the latest incident
+        self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
 
     def open(self) -> None:
@@ -213,14 +216,14 @@ class RingRecorder(Recorder):
 
     def _happened(self, what: str, now_ns: int) -> str:
         """What happens within the time that an incident takes in belongs to it, and prolongs it."""
-        if self.incident is None or now_ns > min(self._last_ns + FOLLOW_NS, self._first_ns + LONGEST_NS):
+        if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_NS):
             wall_ns = self._wall_ns()
             self.incident = incident_id(wall_ns, what)
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
             if self._ring is not None:
                 self._ring.note_incident()
-        self._last_ns = now_ns
+        self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident
 
     def _release(self) -> None:
@@ -232,6 +235,11 @@ class RingRecorder(Recorder):
     def _wait(self, kind: int, ns: int, rest: bytes) -> None:
         if len(self._waiting) < KEPT_BEFORE_OPEN:
             self._waiting.append((kind, ns, rest))
+
+
+def follow_ns(what: str) -> int:
+    """How long what happens belongs to an incident: `what` is the end of its id, or the kind of a later event."""
+    return FOLLOW_NS + LANDING_NS if what == Kind.LANDING else FOLLOW_NS
 
 
 def incident_id(wall_ns: int, what: str) -> str:

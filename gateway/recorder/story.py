@@ -19,6 +19,7 @@ FINE_MS: Final = 100.0
 
 _WHAT: Final = {
     "watchdog": "a leg was silent, and was stopped",
+    "landing": "a leg was silent, and the robot went to its landing pose",
     "estop": "somebody requested an emergency stop",
     "bus-fault": "the SPI bus failed",
     "mistake": "a mistake in the gateway ended it",
@@ -60,6 +61,7 @@ def story(messages: list[Message]) -> list[str]:
     told = [each for each in messages if each is not zero]
     lines = [*_commands(told, zero.time_ns, name), *_rejections(told, zero.time_ns)]
     lines += [*_events(told, zero.time_ns, name), *_frames(told, zero.time_ns), *_notes(told, zero.time_ns)]
+    lines += _landings(told, zero.time_ns)
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {what(name)}, at {zero.content.get('time')}"
@@ -240,6 +242,51 @@ def _frames(messages: list[Message], zero_ns: int) -> Iterator[Line]:
         group.append((message, frame))
     if group:
         yield _stops(group, zero_ns)
+
+
+class _Way:
+    """One landing as its frames tell it."""
+
+    def __init__(self, first: Message) -> None:
+        self.first = self.last = first
+        self.frames = 0
+        self.stands: dict[int, int | None] = {}
+
+
+def _landings(messages: list[Message], zero_ns: int) -> Iterator[Line]:
+    """The first and the last frame of each way down, and where it left the legs: nobody commanded these frames."""
+    stands: dict[int, int | None] = {}  # of each servo that ever had a frame: its angle, None: stopped
+    way: _Way | None = None
+    for message in messages:
+        if message.topic == keys.EVENT and message.content.get("kind") == Kind.LANDING:
+            yield from _told(way, zero_ns)
+            way = None
+        frame = _frame(message) if message.topic == keys.FRAME else None
+        if frame is None:
+            continue
+        stands |= {servo_id: None if op.op is Op.STOP else op.angle_cdeg for servo_id, op in frame.servos}
+        if message.content.get("cause") == Cause.WATCHDOG and not frame.is_stop:
+            way = way or _Way(message)
+            way.last, way.frames, way.stands = message, way.frames + 1, dict(stands)
+    yield from _told(way, zero_ns)
+
+
+def _told(way: _Way | None, zero_ns: int) -> Iterator[Line]:
+    if way is not None:
+        yield Line(way.first.time_ns - zero_ns, "first frame of the way down")
+        count = f"{way.frames} frames" if way.frames > 1 else "one frame"
+        yield Line(way.last.time_ns - zero_ns, f"last frame of the way down, after {count}; {_standing(way.stands)}")
+
+
+def _standing(stands: dict[int, int | None]) -> str:
+    """leg 3 at 90 45 120; legs 4, 5 at 90 off off"""
+    legs: dict[str, list[int]] = {}
+    for leg in LEGS:
+        angles = [stands.get(10 * leg + joint) for joint in (1, 2, 3)]
+        if angles != [None] * 3:
+            words = " ".join("off" if angle is None else f"{angle / 100:g}" for angle in angles)
+            legs.setdefault(words, []).append(leg)
+    return "; ".join(f"{_named(numbers)} at {words}" for words, numbers in legs.items())
 
 
 def _stops(group: list[tuple[Message, Frame]], zero_ns: int) -> Line:

@@ -22,7 +22,8 @@ from gateway.recorder.ring import Ring
 from gateway.recorder.story import story
 from gateway.recordings import read
 from schemas import keys
-from tests.support.robot import WALL_NS, Robot, leg
+from schemas.telemetry import Kind
+from tests.support.robot import WALL_NS, Robot, leg, servo
 from tests.unit.test_recorder import recorded
 
 LEG_3 = keys.leg_command(3)
@@ -98,6 +99,62 @@ async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
         "first command after it for leg 4 (anna, start 90 45 120)",
     ]
     assert [line for line in lines if line in wanted] == wanted, lines
+
+
+LANDING = {"watchdog": {"landing_ms": 500, "repeats": 0, "landing": {"31": 30.0}}}
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_a_landing(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    robot.put(LEG_3, START)
+    robot.put(keys.servo_command(51), servo("start", 80, source="bert"))
+    await asyncio.sleep(0.3)
+    robot.put(keys.servo_command(51), servo("set", 81, source="bert"))
+    robot.put(keys.servo_command(51), servo("set", 82, source="bert"))
+    await asyncio.sleep(1)
+    lines = told(folder)
+    assert lines[0].startswith("20260921-141320-123-landing: a leg was silent, and the robot went to its landing pose,")
+    assert lines[1] == "Before it, anna sent 1 command for leg 3."
+    assert [line.strip() for line in lines[-8:]] == [
+        "−0.250 s  last command of leg 5 (bert, start 80)",
+        "0.000 s  landing: leg 3 was not heard for 250 ms; the robot lands, and is stopped 500 ms later",
+        "+20.0 ms  first frame of the way down",
+        "+50.0 ms  2 commands of bert are rejected until +50.0 ms: landing",
+        "+0.460 s  last frame of the way down, after 23 frames; leg 3 at 30 45 120; leg 5 at 80 off off",
+        "+0.500 s  watchdog: the robot has landed; all six legs are stopped",
+        "+0.500 s  Stop written to all six legs (watchdog), 0 µs after the deadline, the last at +0.500 s",
+        "+0.500 s  mode idle",
+    ]
+
+
+@pytest.mark.virtual_time
+async def test_a_landing_that_somebody_stops_and_the_next_one_are_told_apart(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    for _ in range(2):
+        robot.put(LEG_3, START)
+        await asyncio.sleep(0.35)
+        robot.put(LEG_3, leg("stop", source="bert"))
+    text = [line.partition("  ")[2].strip() for line in told(folder)]
+    assert [line for line in text if "way down" in line or "Stop written to leg" in line] == [
+        "first frame of the way down",
+        "last frame of the way down, after 5 frames; leg 3 at 76.95 45 120",
+        "Stop written to leg 3 (command)",
+    ] * 2
+
+
+@pytest.mark.virtual_time
+async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began_it(folder: Path) -> None:
+    robot = recorded(folder, watchdog={"landing_ms": 5000, "repeats": 0})
+    robot.put(LEG_3, START)
+    await asyncio.sleep(6)
+    assert told(folder)[-1].endswith("mode idle")
+    events = [event for event in robot.events() if event.kind in (Kind.LANDING, Kind.WATCHDOG_EXPIRED)]
+    assert [event.incident for event in events] == ["20260921-141320-123-landing"] * 2
+    await asyncio.sleep(3)
+    robot.put(keys.ESTOP)
+    ((first,), _) = incidents(folder)
+    assert first.end_ns - first.zero_ns > 12 * SECOND, "and what follows within the 5 s prolongs it"
 
 
 @pytest.mark.virtual_time
@@ -301,11 +358,12 @@ def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> 
 
 def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
     stop = form.FrameWritten(bytes.fromhex("0e011f020000200200002102 0000"), "watchdog", 45_000, 300_000)
-    found = records((20.001, event("watchdog_expired")), (20.001, BEGUN), (20.0003, stop))
+    way_down = form.FrameWritten(bytes.fromhex("0e011f035a002003000021030000"), "watchdog", 45_000)
+    found = records((19.5, way_down), (20.001, event("watchdog_expired")), (20.001, BEGUN), (20.0003, stop))
     (incident,) = find(found, written=True, now_ns=0)
-    assert incident.zero_ns == 20 * SECOND
+    assert incident.zero_ns == 20 * SECOND, "a landing's frames have no deadline"
     lines = story(list(messages(incident, found)))
-    assert [line.strip() for line in lines[1:]] == [
+    assert [line.strip() for line in lines[3:]] == [
         "0.000 s  watchdog: a sentence (\\x1b[2Janna)",
         "+0.3 ms  Stop written to leg 3 (watchdog), 300 µs after the deadline",
     ], "and no source controls a terminal"
