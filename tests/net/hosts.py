@@ -2,14 +2,16 @@
 
 import json
 import os
+import re
 import signal
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from gateway import certs
 from gateway.client import Client
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord
@@ -139,6 +141,24 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         stop = next(place for place, frame in enumerate(frames) if is_stop(leg)(frame))
         last = max(frame.monotonic_ns for frame in frames[:stop] if is_command(leg)(frame))
         return (frames[stop].monotonic_ns - last) / 1e6 - TIMEOUT_MS
+
+
+@contextmanager
+def with_certificates(
+    network: Network, folder: Path, *names: str, port: int, **more: Any
+) -> Iterator[tuple[RobotHost, list["LaptopHost"]]]:
+    """A robot, and for each of these operators a laptop with a certificate; `more` is RobotHost's. Started once."""
+    certificates = folder / "D"
+    certs.init(certificates, [network.robot_address(number) for number in network.laptops], port=port)
+    with ExitStack() as opened:
+        laptops = []
+        for number, name in enumerate(names):
+            certs.issue(certificates, name, "operator")
+            file = certificates / f"{name}.json5"
+            file.write_text(re.sub(r"lease: \d+", f"lease: {LEASE_MS}", file.read_text()))
+            laptops.append(opened.enter_context(LaptopHost(network, number, zenoh_config=file)))
+        robot = opened.enter_context(RobotHost(network, folder, port=port, certificates=certificates, **more))
+        yield robot, [laptop.ready() for laptop in laptops]
 
 
 def with_observer(certificates: Path, lease_ms: int) -> Path:

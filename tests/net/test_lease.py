@@ -6,21 +6,18 @@ reports by the gateway's clock.
 
 import json
 import os
-import re
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gateway import certs
 from gateway.protocol.frames import decode
 from schemas.robot import LEGS
 from schemas.telemetry import Event, FrameRecord, Kind, Reason
 from tests.net.conftest import Hosts
-from tests.net.hosts import LEASE_MS, LaptopHost, RobotHost, is_command, is_from
+from tests.net.hosts import LaptopHost, RobotHost, is_command, is_from, with_certificates
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.heard import states
@@ -63,29 +60,15 @@ class Scene(Hosts):
 def scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
     """Started once for all tests of this file."""
     folder = tmp_path_factory.mktemp("lease")
-    certificates = folder / "D"
-    certs.init(certificates, [hosts_network.robot_address(number) for number in hosts_network.laptops], port=PORT)
-    files = []
-    for name in ("anna", "bert"):
-        certs.issue(certificates, name, "operator")
-        file = certificates / f"{name}.json5"
-        file.write_text(re.sub(r"lease: \d+", f"lease: {LEASE_MS}", file.read_text()))
-        files.append(file)
     settings: dict[str, dict[str, Any]] = {
         "lease": {"ttl_ms": TTL_MS},
         "telemetry": {"metrics": METRICS},
         "log": {"level": "debug", "format": "json"},
         "recorder": {"path": str(folder / "black box")},
     }
-    with ExitStack() as opened:
-        anna, bert = (
-            opened.enter_context(LaptopHost(hosts_network, number, zenoh_config=file))
-            for number, file in enumerate(files)
-        )
-        robot = opened.enter_context(
-            RobotHost(hosts_network, folder, port=PORT, certificates=certificates, settings=settings)
-        )
-        yield Scene(robot, anna.ready(), bert.ready(), folder / "black box")
+    with with_certificates(hosts_network, folder, "anna", "bert", port=PORT, settings=settings) as (robot, laptops):
+        anna, bert = laptops
+        yield Scene(robot, anna, bert, folder / "black box")
 
 
 @pytest.fixture(autouse=True)

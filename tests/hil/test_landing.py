@@ -1,0 +1,171 @@
+"""A landing on the emulated device, ended by everything that can end one: each frame on the wire is looked at.
+
+The framing is the published firmware's, and a simulated controller, which reads as it does, is given every transfer.
+"""
+
+import errno
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client
+from gateway.protocol.frames import Op
+from gateway.protocol.framing import Framing
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.hil.bed import SpiTestbed
+from tests.hil.wire import LATE_S, Replay
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import events
+from tests.support.way_down import Seen, Way, transferred
+
+pytestmark = pytest.mark.hil
+
+TIMEOUT_MS, LANDING_MS, HZ = 150.0, 500.0, 50.0
+POSE = {31: 30.0, 32: 60.0, 33: 150.0, 41: 20.0, 42: 100.0, 51: 45.0}
+"""Servo 43 holds its angle, and 51 does not run."""
+MIDWAY = 20
+"""Frames: of two legs, so about 200 ms."""
+
+
+class Scene:
+    """A gateway with a landing pose; leg 3 and two servos of leg 4 have been started, and fall silent."""
+
+    def __init__(self, folder: Path, bed: SpiTestbed) -> None:
+        self.bed = bed
+        settings: dict[str, dict[str, Any]] = {
+            "spi": {"framing": Framing.LENGTH_PREFIXED, "resync_ms": 0},
+            "limits": {"leg_rate_hz": HZ},
+            "watchdog": {"timeout_ms": TIMEOUT_MS, "landing_ms": LANDING_MS, "repeats": 0},
+            "watchdog.landing": {str(servo_id): angle for servo_id, angle in POSE.items()},
+        }
+        self.gateway = Gateway(folder, settings, bed=bed)
+        self.way: Way
+        self._since = 0
+
+    def seen(self) -> list[Seen]:
+        """All frames since the servos were started."""
+        return transferred(self.bed.transfers[self._since :])
+
+    def falls_silent(self, client: Client) -> None:
+        """Start them, and wait for the first frame that nobody commanded."""
+        self._since = len(self.bed.transfers)
+        assert client.servo(41, "start", 100).accepted
+        assert client.servo(43, "start", 100).accepted
+        assert client.start_leg(3, 90, 45, 120).accepted
+        started = self.seen()
+        assert len(started) == 3
+        self.way = Way.after(started, 4, POSE, timeout_ms=TIMEOUT_MS, landing_ms=LANDING_MS, hz=HZ)
+        self.wait_for_frames(1)
+
+    def wait_for_frames(self, count: int) -> None:
+        """Wait for so many of the landing."""
+        self.bed.wait_for(lambda found: len(transferred(found[self._since :])) >= 3 + count, LATE_S)
+
+    def wait_for_arrival(self) -> None:
+        """Wait until servo 31 is at its angle of the pose."""
+        there = round(100 * POSE[31])
+        self.bed.wait_for(
+            lambda found: any(
+                (31, there) == (servo_id, op.angle_cdeg)
+                for each in transferred(found[self._since :])
+                for servo_id, op in each.frame.servos
+            ),
+            LATE_S,
+        )
+
+    def check(self, *, whole: bool = False) -> list[Seen]:
+        """Nothing on the wire but the commands, a straight way down, and Stops after it; these."""
+        _, _, _, *after = self.seen()
+        first = next((place for place, each in enumerate(after) if each.frame.is_stop), len(after))
+        self.way.check(after[:first], whole=whole)
+        stops = after[first:]
+        assert {op.op for _, frame in stops for _, op in frame.servos} <= {Op.STOP}
+        return stops
+
+    def check_stopped(self, *, most: int = 1) -> None:
+        """Six Stops end it (or `most` times six); a controller that has read all of it energises nothing."""
+        stops = self.check()
+        assert [each.leg for each in stops] == [*LEGS] * (len(stops) // len(LEGS))
+        assert 1 <= len(stops) // len(LEGS) <= most
+        replay = Replay(Framing.LENGTH_PREFIXED)
+        replay.play(self.bed.transfers)
+        assert replay.energised_for_good() == frozenset()
+        assert not replay.controller.corruptions
+
+    def check_next_command_must_be_a_start(self, client: Client) -> None:
+        assert client.set_leg(3, 90, 45, 120).reason is Reason.SERVO_STOPPED
+        assert client.start_leg(3, 90, 45, 120).accepted
+        assert client.stop().accepted
+
+
+@pytest.fixture
+def scene(tmp_path: Path, spi_testbed: SpiTestbed) -> Scene:
+    """The testbed ends the gateway."""
+    return Scene(tmp_path, spi_testbed)
+
+
+def test_only_what_runs_lands_and_it_gets_six_stops(scene: Scene) -> None:
+    with scene.gateway.client() as client:
+        heard = events(client)
+        scene.falls_silent(client)
+        heard.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED, timeout_s=LATE_S)
+        scene.check_stopped()
+        scene.check(whole=True)
+        assert client.state().mode is Mode.IDLE
+        scene.check_next_command_must_be_a_start(client)
+
+
+def test_an_emergency_stop_ends_it_at_any_instant(scene: Scene) -> None:
+    """Behind its first frame, in the middle, and when it has arrived; there its own Stops may come before."""
+    instants: list[Callable[[], None]] = [
+        lambda: None,
+        lambda: scene.wait_for_frames(MIDWAY),
+        scene.wait_for_arrival,
+    ]
+    with scene.gateway.client() as client:
+        for instant in instants:
+            scene.falls_silent(client)
+            instant()
+            ack = client.estop()
+            assert (ack.accepted, ack.stop_frames) == (True, len(LEGS))
+            scene.check_stopped(most=2 if instant == scene.wait_for_arrival else 1)
+            assert client.state().mode is Mode.ESTOPPED
+            assert client.reset().accepted
+            assert client.state().mode is Mode.IDLE
+        scene.check_next_command_must_be_a_start(client)
+
+
+def test_sigterm_in_the_middle_stops_and_lands_no_further(scene: Scene) -> None:
+    with scene.gateway.client() as client:
+        scene.falls_silent(client)
+        scene.wait_for_frames(MIDWAY)
+        scene.gateway.child.send_signal(signal.SIGTERM)
+        assert scene.gateway.child.wait(LATE_S) == 0
+    scene.check_stopped()
+
+
+def test_after_sigkill_in_the_middle_stop_servos_stops_and_lands_no_further(scene: Scene) -> None:
+    with scene.gateway.client() as client:
+        scene.falls_silent(client)
+        scene.wait_for_frames(MIDWAY)
+        scene.gateway.child.kill()
+    assert not scene.check(), "it had no time to stop anything"
+    child = scene.bed.spawn([*COMMAND, "stop-servos", "--config", str(scene.gateway.config)])
+    assert child.wait(LATE_S) == 0, child
+    scene.check_stopped()
+
+
+def test_a_bus_fault_in_the_middle_ends_it_and_the_bus_that_answers_again_gets_stops(scene: Scene) -> None:
+    with scene.gateway.client() as client:
+        heard = events(client)
+        scene.falls_silent(client)
+        scene.wait_for_frames(MIDWAY)
+        scene.bed.fail(errno.EIO, count=1)
+        heard.wait(lambda event: event.kind == Kind.BUS_RECOVERED, timeout_s=LATE_S)
+        scene.check_stopped()
+        assert not [event for event in heard.all if event.kind == Kind.WATCHDOG_EXPIRED]
+        scene.check_next_command_must_be_a_start(client)
