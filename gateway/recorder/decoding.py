@@ -8,15 +8,16 @@ from typing import Final
 
 from gateway.protocol.frames import Op, ServoOp
 from gateway.recorder import format as form
+from schemas.telemetry import Cause
 
 
-def decode(kind: int, rest: bytes) -> form.Content | None:
-    """What a record of this type says; None: a type of a later version. Raises form.DamagedError."""
+def decode(kind: int, ns: int, rest: bytes) -> form.Content | form.CarriedOut | None:
+    """What a record of this type and time says; None: a type of a later version. Raises form.DamagedError."""
     reader = _READERS.get(kind)
-    if reader is None:
-        return None
     try:
-        return reader(rest)
+        if kind == form.CARRIED_OUT:
+            return _carried_out(ns, rest)
+        return None if reader is None else reader(rest)
     except (struct.error, ValueError, IndexError, RecursionError) as error:
         raise form.DamagedError(str(error)) from error
 
@@ -54,6 +55,15 @@ def _frame(rest: bytes) -> form.FrameWritten:
     return form.FrameWritten(
         rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number
     )
+
+
+def _carried_out(ns: int, rest: bytes) -> form.CarriedOut:
+    after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
+    if length > len(data):
+        raise form.DamagedError(f"a frame of {length} bytes")
+    command = _command(rest[form.CARRIED_OUT_HEAD.size :])
+    frame = form.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number)
+    return form.CarriedOut(command, frame, ns + after_ns)
 
 
 def _event(rest: bytes) -> form.EventTold:

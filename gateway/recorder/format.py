@@ -24,8 +24,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from gateway.protocol.frames import ServoOp
+from schemas.robot import JOINTS
 
-VERSION: Final = 1
+VERSION: Final = 2
 MAGIC: Final = b"hexapod black box\n"
 HEADER_BYTES: Final = 4096
 """A page of its own, so that slots begin on a page."""
@@ -52,7 +53,7 @@ _NEWEST_INCIDENT_AT: Final = 64
 
 # ---- types
 
-START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK = range(1, 12)
+START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT = range(1, 13)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,18 @@ class FrameWritten:
     transfer_ns: int
     late_ns: int = 0
     number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class CarriedOut:
+    """A command and the frame that it was accepted with, whose transfer had ended at `frame_ns`, in one record.
+
+    Its time is the command's arrival. Readers are given it as two records, the command's and the frame's.
+    """
+
+    command: CommandRecord
+    frame: FrameWritten
+    frame_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,10 +261,14 @@ WALL: Final = struct.Struct("<q")
 COMMAND_HEAD: Final = struct.Struct("<IdB")
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
+CARRIED_OUT_HEAD: Final = struct.Struct("<IIB14s")
+"""Of a CarriedOut: from the arrival to the end of the frame's transfer, and how long that took, in ns; the frame's
+length, and the frame. The command follows, as in a record of its own."""
 _UINT32: Final = 0xFFFFFFFF
 EVENT_HEAD: Final = struct.Struct("<I")
 TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
+_OF_A_LEG: Final = len(JOINTS)
 
 STOP_CODE, SET_CODE = 65_535, 20_000
 _OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
@@ -319,6 +336,45 @@ def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: i
         + data
         + (_known.get((cause,)) or _texts(cause))
     )
+
+
+_CARRIED_OUT: Final = struct.Struct(f"<{_HEAD.format[1:]}{CARRIED_OUT_HEAD.format[1:]}{COMMAND_HEAD.format[1:]}BHBHBH")
+_CARRIED_OUT_HEAD_BYTES: Final = _CARRIED_OUT.size - HEAD_BYTES
+_pack_carried_out: Final = _CARRIED_OUT.pack
+
+
+def carried_out(
+    sequence: int,
+    ns: int,
+    number: int,
+    verb: str,
+    key: str,
+    source: str | None,
+    sent_ms: float | None,
+    targets: Sequence[tuple[int, ServoOp]],
+    data: bytes,
+    frame_ns: int,
+    transfer_ns: int,
+) -> bytes | None:
+    """The body of a CarriedOut, for `Ring.put`; None where it needs records of its own, as it does not fit.
+
+    Written out for a leg's three servos: a gait sends nothing else, six times fifty a second.
+    """
+    after_ns = frame_ns - ns
+    texts = _known.get((verb, key, source)) or _texts(verb, key, source)
+    rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(texts)
+    if len(targets) != _OF_A_LEG or rest_bytes > ROOM or not 0 <= after_ns <= _UINT32:
+        return None
+    (first, one), (second, two), (third, three) = targets
+    fixed = _pack_carried_out(
+        HEAD_BYTES + rest_bytes, CARRIED_OUT, 0, sequence, ns,
+        after_ns, transfer_ns & _UINT32, len(data), data,
+        number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, _OF_A_LEG,
+        first, _OF_OP[one.op] + one.angle_cdeg,
+        second, _OF_OP[two.op] + two.angle_cdeg,
+        third, _OF_OP[three.op] + three.angle_cdeg,
+    )  # fmt: skip
+    return fixed + texts
 
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:

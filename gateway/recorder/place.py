@@ -13,8 +13,8 @@ SERVICE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), for commands that systemd did not start."""
 
 RECORDS_PER_FRAME: Final = 4
-"""A setpoint makes two records: the command, and the frame that it was accepted with. Twice as many come in a stream
-above the limit, for commands that are replaced and what becomes of them."""
+"""A setpoint makes one record, or two, where a frame is two transfers: the command, and the frame that it was accepted
+with. Twice as many come in a stream above the limit, for commands that are replaced and what becomes of them."""
 OTHER_RECORDS_PER_S: Final = 100
 MAX_SLOTS: Final = 500_000
 """64 MB of memory. More than 60 s at 1000 frames a second and leg, or 600 s at 125, do not fit in it."""

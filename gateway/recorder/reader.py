@@ -1,7 +1,7 @@
 """Reads a ring that may be written to meanwhile, cut off, damaged or made by somebody else: it trusts nothing.
 
 It holds a copy of the file, never more than `form.file_bytes(place.MAX_SLOTS)`: a mapping would end the reader with
-SIGBUS where somebody makes the file shorter. Besides, it holds some 13 bytes for each record: all of them as objects
+SIGBUS where somebody makes the file shorter. Besides, it holds some 26 bytes for each record: all of them as objects
 would take eight times the file's size, more than the recorder's service may have (docs/blackbox.md).
 """
 
@@ -20,6 +20,7 @@ from gateway.recorder.place import MAX_SLOTS
 from gateway.recorder.ring import written_by_anyone
 
 MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
+_KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
 
 
 class NoRingError(GatewayError):
@@ -105,7 +106,7 @@ def parse(data: bytes) -> tuple[Records, int, int]:
             damaged += 1
     newest = max(sequences)
     ring = _Slots(data, slots)
-    numbers, times_ns, kinds = array("Q"), array("q"), bytearray()
+    numbers, parts, times_ns, kinds = array("Q"), bytearray(), array("q"), bytearray()
     oldest = kept = 0
     # What is more than a round behind was overwritten in part: a slot that was left over says nothing.
     for number in range(max(1, newest - slots + 1), newest + 1):
@@ -113,16 +114,17 @@ def parse(data: bytes) -> tuple[Records, int, int]:
             continue
         oldest, kept = oldest or number, kept + 1
         try:
-            slot, content = ring.decoded(number)
+            kind, found = ring.decoded(number)
         except form.DamagedError:
             damaged += 1
             continue
-        if content is not None:
+        for part, record in enumerate(found):
             numbers.append(number)
-            times_ns.append(slot.ns)
-            kinds.append(slot.kind)
+            parts.append(part)
+            times_ns.append(record.ns)
+            kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
     missing = newest - oldest + 1 - kept if kept else 0
-    return Records(times_ns, kinds, lambda index: ring.record(numbers[index])), damaged, missing
+    return Records(times_ns, kinds, lambda index: ring.record(numbers[index], parts[index])), damaged, missing
 
 
 class _Slots:
@@ -132,28 +134,29 @@ class _Slots:
         self._data = data
         self._slots = slots
 
-    def record(self, number: int) -> form.Record:
+    def record(self, number: int, part: int) -> form.Record:
         """A record that has been decoded before, when it was found."""
-        slot, content = self.decoded(number)
-        if content is None:
-            raise form.DamagedError("it is no record of its own")
-        return form.Record(number, slot.ns, content)
+        return self.decoded(number)[1][part]
 
-    def decoded(self, number: int) -> tuple[form.Slot, form.Content | None]:
-        """A record's own slot and what it says, with what continues it; None: MORE, or a type of a later version.
+    def decoded(self, number: int) -> tuple[int, list[form.Record]]:
+        """A record's type and what it says, with what continues it: a record, or two, if it was CARRIED_OUT.
 
-        Raises DamagedError.
+        None, where it is MORE, or a type of a later version. Raises DamagedError.
         """
         slot = last = self._slot(number)
         if slot.kind == form.MORE:
-            return slot, None
+            return slot.kind, []
         rest = slot.rest
         while last.more:
             last = self._slot(last.sequence + 1)
             if last.kind != form.MORE or len(rest) > form.MAX_TEXT:
                 raise form.DamagedError("a continued record is cut off")
             rest += last.rest
-        return slot, decode(slot.kind, rest)
+        content = decode(slot.kind, slot.ns, rest)
+        if isinstance(content, form.CarriedOut):
+            command = form.Record(number, slot.ns, content.command)
+            return slot.kind, [command, form.Record(number, content.frame_ns, content.frame)]
+        return slot.kind, [] if content is None else [form.Record(number, slot.ns, content)]
 
     def _slot(self, number: int) -> form.Slot:
         slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))

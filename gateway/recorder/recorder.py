@@ -1,8 +1,11 @@
 """What the gateway tells its black box. `NO_RECORDER` takes it all and keeps nothing.
 
 Nothing here is on the way of a Stop: a step's Stops, and the command that asked for them, are recorded once all of
-them are written. Other commands are recorded before their frames, and each of these as soon as it is written, so that
-what was carried out when the process was killed is there.
+them are written. Other frames are recorded as soon as they are written, so that what was carried out when the process
+was killed is there.
+
+A command that is carried out at once is recorded with its frame, where a frame is one transfer of some 50 µs. Where it
+is two, with a pause between them, a process may well be killed before the second; then the command is recorded first.
 
 Who calls owns the gateway's state, as with the supervisor.
 """
@@ -12,11 +15,13 @@ import os
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 from gateway.core.intake import Intent
+from gateway.core.value import value
 from gateway.errors import GatewayError
 from gateway.protocol.frames import Op
+from gateway.protocol.framing import Framing
 from gateway.recorder import format as form
 from gateway.recorder import place
 from gateway.recorder.ring import Ring
@@ -49,11 +54,12 @@ _STOP: Final = Op.STOP
 logger = logging.getLogger(__name__)
 
 
-_Command = tuple[int, int, str, str, str | None, Intent]
-"""When it came, its number, verb, key and source, and what it wants."""
+Held = tuple[int, int, str, str, str | None, Intent]
+"""A command that is to be recorded: when it came, its number, verb, key and source, and what it wants."""
 
 
-class Written(NamedTuple):
+@value
+class Written:
     """A frame that was written: its bytes, why, when its transfer ended, how long that took, and when it was due."""
 
     data: bytes
@@ -72,6 +78,8 @@ class Recorder:
     """The frames that the supervisor's present step has written up to now."""
     told = 0
     """How many of them are recorded."""
+    held: Held | None = None
+    """The command of the present step, if it is not recorded yet."""
 
     def __enter__(self) -> Self:
         return self
@@ -97,7 +105,7 @@ class Recorder:
         """What became of it; number 0: of a message that was not read as a command."""
 
     def frames(self) -> None:
-        """Record the frames of `step` that are not recorded; to be called when no Stop follows in it."""
+        """Record what is not recorded of `step`, and its command; to be called when no Stop follows in it."""
 
     def mode(self, mode: Mode) -> None:
         """The gateway's mode changes."""
@@ -132,7 +140,7 @@ class RingRecorder(Recorder):
         self._ring: Ring | None = None
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
-        self._held: _Command | None = None  # one that stops, until its frames are written
+        self._before = settings.spi.framing is not Framing.PLAIN  # whether a command is recorded before its frame
         self._clock_ns = 0  # when the time that people read was recorded last
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
@@ -161,28 +169,45 @@ class RingRecorder(Recorder):
             self._ring = None
 
     def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
+        if number and not self._before:
+            self.held = ns, number, verb, key, source, intent
+            return
         for target in intent.targets:
             if target[1].op is _STOP:
-                self._held = ns, number, verb, key, source, intent
+                self.held = ns, number, verb, key, source, intent
                 return
         self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
 
     def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
-        if self._held is not None:
+        if self.held is not None:
+            if verdict == ACCEPTED and self.told == len(self.step) - 1 and self._ring is not None:
+                ns, of, verb, _, _, intent = self.held
+                frame = self.step[self.told]
+                body = form.carried_out(
+                    self._ring.sequence, ns, number, verb, key, source, intent.sent_ms, intent.targets,
+                    frame.data, frame.ns, frame.transfer_ns,
+                ) if of == number else None  # fmt: skip
+                if body is not None:
+                    self._ring.put(body)
+                    self.told += 1
+                    self.held = None
+                    return
             self._release()
         if verdict == ACCEPTED and self.told == len(self.step) - 1:
-            data, cause, ns, transfer_ns, _ = self.step[self.told]
+            written = self.step[self.told]
             self.told += 1
-            self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns, 0, number))
+            self._append(
+                form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, 0, number)
+            )
         else:
             self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
 
     def frames(self) -> None:
-        if self._held is not None:
+        if self.held is not None:
             self._release()
-        for data, cause, ns, transfer_ns, deadline_ns in self.step[self.told :]:
-            late_ns = 0 if deadline_ns is None else ns - deadline_ns
-            self._append(form.FRAME, ns, form.frame(data, cause, transfer_ns, late_ns))
+        for written in self.step[self.told :]:
+            late_ns = 0 if written.deadline_ns is None else written.ns - written.deadline_ns
+            self._append(form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, late_ns))
         self.told = len(self.step)
 
     def mode(self, mode: Mode) -> None:
@@ -205,7 +230,7 @@ class RingRecorder(Recorder):
             self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
 
     def mistake(self, detail: str) -> None:
-        if self._held is not None:
+        if self.held is not None:
             self._release()
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
@@ -228,8 +253,8 @@ class RingRecorder(Recorder):
 
     def _release(self) -> None:
         """Record the command that was held, now that its Stops are written."""
-        if self._held is not None:
-            (ns, number, verb, key, source, intent), self._held = self._held, None
+        if self.held is not None:
+            (ns, number, verb, key, source, intent), self.held = self.held, None
             self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
 
     def _wait(self, kind: int, ns: int, rest: bytes) -> None:

@@ -60,13 +60,19 @@ class Ring:
         sequence = self.sequence
         offset = _HEADER + sequence % self._slots * _SLOT
         if len(rest) <= _ROOM:
-            body = pack_head(len(rest) + HEAD_BYTES, kind, 0, sequence, ns) + rest  # `put`, without a call
+            body = pack_head(len(rest) + HEAD_BYTES, kind, 0, sequence, ns) + rest  # `form.put`, without a call
             pack_slot_into(self._map, offset, crc32(body), body)
             self.sequence = sequence + 1
             return
         form.put(self._map, offset, kind, sequence, ns, rest[: form.ROOM], True)
         self.sequence = sequence + 1
         self.append(form.MORE, ns, rest[form.ROOM :])
+
+    def put(self, body: bytes) -> None:
+        """Write a record whose `body` has its head already, with the number `sequence`, and fits."""
+        sequence = self.sequence
+        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
+        self.sequence = sequence + 1
 
     def note_incident(self) -> None:
         """Whoever watches the file shall look: the record written last is an incident."""

@@ -286,7 +286,7 @@ class Conductor:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
                     self._sources.announce(effect, self._clock(), self._tell)
-        if written:
+        if written or self.recorder.held is not None:
             self._teller.frames(written)
         return [frame.cause for frame in written], fault
 

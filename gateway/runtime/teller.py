@@ -39,7 +39,7 @@ class Teller:
 
     def frames(self, written: list[Written]) -> None:
         """Tell the frames of a step, after the last of them was written."""
-        if self._recorder.told < len(written):
+        if self._recorder.told < len(written) or self._recorder.held is not None:
             self._recorder.frames()
         if self._publish_frames:
             for frame in written:

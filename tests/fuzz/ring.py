@@ -22,6 +22,10 @@ from schemas.keys import ESTOP, leg_command
 WALL_NS: Final = 1_790_000_000_000_000_000
 STEP_NS: Final = 100_000_000
 LEG_3: Final = leg_command(3)
+SET_LEG_3: Final = tuple((30 + joint, ServoOp(Op.SET, 90_25)) for joint in (1, 2, 3))
+CARRIED_OUT_BODY: Final = (
+    form.carried_out(1, 0, 8, "put", LEG_3, "anna", 12.5, SET_LEG_3, stop_leg(3).to_bytes(), 80_000, 45_000) or b""
+)
 CONTENTS: Final = (
     (form.START, form.start(WALL_NS, {"pid": 1})),
     (form.END, form.mode("done")),
@@ -31,6 +35,7 @@ CONTENTS: Final = (
     (form.DECISION, form.decision(0, "malformed", LEG_3, "\x1b[2J")),
     (form.FRAME, form.frame(stop_leg(3).to_bytes(), "watchdog", 45_000, 300_000)),
     (form.FRAME, form.frame(stop_leg(3).to_bytes(), "repeat", 45_000)),
+    (form.CARRIED_OUT, CARRIED_OUT_BODY[form.HEAD_BYTES :]),
     (form.MODE, form.mode("estopped")),
     (form.EVENT, form.event("watchdog_expired", None, None, None, "leg 3 was not heard", 0)[: form.ROOM]),
     (form.LAG, form.number(20_000_000)),
@@ -70,9 +75,13 @@ def fuzz_ring(data: bytes) -> str:
     image = ring_of(data)
     records, damaged, missing = reader.parse(image)
     slots = (len(image) - form.HEADER_BYTES) // form.SLOT
-    assert 0 <= len(records) + damaged <= slots
+    assert 0 <= len({record.sequence for record in records}) + damaged <= slots
     assert 0 <= missing <= slots
-    assert all(earlier.sequence < later.sequence for earlier, later in pairwise(records))
+    assert all(
+        earlier.sequence < later.sequence
+        or (isinstance(earlier.content, form.CommandRecord) and earlier.ns <= later.ns)
+        for earlier, later in pairwise(records)
+    ), "only a command and its frame have one number"
     found = find(records, written=bool(data[1] & 1), now_ns=30 * 1_000_000_000)
     for incident in found:
         assert is_id(incident.name)

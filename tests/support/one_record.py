@@ -20,12 +20,20 @@ def writers(folder: Path) -> dict[str, Callable[[], None]]:
     recorder.open()
     intent = Intent(tuple((31 + joint, ServoOp(Op.SET, 90_00)) for joint in range(3)), "anna", 12.0)
 
+    key = leg_command(3)
+
     def frame() -> None:
         recorder.step, recorder.told = [Written(b"\x0e" * 14, Cause.COMMAND, 5, 45_000)], 0
         recorder.frames()
 
+    def setpoint() -> None:
+        recorder.command(1, "put", key, "anna", intent, 5_000_000)
+        recorder.step, recorder.told = [Written(b"\x0e" * 14, Cause.COMMAND, 5_100_000, 45_000)], 0
+        recorder.decided(1, "accepted", key, "anna")
+
     return {
-        "command": lambda: recorder.command(1, "put", leg_command(3), "anna", intent, 5_000_000),
-        "decision": lambda: recorder.decided(1, "accepted", leg_command(3), "anna"),
+        "setpoint with its frame": setpoint,
+        "command": lambda: recorder.command(0, "put", key, "anna", intent, 5_000_000),
+        "decision": lambda: recorder.decided(1, "estopped", key, "anna"),
         "frame": frame,
     }

@@ -12,6 +12,7 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.protocol.frames import Op, ServoOp, decode
+from gateway.protocol.framing import Framing
 from gateway.recorder import format as form
 from gateway.recorder import place, reader
 from gateway.recorder.recorder import RingRecorder, incident_id
@@ -96,21 +97,81 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
 
 
 @pytest.mark.virtual_time
+@pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("only_stops", [True, False])
 async def test_nothing_is_recorded_between_a_stop_and_its_frame(
-    folder: Path, only_stops: bool, monkeypatch: pytest.MonkeyPatch
+    folder: Path, framing: Framing, only_stops: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A move is recorded first: it is there if the process is killed within its transfer."""
-    robot = recorded(folder)
+    """Where a frame takes two transfers, a move is recorded first: the process may be killed between them."""
+    robot = recorded(folder, spi={"framing": framing})
+    await asyncio.sleep(1)  # the repeats of the start's Stops, with their preambles
     there: list[list[Any]] = []
     monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
     before = len(contents(folder))
     robot.put(LEG_3, leg("stop") if only_stops else leg("start", 1, 1, 1))
-    ((*_, last),) = there
-    assert isinstance(last, form.CommandRecord) is not only_stops
-    assert len(there[0]) == before + (not only_stops)
+    first = not only_stops and framing is Framing.LENGTH_PREFIXED
+    assert [isinstance(found[-1], form.CommandRecord) for found in there] == [first] * len(there)
+    assert {len(found) for found in there} == {before + first}
     after = {type(found) for found in contents(folder)[before:]}
     assert after - {form.ModeChange} == {form.CommandRecord, form.FrameWritten}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("framing", Framing)
+async def test_a_setpoint_is_one_record_where_a_frame_is_one_transfer(folder: Path, framing: Framing) -> None:
+    robot = recorded(folder, spi={"framing": framing}, watchdog={"repeats": 0})
+    robot.put(LEG_3, START)
+    before = reader.read(folder / place.RING).records
+    for angle in (0.01, 90, 180):
+        await asyncio.sleep(0.1)
+        robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
+    records = reader.read(folder / place.RING).records[len(before) :]
+    kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
+    assert kinds == [form.CommandRecord, form.FrameWritten] * 3
+    one = 1 if framing is Framing.PLAIN else 2
+    assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3 * one
+    for command, frame in zip(records[::2], records[1::2], strict=True):
+        assert isinstance(command.content, form.CommandRecord)
+        assert isinstance(frame.content, form.FrameWritten)
+        assert decode(frame.content.data).servos == command.content.targets
+        assert frame.ns > command.ns
+        assert (frame.content.number, frame.content.cause) == (command.content.number, Cause.COMMAND)
+
+
+@pytest.mark.virtual_time
+async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
+    robot = recorded(folder)
+    await asyncio.sleep(6)
+    before = len(contents(folder))
+    long = leg("start", 90, 45, 120, source="ä" * 64)
+    robot.put(LEG_3, long)
+    robot.put(keys.servo_command(41), {"op": "start", "angle_deg": 12.34}, received_ns=0)
+    robot.put(keys.leg_command(5), START, received_ns=robot.now_ns() - 5_000_000_000)
+    found = [each for each in contents(folder)[before:] if not isinstance(each, form.ModeChange)]
+    assert [type(each) for each in found] == [form.CommandRecord, form.FrameWritten] * 3
+    assert found[0].source == "ä" * 64
+    assert [frame.number for frame in found[1::2]] == [1, 2, 3]
+
+
+@pytest.mark.virtual_time
+async def test_what_waits_is_recorded_at_once(folder: Path) -> None:
+    """Its frame may come much later, or never."""
+    robot = recorded(folder)
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    robot.put(LEG_3, leg("start", 91, 91, 91))
+    assert contents(folder, form.CommandRecord)[-1].number == 2
+    await asyncio.sleep(0.1)
+    assert [frame.number for frame in contents(folder, form.FrameWritten) if frame.number] == [1, 2]
+
+
+@pytest.mark.virtual_time
+async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = recorded(folder)
+    monkeypatch.setattr(robot.controller, "transfer", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        robot.put(LEG_3, START)
+    robot.conductor.recorder.mistake("a mistake in the gateway ended it")
+    assert contents(folder, form.CommandRecord)[-1].source == "anna"
 
 
 @pytest.mark.virtual_time
@@ -230,7 +291,7 @@ def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypat
     assert place.prepare(tmp_path / "one") == one
 
 
-MOST_CALLS = {"command": 17, "decision": 18, "frame": 18}
+MOST_CALLS = {"setpoint with its frame": 15, "command": 17, "decision": 18, "frame": 18}
 """How many calls a record may take, C functions included. That is under 3 µs (`python -m tests.benchmarks`)."""
 
 

@@ -134,7 +134,7 @@ def test_every_byte_counts(path: Path) -> None:
         (b"short", "it has no header"),
         (form.header(40).ljust(form.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
         (form.header(50), "it has 4096 bytes, and its header says 50 records"),
-        (form.header(50).replace(b"\n\x01", b"\n\x02").ljust(form.file_bytes(50), b"\0"), "it has version 2"),
+        (form.header(50).replace(b"\n\x02", b"\n\x01").ljust(form.file_bytes(50), b"\0"), "it has version 1"),
     ],
 )
 def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str) -> None:
@@ -203,3 +203,45 @@ def test_what_is_left_of_an_older_round_or_in_a_wrong_place_says_nothing(path: P
     records, damaged, missing = reader.parse(bytes(data))
     assert [record.sequence for record in records] == [each for each in range(71, 121) if each not in (110, 111)]
     assert (damaged, missing) == (1, 2)
+
+
+@pytest.mark.parametrize("source", [None, "anna", "ä" * 18])
+@pytest.mark.parametrize("sent_ms", [None, 0.0, 1e9])
+@pytest.mark.parametrize("after_ns", [0, 80_000, 2**32 - 1])
+def test_a_setpoint_reads_as_the_two_records_that_it_stands_for(
+    path: Path, source: str | None, sent_ms: float | None, after_ns: int
+) -> None:
+    targets = ((31, ServoOp(Op.START, 0)), (32, STOP), (33, ServoOp(Op.SET, 180_00)))
+    said = ("put", "hexapod/leg/3/cmd", source, sent_ms, targets)
+    ring = Ring(path, 50)
+    body = form.carried_out(ring.sequence, 1000, 7, *said, FRAME, 1000 + after_ns, 45_000)
+    assert body is not None
+    ring.put(body)
+    ring.append(form.MODE, 0, form.mode("idle"))
+    ring.close()
+    command, frame, mode = reader.read(path).records
+    assert command == form.Record(1, 1000, form.CommandRecord(7, *said))
+    assert frame == form.Record(1, 1000 + after_ns, form.FrameWritten(FRAME, "command", 45_000, 0, 7))
+    assert mode.sequence == 2
+
+
+def test_what_a_setpoints_record_cannot_hold_is_for_others() -> None:
+    targets = ((31, STOP), (32, STOP), (33, STOP))
+    assert form.carried_out(1, 0, 7, "put", "k", "ä" * 40, None, targets, FRAME, 5, 5) is None
+    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets[:2], FRAME, 5, 5) is None
+    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets, FRAME, 2**32, 5) is None
+    assert form.carried_out(1, 6, 7, "put", "k", None, None, targets, FRAME, 5, 5) is None
+
+
+def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
+    targets = ((31, STOP), (32, STOP), (33, STOP))
+    body = form.carried_out(1, 0, 7, "put", "k", "anna", None, targets, FRAME, 5, 5)
+    assert body is not None
+    rest = body[form.HEAD_BYTES :]
+    bad = [rest[:length] for length in range(len(rest))]
+    bad += [rest[:8] + bytes((15,)) + rest[9:], rest[:-1] + b"\xff"]
+    for each in bad:
+        image = bytearray(form.header(5).ljust(form.file_bytes(5), b"\0"))
+        form.put(image, form.HEADER_BYTES + form.SLOT, form.CARRIED_OUT, 1, 0, each)
+        records, damaged, missing = reader.parse(bytes(image))
+        assert (len(records), damaged, missing) == (0, 1, 0)
