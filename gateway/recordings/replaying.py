@@ -8,8 +8,7 @@ Frames of several legs that one message caused are sent as one message again: no
 messages that arrive in one instant.
 """
 
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, Final, NamedTuple
@@ -24,6 +23,7 @@ TOGETHER_NS: Final = 2 * NS_PER_MS
 """Six frames of one message are on the wire within a millisecond; two messages of a gait are 20 ms apart."""
 APART_NS: Final = NS_PER_MS
 """Messages on different keys are sent at least so far apart, so that the gateway sees them in this order."""
+NO_STEP: Final = -1
 MAX_PAUSE_NS: Final = 3600 * 1000 * NS_PER_MS
 """A step of the clock, forward or back, is a restart of the machine; nobody waits for an hour."""
 
@@ -36,6 +36,9 @@ class Written(NamedTuple):
     at_ns: int
     data: bytes
     commanded: bool = True
+    step: int = NO_STEP
+    """Of an expected frame: the place of the step that causes it. What the gateway does by itself follows from the last
+    step of that leg: so long after it comes the watchdog's Stop, or a Stop's repeat."""
 
 
 class Step(NamedTuple):
@@ -43,6 +46,8 @@ class Step(NamedTuple):
 
     at_ns: int
     frames: tuple[Frame, ...]
+    recorded_ns: int
+    """When the first of the frames was written; `at_ns` is later where messages must be kept apart."""
 
     @property
     def key(self) -> str:
@@ -90,6 +95,7 @@ def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) ->
     over = False
     together: list[Frame] = []
     together_ns = 0
+    steps: dict[int, int] = {}  # of each leg the last one
     for record in records:
         if begun_ns is None:
             if record["cause"] != Cause.COMMAND:  # the Stops of the gateway's start, or of what was before
@@ -103,9 +109,9 @@ def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) ->
             continue
         last_ns = at_ns
         frame = legs.follow(frame, at_ns)
-        commanded = record["cause"] not in own
-        found.expected.append(Written(at_ns, frame.to_bytes(), commanded))
-        if not commanded:
+        leg = frame.servos[0][0] // 10
+        if record["cause"] in own:
+            found.expected.append(Written(at_ns, frame.to_bytes(), commanded=False, step=steps.get(leg, NO_STEP)))
             continue
         if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
             _add(found.steps, together_ns, together)
@@ -113,6 +119,8 @@ def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) ->
         if not together:
             together_ns = at_ns
         together.append(frame)
+        steps[leg] = len(found.steps)
+        found.expected.append(Written(at_ns, frame.to_bytes(), step=steps[leg]))
     if together:
         _add(found.steps, together_ns, together)
     found.begun_running, found.longest_gap_ns = legs.begun_running, legs.longest_gap_ns
@@ -134,7 +142,7 @@ def _one_message(before: Frame, frame: Frame) -> bool:
 
 
 def _add(steps: list[Step], at_ns: int, frames: Sequence[Frame]) -> None:
-    step = Step(at_ns, tuple(frames))
+    step = Step(at_ns, tuple(frames), at_ns)
     if steps and steps[-1].key != step.key:
         step = step._replace(at_ns=max(at_ns, steps[-1].at_ns + APART_NS))
     steps.append(step)
@@ -184,14 +192,11 @@ def _servo(command: ServoOp) -> dict[str, Any]:
 # ---- did it write the same?
 
 
-def delayed(frames: Iterable[Written], delays: Sequence[tuple[int, int]]) -> Iterator[Written]:
-    """The frames, as late as the sender was: `delays` has from when, in the recording's time, and by how much more."""
-    left = deque(delays)
-    delay_ns = 0
-    for frame in frames:
-        while left and frame.at_ns >= left[0][0]:
-            delay_ns += left.popleft()[1]
-        yield frame._replace(at_ns=frame.at_ns + delay_ns)
+class Sent(NamedTuple):
+    """When a step was handed to Zenoh: not before the one time and not after the other. On the plan's clock."""
+
+    begun_ns: int
+    done_ns: int
 
 
 class Comparison(NamedTuple):
@@ -205,15 +210,19 @@ class Comparison(NamedTuple):
     """Commands' frames that another leg's frame overtook. The gateway's own are as punctual as its timers."""
     worst_ms: float
     p99_ms: float
-    """How far a frame's time is from its own, the start of the replay being where most frames fit."""
+    """How far frames are from their time, the way from here to the wire being that of most frames.
+
+    A frame's time is counted from when its command was sent. So a sender that is late is not taken for a late gateway.
+    """
 
     def passes(self, tolerance_ms: float) -> bool:
         """Same bytes, same order, times within the tolerance."""
         return not self.differences and self.swapped == 0 and self.worst_ms <= tolerance_ms
 
 
-def compare(expected: Sequence[Written], written: Sequence[Written]) -> Comparison:
+def compare(plan: Plan, sent: Sequence[Sent], written: Sequence[Written]) -> Comparison:
     """Leg by leg, what commands caused and what the gateway did by itself; then the order of the commands' frames."""
+    expected = plan.expected
     wanted, found = _sorted_out(expected), _sorted_out(written)
     differences: list[str] = []
     pairs: list[tuple[int, int]] = []
@@ -236,11 +245,20 @@ def compare(expected: Sequence[Written], written: Sequence[Written]) -> Comparis
         if expected[want].commanded:
             swapped += have < newest
             newest = max(newest, have)
-    offsets_ns = [written[have].at_ns - expected[want].at_ns for want, have in pairs]
-    middle_ns = median(offsets_ns) if offsets_ns else 0
-    away_ms = sorted(abs(offset - middle_ns) / NS_PER_MS for offset in offsets_ns)
+    took = [_took(plan, sent, expected[want], written[have]) for want, have in pairs]
+    usual_ns = median(least_ns for least_ns, _ in took) if took else 0
+    away_ms = sorted(max(0, least_ns - usual_ns, usual_ns - most_ns) / NS_PER_MS for least_ns, most_ns in took)
     worst_ms, p99_ms = (away_ms[-1], away_ms[len(away_ms) * 99 // 100]) if away_ms else (0.0, 0.0)
     return Comparison(len(expected), differences, swapped, worst_ms, p99_ms)
+
+
+def _took(plan: Plan, sent: Sequence[Sent], expected: Written, written: Written) -> tuple[int, int]:
+    """How much longer than in the recording it took from here to the wire, at least and at most, but for a constant."""
+    after_ns = written.at_ns - expected.at_ns
+    if not 0 <= expected.step < len(sent):
+        return after_ns, after_ns
+    recorded_ns, step = plan.steps[expected.step].recorded_ns, sent[expected.step]
+    return after_ns - (step.done_ns - recorded_ns), after_ns - (step.begun_ns - recorded_ns)
 
 
 _OfLeg = tuple[int, bool]

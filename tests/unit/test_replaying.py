@@ -1,6 +1,7 @@
 """What is sent for recorded frames, and whether two lists of frames are the same."""
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,7 +10,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.recordings import Recording
-from gateway.recordings.replaying import APART_NS, NS_PER_MS, Written, compare, delayed, plan
+from gateway.recordings.replaying import APART_NS, NS_PER_MS, Sent, Written, compare, plan
 from gateway.tools.replay import _ask, _frames
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
 from schemas.keys import FRAME, STATE
@@ -112,68 +113,99 @@ def test_frames_of_another_protocol_are_left_out() -> None:
 
 # ---- comparing
 
-GAIT: Final = [
-    Written((20 * step + number) * NS_PER_MS, leg(number, deg=90 + step).to_bytes())
-    for step in range(50)
-    for number in LEGS
-]
+GAIT: Final = plan(
+    [record(20 * step + 0.1 * number, leg(number, deg=90 + step)) for step in range(50) for number in LEGS]
+)
+PUNCTUAL: Final = [Sent(step.at_ns, step.at_ns) for step in GAIT.steps]
 
 
-def shifted(frames: list[Written], ns: int) -> list[Written]:
-    return [Written(frame.at_ns + ns, frame.data) for frame in frames]
+def shifted(frames: Sequence[Written], ns: int) -> list[Written]:
+    return [frame._replace(at_ns=frame.at_ns + ns) for frame in frames]
 
 
 def test_the_same_frames_are_the_same_whenever_they_began() -> None:
-    found = compare(GAIT, shifted(GAIT, 10**12))
+    found = compare(GAIT, PUNCTUAL, shifted(GAIT.expected, 10**12))
     assert found.passes(0)
     assert found.frames == 300
 
 
 def test_a_frame_that_comes_late_is_told() -> None:
-    late = shifted(GAIT, 5)
-    late[100] = Written(late[100].at_ns + 900_000, late[100].data)
-    found = compare(GAIT, late)
+    late = shifted(GAIT.expected, 5)
+    late[100:101] = shifted(late[100:101], 900_000)
+    found = compare(GAIT, PUNCTUAL, late)
     assert found.worst_ms == pytest.approx(0.9)
     assert found.passes(1)
     assert not found.passes(0.8)
 
 
 def test_other_bytes_are_told() -> None:
-    other = list(GAIT)
-    other[12] = Written(other[12].at_ns, leg(1, deg=10).to_bytes())
-    found = compare(GAIT, other)
+    other = list(GAIT.expected)
+    other[12] = other[12]._replace(data=leg(1, deg=10).to_bytes())
+    found = compare(GAIT, PUNCTUAL, other)
     assert not found.passes(5)
-    assert "leg 1: 2 frames are the same; at 0.041 s 0e010b030a00" in found.differences[0]
+    assert "leg 1: 2 frames are the same; at 0.040 s 0e010b030a00" in found.differences[0]
 
 
 def test_a_missing_frame_is_told() -> None:
-    found = compare(GAIT, GAIT[:-1])
+    found = compare(GAIT, PUNCTUAL, GAIT.expected[:-1])
     assert "leg 6: 49 frames are the same; 1 are missing" in found.differences[0]
-    assert compare(GAIT[:-1], GAIT).differences[0].endswith("1 frames are too many")
-    assert not compare(GAIT, []).passes(5)
+    longer = [*GAIT.expected, Written(10**9, leg(6).to_bytes())]
+    assert compare(GAIT, PUNCTUAL, longer).differences[0].endswith("1 frames are too many")
+    assert not compare(GAIT, PUNCTUAL, []).passes(5)
 
 
 def test_legs_in_another_order_are_told() -> None:
-    other = [*GAIT[:6], GAIT[7], GAIT[6], *GAIT[8:]]
-    found = compare(GAIT, other)
+    frames = GAIT.expected
+    found = compare(GAIT, PUNCTUAL, [*frames[:6], frames[7], frames[6], *frames[8:]])
     assert not found.differences
     assert found.swapped == 1
     assert not found.passes(5)
 
 
 def test_the_gateways_own_frames_may_come_before_or_after_those_of_other_legs() -> None:
-    repeat = Written(21 * NS_PER_MS, stop_leg(6).to_bytes(), commanded=False)
-    expected = [*GAIT[:5], GAIT[6], repeat]
-    assert compare(expected, [*GAIT[:5], repeat, GAIT[6]]).swapped == 0
+    first = [record(0.1 * number, leg(number)) for number in LEGS]
+    expected = plan([*first[:5], record(0.55, stop_leg(3), Cause.REPEAT), first[5]])
+    *frames, repeat, last = expected.expected
+    assert (repeat.commanded, last.commanded) == (False, True)
+    assert compare(expected, PUNCTUAL[:1], [*frames, last, repeat]).swapped == 0
 
 
-def test_a_sender_that_was_late_is_expected_to_be_late_from_then_on() -> None:
-    delays = [(100 * NS_PER_MS, 30 * NS_PER_MS), (200 * NS_PER_MS, 5 * NS_PER_MS)]
-    late = list(delayed(GAIT, delays))
-    moved_ms = {(after.at_ns - before.at_ns) // NS_PER_MS for before, after in zip(GAIT, late, strict=True)}
-    assert moved_ms == {0, 30, 35}
-    assert compare(late, shifted(late, 7)).passes(0)
-    assert not compare(GAIT, late).passes(5)
+def test_a_command_that_was_sent_late_is_expected_late() -> None:
+    sent = list(PUNCTUAL)
+    sent[10] = Sent(*(at_ns + 3_000_000 for at_ns in sent[10]))
+    late = [*GAIT.expected[:60], *shifted(GAIT.expected[60:66], 3_000_000), *GAIT.expected[66:]]
+    assert compare(GAIT, sent, shifted(late, 7)).passes(0)
+    assert compare(GAIT, PUNCTUAL, late).worst_ms == pytest.approx(3)
+    assert compare(GAIT, sent, GAIT.expected).worst_ms == pytest.approx(3), "it cannot be written before it was sent"
+
+
+def test_within_the_time_that_sending_took_nobody_knows_when_it_left() -> None:
+    sent = list(PUNCTUAL)
+    sent[10] = sent[10]._replace(done_ns=sent[10].done_ns + 4_000_000)
+    for after_ns in (0, 2_000_000, 4_000_000):
+        frames = [*GAIT.expected[:60], *shifted(GAIT.expected[60:66], after_ns), *GAIT.expected[66:]]
+        assert compare(GAIT, sent, frames).passes(0)
+    frames = [*GAIT.expected[:60], *shifted(GAIT.expected[60:66], 4_500_000), *GAIT.expected[66:]]
+    assert compare(GAIT, sent, frames).worst_ms == pytest.approx(0.5)
+
+
+def test_what_the_gateway_does_by_itself_is_expected_so_long_after_the_legs_last_command() -> None:
+    others = [record(20.0 * step, leg(2)) for step in range(1, 12)]
+    own = [record(250, stop_leg(1), Cause.WATCHDOG), record(270, stop_leg(1), Cause.REPEAT)]
+    expected = plan([record(0, leg(1)), *others, *own])
+    late_ns = 2_000_000
+    sent = [Sent(step.at_ns, step.at_ns) for step in expected.steps]
+    sent[0] = Sent(late_ns, late_ns)
+    written = [frame._replace(at_ns=frame.at_ns + late_ns * (frame.data[2] == 11)) for frame in expected.expected]
+    assert [frame.commanded for frame in written].count(False) == 2
+    assert compare(expected, sent, written).passes(0)
+
+
+def test_what_is_sent_apart_from_what_it_was_written_with_is_expected_apart() -> None:
+    expected = plan([record(0, leg(4)), record(0.2, OneServo(61, ServoOp(Op.START, 0)))])
+    sent = [Sent(step.at_ns, step.at_ns) for step in expected.steps]
+    written = [expected.expected[0], expected.expected[1]._replace(at_ns=APART_NS)]
+    assert compare(expected, sent, written).passes(0)
 
 
 def test_frames_of_a_calibrated_robot_are_not_sent(tmp_path: Path) -> None:

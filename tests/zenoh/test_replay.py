@@ -73,6 +73,7 @@ def test_the_simulated_gateway_writes_the_same_frames_again(gateway: Gateway, re
     assert found is not None
     assert found[1] == found[2]
     assert int(found[1]) > 300
+    assert re.search(r"counted from when each command was sent: this machine was at most [\d.]+ ms late", again.stderr)
 
 
 def test_a_gateway_that_differs_is_told(tmp_path: Path, recorded: Path) -> None:
@@ -84,7 +85,7 @@ def test_a_gateway_that_differs_is_told(tmp_path: Path, recorded: Path) -> None:
         differs = other.run("replay", str(recorded), "--check", "--tolerance", str(TOLERANCE_MS), timeout_s=40)
         assert differs.returncode == 1, str(differs)
         assert "NOT the same" in differs.stdout
-        assert "leg 1: " in differs.stdout
+        assert "leg 1, of its own: " in differs.stdout
 
 
 def test_a_rejection_ends_it_with_all_legs_stopped(tmp_path: Path, recorded: Path) -> None:
