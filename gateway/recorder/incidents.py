@@ -48,7 +48,11 @@ class Incident:
 
     @property
     def zero_wall_ns(self) -> int:
-        return self.zero_ns + self.wall_offset_ns
+        return self.wall_ns(self.zero_ns)
+
+    def wall_ns(self, ns: int) -> int:
+        """The time that people read at `ns`, since 1970: a machine without a clock begins there, and files with it."""
+        return max(0, ns + self.wall_offset_ns)
 
 
 def is_id(name: str) -> bool:

@@ -54,8 +54,7 @@ def kept(folder: Path) -> list[Kept]:
 
 def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> None:
     """Write an incident to a file. Raises OSError; FileExistsError unless `overwrite`."""
-    begin_ns = incident.begin_ns + incident.wall_offset_ns
-    with Recording(path, overwrite=overwrite, time_ns=begin_ns) as recording:
+    with Recording(path, overwrite=overwrite, time_ns=incident.wall_ns(incident.begin_ns)) as recording:
         for topic, model in _CHANNELS.items():
             recording.declare(topic, model.__name__, _schema(model))
         for message in messages(incident, records):

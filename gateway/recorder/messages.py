@@ -81,17 +81,15 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
     for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
         record = records[taken[place]]
         if killed_ns is not None and record.ns > killed_ns:
-            yield _killed(killed_ns + incident.wall_offset_ns)
+            yield _killed(incident.wall_ns(killed_ns))
             killed_ns = None
-        topic_and_report = _message(
-            record, decisions.of(place), incident.wall_offset_ns, is_told=decisions.is_told(place)
-        )
+        wall_ns = incident.wall_ns(record.ns)
+        topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
         if topic_and_report is not None:
             topic, report = topic_and_report
-            wall_ns = record.ns + incident.wall_offset_ns
             yield Message(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
     if killed_ns is not None:
-        yield _killed(killed_ns + incident.wall_offset_ns)
+        yield _killed(incident.wall_ns(killed_ns))
 
 
 class _Decisions:
@@ -127,9 +125,8 @@ def _killed(wall_ns: int) -> Message:
 
 
 def _message(
-    record: form.Record, decided: form.Record | None, offset_ns: int, *, is_told: bool
+    record: form.Record, decided: form.Record | None, time: datetime, *, is_told: bool
 ) -> tuple[str, Report] | None:
-    time = _time(record.ns + offset_ns)
     match record.content:
         case form.CommandRecord() as command:
             return _topic(command.key), CommandInBox(

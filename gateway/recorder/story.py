@@ -71,6 +71,8 @@ def story(messages: list[Message]) -> list[str]:
 
 def _visible(line: str) -> str:
     """A sender's text must not control the terminal."""
+    if line.isprintable():
+        return line
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in line)
 
 

@@ -27,6 +27,8 @@ from schemas.telemetry import Event, FrameRecord, GatewayState
 CHUNK_BYTES: Final = 16 * 1024
 FLUSH_NS: Final = 500_000_000
 """A chunk that does not fill up is written after half a second all the same, once the next message comes."""
+MAX_TIME_NS: Final = 2**64 - 1
+"""The last one that MCAP can write, in the year 2554; the first is 1970."""
 LIBRARY_NAME: Final = "hexapod-gateway"
 LIBRARY: Final = f"{LIBRARY_NAME} {__version__}"
 JSON_ENCODING: Final = "json"
@@ -113,9 +115,10 @@ class Recording:
 
 
 def published_ns(report: Mapping[str, Any]) -> int | None:
-    """When the gateway said so, by its wall clock; None where it does not say."""
+    """When the gateway said so, by its wall clock; None where it does not say, or no file can."""
     with suppress(KeyError, TypeError, ValueError, OverflowError):
-        return int(datetime.fromisoformat(report["time"]).timestamp() * 1_000_000) * 1000
+        published = int(datetime.fromisoformat(report["time"]).timestamp() * 1_000_000) * 1000
+        return published if 0 <= published <= MAX_TIME_NS else None
     return None
 
 

@@ -1,114 +1,290 @@
-"""The black box's reader and exporter on rings that no gateway wrote: a ring is made of the input's bytes.
+"""The black box on rings that no gateway wrote, in four steps: reading, incidents, their files, and the ring's file.
 
-Byte 1 picks the number of slots, byte 2 whether a gateway writes to it now, and whether an incident is exported, which
-is slow. Then records: flags, type, slot, two bytes of time, length, content.
+For each: nothing but the errors that it says, and what comes of an input of these bytes takes no more steps and no more
+memory than inputs of its size may.
 """
 
 import json
+import os
+import sys
 import tempfile
-from itertools import pairwise
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from types import FrameType
+from typing import IO, Any, Final, NamedTuple, TypeVar
+from zlib import crc32
 
-from gateway.protocol.frames import STOP, Op, ServoOp, stop_leg
+from mcap.reader import make_reader
+
 from gateway.recorder import format as form
 from gateway.recorder import kept, reader
-from gateway.recorder.incidents import find, is_id
-from gateway.recorder.messages import messages
+from gateway.recorder.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
+from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, messages
+from gateway.recorder.ring import Ring, written_by_anyone
 from gateway.recorder.story import story
-from gateway.recordings import read
-from schemas.keys import ESTOP, leg_command
-
-WALL_NS: Final = 1_790_000_000_000_000_000
-STEP_NS: Final = 100_000_000
-LEG_3: Final = leg_command(3)
-SET_LEG_3: Final = tuple((30 + joint, ServoOp(Op.SET, 90_25)) for joint in (1, 2, 3))
-CARRIED_OUT_BODY: Final = (
-    form.carried_out(1, 0, 8, "put", LEG_3, "anna", 12.5, SET_LEG_3, stop_leg(3).to_bytes(), 80_000, 45_000) or b""
-)
-CONTENTS: Final = (
-    (form.START, form.start(WALL_NS, {"pid": 1})),
-    (form.END, form.mode("done")),
-    (form.COMMAND, form.command(7, "put", LEG_3, "anna", 12.5, ((31, ServoOp(Op.SET, 90_25)), (32, STOP)))),
-    (form.COMMAND, form.command(0, "get", ESTOP, None, None, ())),
-    (form.DECISION, form.decision(7, "accepted", LEG_3, "anna")),
-    (form.DECISION, form.decision(0, "malformed", LEG_3, "\x1b[2J")),
-    (form.FRAME, form.frame(stop_leg(3).to_bytes(), "watchdog", 45_000, 300_000)),
-    (form.FRAME, form.frame(stop_leg(3).to_bytes(), "repeat", 45_000)),
-    (form.CARRIED_OUT, CARRIED_OUT_BODY[form.HEAD_BYTES :]),
-    (form.MODE, form.mode("estopped")),
-    (form.EVENT, form.event("watchdog_expired", None, None, None, "leg 3 was not heard", 0)[: form.ROOM]),
-    (form.LAG, form.number(20_000_000)),
-    (form.CLOCK, form.number(WALL_NS)),
-    (form.INCIDENT, form.incident(WALL_NS, "20260921-141320-123-watchdog")),
-    (form.INCIDENT, form.incident(WALL_NS, "20260921-141321-123-estop")),
-)
-"""What a gateway writes; the other half of the records has content of the fuzzer's own."""
-EXPORT: Final = 14
-GOOD_CHECKSUM, OWN_CONTENT, MORE, NEAR = 1, 2, 4, 8
+from gateway.recordings import REPORTS, Message, read
+from tests.fuzz import ring_reference
+from tests.fuzz.ring_image import image_of
 
 
-def ring_of(data: bytes) -> bytes:
-    """A ring's file."""
-    slots = 1 + data[0] % 40
-    image = bytearray(form.header(slots).ljust(form.file_bytes(slots), b"\0"))
-    position, sequence, ns = 2, 0, 20 * 1_000_000_000
-    while position + 6 <= len(data):
-        flags, kind, slot, high, low, length = data[position : position + 6]
-        rest = data[position + 6 : position + 6 + length % (form.ROOM + 1)]
-        position += 6 + len(rest)
-        sequence = sequence + 1 if flags & NEAR else slot
-        ns = ns + low * STEP_NS // 10 if flags & NEAR else (high << 56) + low * STEP_NS
-        if not flags & OWN_CONTENT:
-            kind, rest = CONTENTS[kind % len(CONTENTS)]
-        offset = form.HEADER_BYTES + sequence % slots * form.SLOT
-        form.put(image, offset, kind, sequence, min(ns, 2**63 - 1), rest, bool(flags & MORE))
-        if not flags & GOOD_CHECKSUM:
-            image[offset] ^= 1
-    return bytes(image)
+class Bounds(NamedTuple):
+    """For each byte of an input: lines of the recorder's Python code, and bytes of memory."""
+
+    steps: int
+    memory: int
+
+
+STEPS: Final = 4_000
+MEMORY: Final = 60_000
+"""Of an input without bytes."""
+READING: Final = Bounds(steps=1, memory=8)
+TELLING: Final = Bounds(steps=60, memory=20)
+"""Unprintable text takes the most: a name is in the lines of six legs, and each of its characters is looked at. Large
+rings, where the memory matters, are in tests/unit/test_ring_hostile.py."""
+COUNTED: Final = 64
+"""One input in so many is counted: it then takes twenty times as long."""
+FEW_SLOTS: Final = 5
+"""A smaller ring does not hold all that `_go_on` writes."""
+NOW_NS: Final = 30 * 1_000_000_000
+Made = TypeVar("Made")
+TOPICS: Final = frozenset({*COMMAND_TOPICS, *REPORTS, RECORDER})
+
+
+def bounded(work: Callable[[bytes], Made], bounds: Bounds) -> Callable[[bytes], Made]:
+    """`work`, which is stopped after its most steps for some of the inputs, and measured for some others."""
+
+    def run(data: bytes) -> Made:
+        which = crc32(data) % COUNTED  # by the input, so that what was found is found again
+        if which == 0:
+            return _counted(work, data, STEPS + len(data) * bounds.steps)
+        if which == 1:
+            return _measured(work, data, MEMORY + len(data) * bounds.memory)
+        return work(data)
+
+    return run
+
+
+def _counted(work: Callable[[bytes], Made], data: bytes, most: int) -> Made:
+    left = most
+
+    def line(_frame: FrameType, event: str, _argument: object) -> Any:
+        nonlocal left
+        left -= event == "line"
+        assert left > 0, f"more than {most} steps for {len(data)} bytes"
+        return line
+
+    def call(frame: FrameType, _event: str, _argument: object) -> Any:
+        return line if "recorder" in frame.f_code.co_filename else None
+
+    before = sys.gettrace()
+    sys.settrace(call)
+    try:
+        return work(data)
+    finally:
+        sys.settrace(before)
+
+
+def _measured(work: Callable[[bytes], Made], data: bytes, most: int) -> Made:
+    tracemalloc.start()
+    try:
+        made = work(data)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak <= most, f"{peak} bytes of memory for {len(data)}"
+    return made
+
+
+# ---- reading
+
+
+def _parse(data: bytes) -> tuple[reader.Records, int, int] | None:
+    try:
+        return reader.parse(image_of(data))
+    except form.DamagedError:
+        return None
+
+
+_parse_bounded: Final = bounded(_parse, READING)
 
 
 def fuzz_ring(data: bytes) -> str:
-    """What is in it is read in order, and each incident becomes printable lines, and messages that are JSON."""
-    if len(data) < 2:
-        return "too short"
-    image = ring_of(data)
-    records, damaged, missing = reader.parse(image)
-    slots = (len(image) - form.HEADER_BYTES) // form.SLOT
-    assert 0 <= len({record.sequence for record in records}) + damaged <= slots
-    assert 0 <= missing <= slots
-    assert all(
-        earlier.sequence < later.sequence
-        or (isinstance(earlier.content, form.CommandRecord) and earlier.ns <= later.ns)
-        for earlier, later in pairwise(records)
-    ), "only a command and its frame have one number"
-    found = find(records, written=bool(data[1] & 1), now_ns=30 * 1_000_000_000)
-    for incident in found:
+    """A ring in memory is read as by another reader, and what its records say can be written again."""
+    found, wanted = _parse_bounded(data), ring_reference.records(image_of(data))
+    assert (found is None) is (wanted is None)
+    if found is None or wanted is None:
+        return "no ring"
+    records, damaged, missing = found
+    assert (damaged, missing) == wanted[1:]
+    assert list(records.times_ns) == [record.ns for record in wanted[0]]
+    assert len(records) == len(records.kinds)
+    again = list(records)
+    assert again == wanted[0] or repr(again) == repr(wanted[0]), "as text, for what is no number is not equal to itself"
+    return "damaged" if damaged else "whole" if wanted[0] else "empty"
+
+
+# ---- incidents
+
+
+class _Told(NamedTuple):
+    """What becomes of a ring's records."""
+
+    records: reader.Records
+    incidents: list[Incident]
+    messages: list[list[Message]]
+    stories: list[list[str]]
+
+
+def _tell(data: bytes) -> _Told | None:
+    """The lowest bits of the first byte say whether a gateway writes to the ring, and whether it is long ago."""
+    parsed = _parse(data)
+    if parsed is None:
+        return None
+    records = parsed[0]
+    incidents = find(records, written=bool(data[0] & 1), now_ns=NOW_NS if data[0] & 2 else 0)
+    made = [list(messages(incident, records)) for incident in incidents[-2:]]
+    return _Told(records, incidents, made, [story(each) for each in made])
+
+
+_tell_bounded: Final = bounded(_tell, TELLING)
+
+
+def fuzz_incidents(data: bytes) -> str:
+    """What is found has names that are safe, and is no more than is kept; each is messages, and a story."""
+    told = _tell_bounded(data)
+    if told is None:
+        return "no ring"
+    assert len(told.incidents) <= MOST
+    for incident in told.incidents:
         assert is_id(incident.name)
-        made = list(messages(incident, records))
+        assert "/" not in incident.name
+        assert time_of(incident.name)
+        assert incident.begin_ns <= incident.zero_ns <= incident.end_ns
+    for made in told.messages:
         for message in made:
-            json.dumps(message.content, allow_nan=False)
-        lines = story(made)
+            assert message.topic in TOPICS
+            json.dumps(message.content, allow_nan=False, ensure_ascii=False).encode()
+    for lines in told.stories:
         assert all(line.isprintable() for line in lines), lines
-    if found and data[1] % 16 == EXPORT:
-        with tempfile.TemporaryDirectory() as folder:
-            path = kept.keep(Path(folder), found[-1], records)
-            assert story(list(read(path))) == story(list(messages(found[-1], records)))
-        return "exported"
-    return f"{'incidents' if found else 'records' if records else 'nothing'}"
+    kinds = {kind_of(incident.name) for incident in told.incidents}
+    return ("crash" if CRASH in kinds else "others") if kinds else "no incident"
 
 
-def seeds() -> list[bytes]:
-    """Rings as a gateway writes them, and records one by one."""
-    good = GOOD_CHECKSUM | NEAR
-    every = b"".join(bytes((good, kind, 0, 0, 5, 0)) for kind in range(len(CONTENTS)))
-    long = bytes((good | OWN_CONTENT | MORE, form.EVENT, 0, 0, 1, 20)) + b"\0" * 20
-    continued = long + bytes((good | OWN_CONTENT, form.MORE, 0, 0, 1, 4)) + b"more"
-    return [
-        bytes((39, EXPORT)) + every,
-        bytes((39, 1)) + every + every,
-        bytes((5, 3)) + every * 3,
-        bytes((20, 1)) + every[:18] + continued + every[6 * 12 :],
-        bytes((39, 0)) + every[:72] + bytes((good, 0, 0, 0, 255, 0)) + every[72:],
-        *(bytes((3, 0)) + bytes((GOOD_CHECKSUM, kind, 1, 0, 9, 0)) for kind in range(len(CONTENTS))),
-    ]
+# ---- files
+
+
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """In memory, where a machine has such a place: what is fuzzed is not its disk."""
+    memory = "/dev/shm"  # noqa: S108
+    return tempfile.TemporaryDirectory(prefix="fuzz-ring-", dir=memory if os.access(memory, os.W_OK) else None)
+
+
+def fuzz_export(data: bytes) -> str:
+    """The file of the newest incident is read by MCAP's own reader, and tells the same story."""
+    told = _tell(data)
+    if told is None or not told.incidents:
+        return "no incident"
+    with _folder() as folder:
+        path = kept.keep(Path(folder), told.incidents[-1], told.records)
+        assert [each.name for each in kept.kept(Path(folder))] == [path.stem]
+        with path.open("rb") as file:
+            of_mcap = [(channel.topic, json.loads(message.data)) for _, channel, message in _iterate(file)]
+        again = [each for each in read(path) if each.topic in TOPICS]
+    assert sorted(topic for topic, _ in of_mcap if topic in TOPICS) == sorted(each.topic for each in again)
+    assert story(again) == told.stories[-1]
+    return "exported"
+
+
+def _iterate(file: IO[bytes]) -> Any:
+    return make_reader(file, validate_crcs=True).iter_messages()
+
+
+def fuzz_ring_file(data: bytes) -> str:
+    """The ring's file is read while it is changed, or says why not; a gateway goes on with it, or begins it anew."""
+    image, options = image_of(data), data[0] if data else 0
+    change = list(UNDER_WAY)[options % len(UNDER_WAY)]
+    with _folder() as folder:
+        path = Path(folder) / "ring"
+        path.write_bytes(image)
+        seen = _read_while(path, lambda: UNDER_WAY[change](path, image))
+        if change == "nothing":
+            _check_same(image, seen)
+        path.chmod(0o600)
+        note = _go_on(path)
+    return f"{change}, {'begun anew' if 'anew' in note else 'torn' if note else 'continued'}"
+
+
+def _nothing(_path: Path, _image: bytes) -> None:
+    pass
+
+
+def _cut(path: Path, image: bytes) -> None:
+    os.truncate(path, crc32(image) % (len(image) + 1))
+
+
+def _grow(path: Path, image: bytes) -> None:
+    with path.open("ab") as file:
+        file.write(image[-form.SLOT :] * 3)
+
+
+def _overwrite(path: Path, image: bytes) -> None:
+    """Half of its slots are those of the next round, and one of them is half written."""
+    with path.open("r+b") as file:
+        file.seek(min(form.HEADER_BYTES, len(image)))
+        file.write(image[form.HEADER_BYTES + form.SLOT :][: len(image) // 2 + form.SLOT // 2])
+
+
+UNDER_WAY: Final = {"nothing": _nothing, "cut": _cut, "growing": _grow, "written to": _overwrite}
+
+
+def _read_while(path: Path, change: Callable[[], None]) -> reader.Content | None:
+    """Read it; the change comes when its size is known and nothing is read."""
+
+    def changed(fd: int) -> bool:
+        change()
+        return written_by_anyone(fd)
+
+    reader.written_by_anyone = changed  # type: ignore[attr-defined]
+    try:
+        return reader.read(path)
+    except reader.NoRingError:
+        return None
+    finally:
+        reader.written_by_anyone = written_by_anyone  # type: ignore[attr-defined]
+
+
+def _check_same(image: bytes, seen: reader.Content | None) -> None:
+    try:
+        records, damaged, missing = reader.parse(image)
+    except form.DamagedError:
+        assert seen is None
+        return
+    assert seen is not None
+    assert (repr(list(seen.records)), seen.damaged, seen.missing) == (repr(list(records)), damaged, missing)
+
+
+def _go_on(path: Path) -> str:
+    """A gateway opens it and writes: what it wrote is the newest that is there. Returns what it says of the file."""
+    try:
+        slots = form.slots_of(path.read_bytes()[: form.HEADER_BYTES], path.stat().st_size)
+    except form.DamagedError:
+        slots = 5
+    ring = Ring(path, slots)
+    try:
+        first = ring.sequence
+        for number in range(3):
+            ring.append(form.MODE, number, form.mode(str(number)))
+        ring.append(form.EVENT, 3, form.event("bus_fault", None, None, None, "x" * form.ROOM, 0))
+        assert reader.read(path).written
+    finally:
+        ring.close()
+    content = reader.read(path)
+    assert path.stat().st_size == form.file_bytes(slots)
+    assert not content.written
+    there = [(each.sequence, each.content) for each in content.records[-4:]]
+    wanted: list[tuple[int, form.Content]] = [(first + number, form.ModeChange(str(number))) for number in range(3)]
+    wanted.append((first + 3, form.EventTold("bus_fault", None, None, None, "x" * form.ROOM, 0)))
+    # Whoever forges the last of all numbers makes a gateway's records unreadable, and does no more harm.
+    assert there == wanted or slots < FEW_SLOTS or first > form.MAX_SEQUENCE - 4, (there, wanted)
+    return ring.note

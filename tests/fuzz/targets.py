@@ -20,8 +20,8 @@ from schemas.command import MAX_SENT_MS
 from schemas.keys import COMMAND_KEYS, CommandKey, Target
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
+from tests.fuzz import ring
 from tests.fuzz.reference import ReferenceController
-from tests.fuzz.ring import fuzz_ring
 
 MAX_DETAIL: Final = 200
 """Characters of an answer to a bad command; it goes out as an event and into the log for everyone to see."""
@@ -185,9 +185,14 @@ def fuzz_simulator(data: bytes) -> str:
 
 PAUSES_NS: Final = (0, 1, 1_000_000, 400_000_000, 999_999_999, 1_000_000_000, 3_000_000_000)
 
+RING_TARGETS: Final = ("ring", "incidents", "export", "ring-file")
+"""Those whose inputs are a ring's bytes."""
 TARGETS: Final[dict[str, Callable[[bytes], str]]] = {
     "intake": fuzz_intake,
     "decode": fuzz_decode,
     "simulator": fuzz_simulator,
-    "ring": fuzz_ring,
+    "ring": ring.fuzz_ring,
+    "incidents": ring.fuzz_incidents,
+    "export": ring.fuzz_export,
+    "ring-file": ring.fuzz_ring_file,
 }

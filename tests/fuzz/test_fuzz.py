@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 
@@ -22,14 +23,18 @@ from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import LEGS_COMMAND
 from schemas.telemetry import Reason
 from tests.fuzz.mutate import mutate_json
+from tests.fuzz.ring import COUNTED, READING, bounded
 from tests.fuzz.run import MAX_GROWTH_MB, fuzz
 from tests.fuzz.seeds import MAX_LEN, seeds
 from tests.fuzz.targets import TARGETS, check_frame, check_intake
 from tests.support.commands import LEG, RESET_KEY, SERVO_32, as_json, parsed
 
 ROOT = Path(__file__).parents[2]
-RUNS = {"intake": 50_000, "decode": 60_000, "simulator": 12_000, "ring": 4_000}
-"""Some four seconds each."""
+RUNS = {
+    **{"intake": 50_000, "decode": 60_000, "simulator": 12_000},
+    **{"ring": 10_000, "incidents": 3_000, "export": 250, "ring-file": 3_000},
+}
+"""Two to four seconds each."""
 
 
 @pytest.fixture
@@ -55,7 +60,10 @@ WANTED = {
     "intake": {"intent", "invalid", "malformed", "too_large", "bad_encoding"},
     "decode": {"bytes: frame", "bytes: no frame", "typed: exit code 0", "typed: exit code 1"},
     "simulator": {"plain: some frames executed", "length-prefixed: some frames executed"},
-    "ring": {"records", "incidents", "exported"},
+    "ring": {"whole", "damaged", "empty", "no ring"},
+    "incidents": {"crash", "others", "no incident", "no ring"},
+    "export": {"exported"},
+    "ring-file": {"nothing, continued", "nothing, torn", "cut, begun anew", "written to, continued"},
 }
 
 
@@ -64,6 +72,13 @@ WANTED = {
     ("decode", "protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
     ("intake", "core/intake.py", "if name in seen:", "if name in ():"),
     ("simulator", "spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
+    # Of these, the fuzzer finds the first three by a change that knows the format, and the others with its seeds.
+    ("ring", "recorder/format.py", "or not _HEAD.size <= length <= SLOT - _CRC.size", "or not _HEAD.size <= length"),
+    ("ring", "recorder/reader.py", "slot.sequence % slots == index", "slot.sequence"),
+    ("incidents", "recorder/incidents.py", "end_ns = min(max(end_ns,", "end_ns = min(max(0,"),
+    ("incidents", "recorder/decoding.py", "in facts.items()).encode()", "in facts.items())"),
+    ("export", "recorder/incidents.py", "return max(0, ns + self", "return (ns + self"),
+    ("ring-file", "recorder/ring.py", "                os.ftruncate(self._fd, 0)", "                pass"),
 ])  # fmt: skip
 def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str, tmp_path: Path) -> None:
     tree = tmp_path / "tree"
@@ -174,6 +189,22 @@ def test_a_controller_that_forgets_a_step_is_a_finding(broken: str, monkeypatch:
     monkeypatch.setattr(SimulatedController, broken, forget)
     with pytest.raises(AssertionError):
         _ = [TARGETS["simulator"](seed) for seed in seeds("simulator")]
+
+
+def _endless(_: bytes) -> None:
+    exec(compile("while True:\n    pass\n", "/recorder/planted.py", "exec"))  # noqa: S102
+
+
+def _greedy(_: bytes) -> bytes:
+    return bytes(1_000_000)
+
+
+@pytest.mark.parametrize(("work", "why"), [(_endless, "more than .* steps"), (_greedy, "bytes of memory for")])
+def test_too_much_work_or_memory_is_a_finding(work: Callable[[bytes], Any], why: str) -> None:
+    """Whether an input is counted follows from its bytes."""
+    data = next(each for each in map(bytes, range(10_000)) if crc32(each) % COUNTED == (work is _greedy))
+    with pytest.raises(AssertionError, match=why):
+        bounded(work, READING)(data)
 
 
 # ---- memory, where one object takes it all

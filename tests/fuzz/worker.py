@@ -4,6 +4,7 @@ import json
 import os
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import atheris
@@ -11,7 +12,8 @@ import atheris
 from tests.fuzz.mutate import mutate_json
 
 with atheris.instrument_imports(include=["gateway", "schemas"]):
-    from tests.fuzz.targets import TARGETS
+    from tests.fuzz.ring_image import cross_rings, mutate_ring
+    from tests.fuzz.targets import RING_TARGETS, TARGETS
 
 
 def rss_mb() -> float:
@@ -33,7 +35,11 @@ def main(target: str, runs: int, notes: Path, libfuzzer: list[str]) -> None:
                 file.write(json.dumps({"rss_mb": rss_mb(), "came_of": came_of}) + "\n")
                 file.flush()
 
-        extra = {"custom_mutator": mutate_command} if target == "intake" else {}
+        extra: dict[str, Callable[..., bytes]] = {}
+        if target == "intake":
+            extra = {"custom_mutator": mutate_command}
+        elif target in RING_TARGETS:
+            extra = {"custom_mutator": mutate_image, "custom_crossover": cross_rings}
         atheris.Setup(["tests.fuzz", *libfuzzer, f"-runs={runs}"], counted, **extra)
         atheris.Fuzz()
 
@@ -45,6 +51,11 @@ def mutate_command(data: bytes, max_size: int, seed: int) -> bytes:
         if payload is not None:
             return (data[:2] + payload)[:max_size]
     return bytes(atheris.Mutate(data, max_size))
+
+
+def mutate_image(data: bytes, max_size: int, seed: int) -> bytes:
+    """A change that knows a ring's format."""
+    return mutate_ring(data, max_size, seed, lambda part, size: bytes(atheris.Mutate(part, size)))
 
 
 if __name__ == "__main__":

@@ -153,6 +153,16 @@ def test_of_a_killed_writer_all_but_the_newest_messages_are_there(path: Path) ->
     recording.close()
 
 
+@pytest.mark.parametrize("time", ["1969-12-31T23:59:59Z", "9999-12-31T23:59:59Z", "", None], ids=repr)
+def test_a_time_that_no_file_can_tell_is_left_out(path: Path, time: str | None) -> None:
+    """Somebody else's report, or a gateway's without a clock: the rest is recorded as ever."""
+    event = {"time": time, "kind": "started", "source": None, "key": None, "reason": None, "detail": ""}
+    with Recording(path, time_ns=START_NS) as recording:
+        recording.add_report(keys.EVENT, event, START_NS)
+    ((told, published),) = [(each.time_ns, each.publish_ns) for each in read(path) if each.topic == keys.EVENT]
+    assert told == published == START_NS
+
+
 def test_a_quiet_robots_messages_do_not_wait_for_a_full_chunk(path: Path) -> None:
     recording = Recording(path, time_ns=START_NS)
     event = next(report for topic, report, _ in reports(30) if topic == keys.EVENT)

@@ -8,10 +8,11 @@ import pytest
 
 from gateway.protocol.frames import Op, ServoOp
 from gateway.recorder import format as form
-from gateway.recorder import reader
+from gateway.recorder import kept, reader
 from gateway.recorder.incidents import MOST, find, is_id
-from gateway.recorder.messages import messages
+from gateway.recorder.messages import RECORDER, messages
 from gateway.recorder.ring import Ring
+from gateway.recordings import read
 from tests.support.robot import WALL_NS
 
 SECOND = 1_000_000_000
@@ -104,3 +105,46 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence
     ring.append(form.MODE, 3, form.mode("idle"))
     ring.close()
     assert [record.sequence for record in reader.read(path).records] == [1, 2]
+
+
+# ---- found by the fuzzer
+
+
+def image(*records: tuple[int, int, bytes]) -> bytes:
+    """A ring of these types, times and contents, in their order."""
+    slots = len(records) + 1
+    made = bytearray(form.header(slots).ljust(form.file_bytes(slots), b"\0"))
+    for number, (kind, ns, rest) in enumerate(records, 1):
+        form.put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
+    return bytes(made)
+
+
+@pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
+def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
+    records, damaged, _ = reader.parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
+    assert (len(records), damaged) == (0, 1)
+    records, damaged, _ = reader.parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
+    assert (len(records), damaged) == (0, 1)
+
+
+def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: Path) -> None:
+    """Ten seconds before it, there was no time that a file can tell."""
+    ring = image(
+        (form.START, 8 * SECOND, form.start(SECOND, {"pid": 1})),
+        (form.MODE, 6 * SECOND, form.mode("idle")),
+        (form.INCIDENT, 9 * SECOND, form.incident(2 * SECOND, "19700101-000002-000-estop")),
+    )
+    records = reader.parse(ring)[0]
+    (incident,) = find(records, written=True, now_ns=0)
+    path = kept.keep(tmp_path, incident, records)
+    told = [(each.content["what"], each.time_ns) for each in read(path) if each.topic == RECORDER]
+    assert told == [("incident", 2 * SECOND), ("mode", 0), ("start", SECOND)]
+
+
+def test_an_event_of_an_earlier_time_ends_no_incident_before_it_began() -> None:
+    records = reader.parse(image(
+        (form.INCIDENT, 20 * SECOND, form.incident(WALL_NS, "20260921-141320-123-estop")),
+        (form.EVENT, 1, form.event("estop_engaged", None, None, None, "", 0)),
+    ))[0]  # fmt: skip
+    (incident,) = find(records, written=True, now_ns=0)
+    assert incident.end_ns == 25 * SECOND
