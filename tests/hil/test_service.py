@@ -53,9 +53,11 @@ def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_comma
 def test_the_stops_of_the_start_are_repeated(tmp_path: Path, wire: Wire) -> None:
     watchdog = {"repeats": 2, "repeat_interval_ms": 30}
     with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
-        first = wire.expect_repeats(1, *STOPS)
+        started_ns = wire.bed.transfers[0].monotonic_ns
+        wire.expect_repeats(1, *STOPS)
         second = wire.expect_repeats(1, *STOPS)
-        assert second[0].monotonic_ns - first[0].monotonic_ns > 20e6
+        # From the start, and not from the first repeats: on a busy machine these may come late.
+        assert second[0].monotonic_ns - started_ns > 50e6  # two intervals, less the preamble
         assert client.reset().accepted
         wire.expect_nothing()
 
