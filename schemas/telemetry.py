@@ -175,8 +175,14 @@ class WatchdogReport(Report):
     """The watchdog's setting and record."""
 
     timeout_ms: float
+    landing_ms: float = 0.0
     expirations: Count
     stop_latency_us: StopLatency
+
+    @property
+    def stops_after_ms(self) -> float:
+        """From a leg's last command to its Stop, at the latest, if nobody stops it before."""
+        return self.timeout_ms + self.landing_ms
 
 
 class LeaseReport(Report):

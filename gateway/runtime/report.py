@@ -76,6 +76,7 @@ def report(
         ),
         watchdog=WatchdogReport(
             timeout_ms=settings.watchdog.timeout_ms,
+            landing_ms=settings.watchdog.landing_ms,
             expirations=supervisor.expirations,
             stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
         ),

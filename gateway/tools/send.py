@@ -79,11 +79,13 @@ def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bo
         if not ack.accepted:
             code = _report(ack, "")
     if code == 0 and moves:
-        timeout_ms = client.state().watchdog.timeout_ms
+        watchdog = client.state().watchdog
+        timeout = f"{watchdog.timeout_ms:g} ms"
+        lands = f", once the robot has landed in {watchdog.landing_ms:g} ms" if watchdog.landing_ms else ""
         hint(
-            f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout_ms:g} ms."
+            f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout}{lands}."
             if hold_s
-            else f"The watchdog stops it {timeout_ms:g} ms after a command; --hold S repeats it for S seconds."
+            else f"The watchdog stops it {timeout} after a command{lands}; --hold S repeats it for S seconds."
         )
     return code
 

@@ -65,6 +65,16 @@ def test_without_frames_it_measures_by_the_state(tmp_path: Path) -> None:
         assert "publishes no frames" in done.stderr
 
 
+def test_where_the_robot_lands_its_stop_is_expected_at_the_end_of_the_landing(tmp_path: Path) -> None:
+    watchdog = {"timeout_ms": 100, "landing_ms": 300}
+    with Gateway(tmp_path, {**FRAMES, "watchdog": watchdog, "watchdog.landing": {"11": 60.0}}) as running:
+        done = running.run("drill", "--late", str(LATE_MS), "--only", "silence")
+        assert done.returncode == 0, str(done)
+        assert "landing_ms 300" in done.stdout
+        sent = running.run("send", "servo", "11", "start", "90")
+        assert "stops it 100 ms after a command, once the robot has landed in 300 ms; " in sent.stderr
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path) -> None:
     step = MISTAKES[mistake][1]

@@ -179,6 +179,8 @@ def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
         f"{abs(bench.end_deg - bench.start_deg):g}°, several times. Keep people away, and the switch of its power at "
         "hand."
     )
+    if state.watchdog.landing_ms:
+        hint(f"Whenever it falls silent, it goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
     if agreed:
         return
     if not sys.stdin.isatty():
