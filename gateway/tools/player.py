@@ -75,7 +75,7 @@ class Player:
         """
         interrupted = StoppedError("the replay was ended; all legs are stopped", ())
         on_time = prefer_all_threads(PRIORITY) if self._on_time else nullcontext()
-        with self._hears(), _without_pauses(), on_end_signals(lambda: self._end(interrupted)), on_time:
+        with self._hears(), on_end_signals(lambda: self._end(interrupted)), on_time:
             self._begun_ns = time.monotonic_ns() + round(BEGIN_S * 1e9)
             sender = threading.Thread(target=self._send, args=(lease,), name="sender")
             try:
@@ -191,8 +191,11 @@ class Player:
 
 
 @contextmanager
-def _without_pauses() -> Iterator[None]:
-    """No garbage collection meanwhile: with an hour of steps in memory one takes a quarter of a second."""
+def without_pauses() -> Iterator[None]:
+    """No garbage collection meanwhile: with an hour of steps in memory one takes a quarter of a second, or more.
+
+    The first one is made here, so this goes before the lease, which nobody renews while it lasts.
+    """
     gc.collect()
     gc.freeze()
     gc.disable()

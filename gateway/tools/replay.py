@@ -9,7 +9,7 @@ from gateway.errors import ConfigError
 from gateway.recordings import read
 from gateway.recordings.replaying import NS_PER_MS, Plan, compare, plan
 from gateway.tools.driving import drives
-from gateway.tools.player import Player
+from gateway.tools.player import Player, without_pauses
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
 from schemas.keys import FRAME, STATE
@@ -35,7 +35,7 @@ def replay(
         if not state.simulated:
             _ask(recorded, speed, agreed=agreed)
         player = Player(client, recorded, speed, needs_frames=check, on_time=check and state.simulated)
-        with drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
+        with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
             player.run(lease)
     said = f"{len(recorded.steps)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
     if not check:
