@@ -1,19 +1,24 @@
 """Each example runs as it stands, against a gateway with a simulated controller."""
 
 import os
+import signal
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import pytest
 
-from gateway.protocol.frames import OneLeg, Op, decode
+from gateway.client import Client
+from gateway.protocol.frames import OneLeg, Op, centidegrees, decode
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
-from tests.support.gateway_process import Gateway
-from tests.support.heard import Heard, frames
+from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
+from tests.support.heard import Heard, events, frames
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+ELKAPOD: Final = EXAMPLES / "elkapod" / "gateway.toml"
 
 
 @pytest.fixture
@@ -51,8 +56,8 @@ def moved(heard: Heard[FrameRecord]) -> dict[int, set[int]]:
 
 def test_every_example_is_run_here() -> None:
     here = Path(__file__).read_text()
-    for path in EXAMPLES.glob("*.py"):
-        assert f'run("{path.name}"' in here
+    for path in EXAMPLES.rglob("*.py"):
+        assert f'"{path.relative_to(EXAMPLES)}"' in here
 
 
 def test_the_first_program(gateway: Gateway) -> None:
@@ -107,3 +112,43 @@ def test_the_session(gateway: Gateway) -> None:
     assert "does not run; start it before you set it" in said
     assert "6 Stop frames within" in said
     assert "estopped" in said
+
+
+def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -> None:
+    """With its own limits, speed and landing; and the incident tells it."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    env = {**os.environ, "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]', "HEXAPOD_RECORDER__PATH": str(tmp_path / "box")}
+    gateway = Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD)], env)
+    try:
+        gateway.wait_for_output(READY, timeout_s=20)
+        with Client(endpoint, source="test") as client:
+            written, told = frames(client), events(client)
+            gait = Child([sys.executable, str(EXAMPLES / "elkapod/gait.py"), "--connect", endpoint], env)
+            written.wait(lambda record: record.cause is Cause.COMMAND, count=300, timeout_s=20)
+            os.kill(gait.pid, signal.SIGKILL)
+            gait.close()
+            told.wait(lambda event: event.kind == "watchdog_expired")
+            assert client.state().commands.rejected == 0
+            assert {servo // 10 for servo in moved(written)} == {1, 2, 3, 4, 5, 6}
+            assert last_angles(written.all) == {
+                int(servo): centidegrees(deg)
+                for servo, deg in tomllib.loads(ELKAPOD.read_text())["watchdog"]["landing"].items()
+            }
+        shown = Child([*COMMAND, "incidents", "show", "last", "--config", str(ELKAPOD)], env)
+        assert shown.wait() == 0, shown.stderr
+        shown.close()
+        assert "Before it, elkapod gait sent" in shown.stdout
+        assert "the robot went to its landing pose" in shown.stdout
+        assert "Stop written to all six legs" in shown.stdout
+    finally:
+        gateway.close()
+
+
+def last_angles(records: list[FrameRecord]) -> dict[int, int]:
+    """Where each servo was before its Stop, in hundredths of a degree."""
+    angles: dict[int, int] = {}
+    for record in records:
+        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
+            if op.op is not Op.STOP:
+                angles[servo_id] = op.angle_cdeg
+    return angles
