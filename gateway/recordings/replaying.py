@@ -214,13 +214,18 @@ class Comparison(NamedTuple):
 
     A frame's time is counted from when its command was sent. So a sender that is late is not taken for a late gateway.
     """
+    worst_at_s: float
+    """When the frame that is farthest from its time was written in the recording."""
+    beyond: int
+    """Frames that are farther than the tolerance."""
 
-    def passes(self, tolerance_ms: float) -> bool:
+    @property
+    def passes(self) -> bool:
         """Same bytes, same order, times within the tolerance."""
-        return not self.differences and self.swapped == 0 and self.worst_ms <= tolerance_ms
+        return not self.differences and self.swapped == 0 and self.beyond == 0
 
 
-def compare(plan: Plan, sent: Sequence[Sent], written: Sequence[Written]) -> Comparison:
+def compare(plan: Plan, sent: Sequence[Sent], written: Sequence[Written], tolerance_ms: float) -> Comparison:
     """Leg by leg, what commands caused and what the gateway did by itself; then the order of the commands' frames."""
     expected = plan.expected
     wanted, found = _sorted_out(expected), _sorted_out(written)
@@ -247,9 +252,13 @@ def compare(plan: Plan, sent: Sequence[Sent], written: Sequence[Written]) -> Com
             newest = max(newest, have)
     took = [_took(plan, sent, expected[want], written[have]) for want, have in pairs]
     usual_ns = median(least_ns for least_ns, _ in took) if took else 0
-    away_ms = sorted(max(0, least_ns - usual_ns, usual_ns - most_ns) / NS_PER_MS for least_ns, most_ns in took)
-    worst_ms, p99_ms = (away_ms[-1], away_ms[len(away_ms) * 99 // 100]) if away_ms else (0.0, 0.0)
-    return Comparison(len(expected), differences, swapped, worst_ms, p99_ms)
+    away = sorted(
+        (max(0, least_ns - usual_ns, usual_ns - most_ns) / NS_PER_MS, expected[want].at_ns / 1e9)
+        for (least_ns, most_ns), (want, _) in zip(took, pairs, strict=True)
+    ) or [(0.0, 0.0)]
+    (worst_ms, worst_at_s), (p99_ms, _) = away[-1], away[len(away) * 99 // 100]
+    beyond = sum(away_ms > tolerance_ms for away_ms, _ in away)
+    return Comparison(len(expected), differences, swapped, worst_ms, p99_ms, worst_at_s, beyond)
 
 
 def _took(plan: Plan, sent: Sequence[Sent], expected: Written, written: Written) -> tuple[int, int]:

@@ -99,14 +99,16 @@ def _ask(recorded: Plan, speed: float, *, agreed: bool) -> None:
 def _report(recorded: Plan, player: Player, said: str, tolerance_ms: float) -> int:
     frames = len(recorded.expected)
     written = player.written[:frames]
-    found = compare(recorded, player.sent, written)
+    found = compare(recorded, player.sent, written, tolerance_ms)
     for difference in found.differences:
         say(difference)
     say(
-        f"{'the same' if found.passes(tolerance_ms) else 'NOT the same'}: {said}; {found.frames} frames expected, "
+        f"{'the same' if found.passes else 'NOT the same'}: {said}; {found.frames} frames expected, "
         f"{len(written)} written, {found.swapped} overtaken by another leg's, "
         f"at most {found.worst_ms:.2f} ms from their time (p99 {found.p99_ms:.2f} ms)"
     )
+    if found.beyond:
+        say(f"{found.beyond} frames are more than {tolerance_ms:g} ms from it, the worst at {found.worst_at_s:.3f} s")
     late_ms = sorted(
         (sent.done_ns - step.at_ns) / NS_PER_MS for step, sent in zip(recorded.steps, player.sent, strict=True)
     )
@@ -114,4 +116,4 @@ def _report(recorded: Plan, player: Player, said: str, tolerance_ms: float) -> i
         f"Times are counted from when each command was sent: this machine was at most {late_ms[-1]:.2f} ms late "
         f"(p99 {late_ms[len(late_ms) * 99 // 100]:.2f} ms)."
     )
-    return 0 if found.passes(tolerance_ms) else 1
+    return 0 if found.passes else 1
