@@ -11,9 +11,9 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload
+from gateway.tools.drill.cut_link import CutLink
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode, Reason
-from tests.support.cuttable import Link
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events
 
@@ -41,13 +41,13 @@ def heard(bystander: Client) -> Heard[Event]:
 
 
 @pytest.fixture
-def link(gateway: Gateway) -> Iterator[Link]:
-    with Link(gateway.endpoint) as made:
+def link(gateway: Gateway) -> Iterator[CutLink]:
+    with CutLink(gateway.endpoint) as made:
         yield made
 
 
 @pytest.fixture
-def laptop(link: Link, bystander: Client) -> Iterator[Client]:
+def laptop(link: CutLink, bystander: Client) -> Iterator[Client]:
     """Behind a link that can be cut; the gateway knows it."""
     with Client(link.endpoint, source="laptop", timeout_s=5) as client:
         assert client.start_leg(1, 90, 45, 120).accepted
@@ -76,7 +76,7 @@ def running(client: Client) -> list[int]:
 
 
 def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
-    gateway: Gateway, link: Link, laptop: Client, bystander: Client, heard: Heard[Event]
+    gateway: Gateway, link: CutLink, laptop: Client, bystander: Client, heard: Heard[Event]
 ) -> None:
     del gateway
     for attempt in range(1, 4):
@@ -102,7 +102,7 @@ def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
 
 
 def test_a_start_from_behind_a_cut_link_moves_nothing(
-    gateway: Gateway, link: Link, laptop: Client, bystander: Client, heard: Heard[Event]
+    gateway: Gateway, link: CutLink, laptop: Client, bystander: Client, heard: Heard[Event]
 ) -> None:
     del gateway
     for attempt in range(1, 4):

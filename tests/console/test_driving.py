@@ -12,11 +12,11 @@ import pytest
 from playwright.sync_api import Browser, Playwright, expect
 
 from gateway.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
+from gateway.tools.drill.cut_link import CutLink
 from tests.console.browser import ARGUMENTS, CHROMIUM, HIDE, LATE_MS, Opened, Visitor, put_to_rest
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 from tests.support.console_process import Console
-from tests.support.cuttable import Link
 from tests.support.gateway_process import Gateway
 
 pytestmark = [pytest.mark.browser, pytest.mark.hil]
@@ -39,7 +39,7 @@ class Robot:
         with ExitStack() as stack:
             self.bed = stack.enter_context(SpiTestbed())
             self.gateway = stack.enter_context(Gateway(folder, {"watchdog": {"timeout_ms": TIMEOUT_MS}}, bed=self.bed))
-            self.link = stack.enter_context(Link(self.gateway.endpoint))
+            self.link = stack.enter_context(CutLink(self.gateway.endpoint))
             self.console = stack.enter_context(Console(folder, "--connect", self.link.endpoint))
             self.cookie = self.console.sign_in()
             self.close = stack.pop_all().close

@@ -6,7 +6,6 @@ import copy
 import heapq
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel
@@ -23,6 +22,7 @@ from gateway.spi.simulator import SimulatedController
 from schemas import keys
 from tests.deaf.minute import Message
 from tests.deaf.watcher import Watcher
+from tests.support.unshared import UnsharedDevice
 
 MS = 1_000_000
 BEGIN_NS = 10_000 * MS
@@ -114,7 +114,7 @@ class MarkedBus(Bus):
         super().write(frame, first_repeat=first_repeat)
 
 
-class Scene:
+class Scene(UnsharedDevice):
     """A gateway, its controller, and a watcher of both; messages come at their times."""
 
     def __init__(self, messages: Sequence[Message], *, resync_ms: float = 1000, tick_phase_ns: int = 0) -> None:
@@ -205,15 +205,6 @@ class Scene:
             self.loop.clock_ns += self._stall[1]
             self.watcher.fault_ns = self.loop.clock_ns
             self._stall = None
-
-    def lock(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def stop_servos_at_work(self) -> bool:
-        return False
-
-    def close(self) -> None:
-        pass
 
     # ---- time
 

@@ -5,7 +5,6 @@ When else the preamble is written, and the pauses, are in test_bus_preamble.py.
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
 
 import pytest
 
@@ -15,6 +14,7 @@ from gateway.protocol.framing import ZERO, Framing
 from gateway.spi.bus import Bus
 from gateway.spi.simulator import SimulatedController
 from schemas.robot import LEGS
+from tests.support.unshared import UnsharedDevice
 
 START_11 = OneServo(11, ServoOp(Op.START, 6_00))
 START_2 = OneLeg(2, (ServoOp(Op.START, 6_06), ServoOp(Op.START, 14_02), ServoOp(Op.START, 6_14)))
@@ -25,7 +25,7 @@ OPENING = {framing: len(framing.preamble) for framing in Framing}
 """Transfers that opening makes, and which are not made to fail here."""
 
 
-class FailingDevice:
+class FailingDevice(UnsharedDevice):
     """Hands transfers on to a controller, and fails those whose number is told."""
 
     def __init__(self, controller: SimulatedController, failing: Iterable[int]) -> None:
@@ -39,15 +39,6 @@ class FailingDevice:
         if next(self._numbers) in self._failing:
             raise SpiError("told to fail")
         self._controller.transfer(data)
-
-    def lock(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def stop_servos_at_work(self) -> bool:
-        return False
-
-    def close(self) -> None:
-        pass
 
     def heal(self) -> None:
         self._failing = frozenset()

@@ -10,13 +10,14 @@ from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.settings import SpiSettings
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.guard import GuardedDevice, IllegalTransferError
+from tests.support.unshared import UnsharedDevice
 
 PREFIXED = Framing.LENGTH_PREFIXED
 START = OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)
 STOP = stop_leg(1)
 
 
-class Devices:
+class Devices(UnsharedDevice):
     """Opens devices that all write to one list; each transfer takes 50 µs, and those in `failing` fail."""
 
     def __init__(self) -> None:
@@ -47,9 +48,6 @@ class Devices:
     def lock(self) -> AbstractContextManager[None]:
         self.locks += 1
         return nullcontext()
-
-    def stop_servos_at_work(self) -> bool:
-        return False
 
     def close(self) -> None:
         self.open_now -= 1

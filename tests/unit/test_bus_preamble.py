@@ -12,6 +12,7 @@ from gateway.protocol.framing import Framing
 from gateway.settings import SpiSettings
 from gateway.spi.bus import IDLE_NS, TRIES, Bus, bus_for
 from gateway.spi.simulator import SimulatedController
+from tests.support.unshared import UnsharedDevice
 
 MS = 1_000_000
 PREFIXED = Framing.LENGTH_PREFIXED
@@ -23,7 +24,7 @@ TRANSFER_NS = 50_000
 GAP_NS = 100_000
 
 
-class Bed:
+class Bed(UnsharedDevice):
     """A bus, a device whose transfers take 50 µs, and a clock that moves with them; a stall before a transfer."""
 
     def __init__(self, framing: Framing = PREFIXED, *, resync_ns: int = 1000 * MS, shared_device: bool = False) -> None:
@@ -60,12 +61,6 @@ class Bed:
         self.log.append((self.now_ns, "lock"))
         yield
         self.log.append((self.now_ns, "end"))
-
-    def stop_servos_at_work(self) -> bool:
-        return False
-
-    def close(self) -> None:
-        pass
 
     def opened(self) -> "Bed":
         self.bus.open()

@@ -1,7 +1,5 @@
 """The guard at the device's edge: a transfer passes if and only if the framing makes it of a legal frame."""
 
-from contextlib import AbstractContextManager, nullcontext
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,6 +10,7 @@ from gateway.protocol.frames import Frame, FrameError, OneServo, Op, ServoOp, de
 from gateway.protocol.framing import Framing
 from gateway.spi.guard import GuardedDevice, IllegalTransferError
 from gateway.spi.simulator import SimulatedController
+from tests.support.unshared import UnsharedDevice
 from tests.unit.test_frames import ILLEGAL, frames
 
 STOP_1 = stop_leg(1).to_bytes()
@@ -21,7 +20,7 @@ ZERO = b"\0"
 PREAMBLE = [ZERO] * 16
 
 
-class Recorder:
+class Recorder(UnsharedDevice):
     """An SPI device that keeps what it is given, and fails when told to."""
 
     def __init__(self) -> None:
@@ -33,12 +32,6 @@ class Recorder:
         if self.failing:
             raise SpiError("told to fail")
         self.seen.append(data)
-
-    def lock(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def stop_servos_at_work(self) -> bool:
-        return False
 
     def close(self) -> None:
         self.closed += 1

@@ -1,7 +1,5 @@
 """The last attempt to stop the robot: each leg is tried, whatever another one's Stop met."""
 
-from contextlib import AbstractContextManager, nullcontext
-
 import pytest
 
 from gateway.errors import SpiError
@@ -10,11 +8,12 @@ from gateway.protocol.framing import Framing
 from gateway.spi.bus import Bus
 from gateway.spi.stop_all import stop_once
 from schemas.robot import LEGS
+from tests.support.unshared import UnsharedDevice
 
 MISTAKES = [SpiError("told to fail"), SystemError("returned NULL"), TypeError("a mistake of our own"), KeyError(3)]
 
 
-class Device:
+class Device(UnsharedDevice):
     """Fails the transfers that carry one leg's Stop, or each opening until told otherwise."""
 
     def __init__(self, mistake: Exception, leg: int | None) -> None:
@@ -33,15 +32,6 @@ class Device:
         if data == self._failing:
             raise self._mistake
         self.seen.append(data)
-
-    def lock(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def stop_servos_at_work(self) -> bool:
-        return False
-
-    def close(self) -> None:
-        pass
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=repr)

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
+from gateway.tools.drill.cut_link import CutLink
 from schemas.telemetry import Cause, Event, Kind, Mode
-from tests.support.cuttable import Link
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
@@ -211,7 +211,7 @@ def test_a_killed_gateway_is_a_lost_link(gateway: Gateway, robot: Client) -> Non
 
 
 def test_a_link_that_is_cut_without_a_word_is_noticed(gateway: Gateway, watcher: Client) -> None:
-    with Link(gateway.endpoint) as link, Client(link.endpoint, timeout_s=1) as robot:
+    with CutLink(gateway.endpoint) as link, Client(link.endpoint, timeout_s=1) as robot:
         with pytest.raises(DisconnectedError, match=r"does not answer|is lost"):
             walk(robot, link.cut)
         assert not running(watcher)

@@ -40,7 +40,7 @@ class CutLink:
         """Nothing passes from now on, in either direction."""
         self._up.clear()
 
-    def join(self) -> None:
+    def fix(self) -> None:
         """What has waited passes, and what comes."""
         self._up.set()
 
@@ -58,7 +58,7 @@ class CutLink:
         with suppress(OSError, ValueError):  # closed
             while True:
                 select.select([source], [], [])
-                self._up.wait()
+                self._up.wait()  # before it is read: what was sent just before the cut may have passed, nothing later
                 data = source.recv(_CHUNK)
                 if not data:
                     sink.shutdown(socket.SHUT_WR)

@@ -211,7 +211,7 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
         demand(bench.wait(lambda: not bench.running(), timeout_s + 1), "the leg runs on behind the cut link")
         time.sleep(HELD_S)
         mark, events = bench.mark(), len(bench.events)
-        link.join()
+        link.fix()
         stale = bench.wait(
             lambda: any(event.reason == Reason.STALE and event.source == source for event in bench.events[events:]),
             ANSWER_S / 2,
