@@ -1,9 +1,13 @@
 """What makes a test a unit test: it starts no process and opens no Zenoh session, so that all of them take seconds."""
 
+import os
 import subprocess
+from pathlib import Path
 
 import pytest
 import zenoh
+
+from gateway import settings
 
 
 @pytest.fixture(autouse=True)
@@ -13,3 +17,17 @@ def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(subprocess, "Popen", reject)
     monkeypatch.setattr(zenoh, "open", reject)
+
+
+@pytest.fixture
+def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nothing of this machine's: no variables of ours, and a default file that is not there."""
+    for name in list(os.environ):
+        if name.upper().startswith("HEXAPOD"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr(settings, "DEFAULT_PATH", tmp_path / "default.toml")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "gateway.toml"
