@@ -14,6 +14,7 @@ help:
 	@echo "              (CONSOLE=\"--listen 127.0.0.1:9000 --open\": options of the console; CONSOLE=no: without it)"
 	@echo "make quick    ruff, mypy and the tests that start no process: under a minute, no root"
 	@echo "make test     all tests; installs Debian packages for the hardware tests (APT=no: does not)"
+	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
@@ -38,10 +39,17 @@ else
 endif
 
 quick: check
-	$(BIN)/pytest -q tests/unit
+	$(BIN)/pytest -q -n 2 tests/unit
 
+# What measures time runs alone, after all that may run side by side (tests/support/schedule.py).
+WORKERS ?= 4
 test: $(VENV)/dev debian-packages
+ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
+else
+	@$(BIN)/pytest -n $(WORKERS) -m "not alone"; together=$$?; \
+	$(BIN)/pytest -m alone && exit $$together
+endif
 
 check: $(VENV)/dev
 	$(BIN)/ruff format --check .

@@ -3,6 +3,7 @@ model check, which begins early."""
 
 import asyncio
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import get_context
 from multiprocessing.pool import AsyncResult
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
+from tests.support import schedule
 from tests.support.model_check import Report, check
 from tests.support.small_robots import CONFIGURATIONS
 
@@ -20,6 +22,13 @@ hypothesis_settings.register_profile(
     "any machine", hypothesis_settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 hypothesis_settings.load_profile("any machine")
+
+
+def pytest_configure() -> None:
+    """pytest's hook: what `nohup`, or a shell's `&`, lets a program ignore is undone: tests send these signals."""
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
 
 def pytest_asyncio_loop_factories(
@@ -32,14 +41,16 @@ def pytest_asyncio_loop_factories(
     return {"real": asyncio.new_event_loop}
 
 
-_ORDER = ("attack", "box", "hil", "net", "console", "zenoh", "mutants", "unit", "fuzz")
-"""First what measures time, with both processors for itself; last what waits for the searches."""
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """pytest's hook."""
+    schedule.arrange(items, on_a_worker=hasattr(config, "workerinput"))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """pytest's hook: folders in their order, any other before them."""
-    places = {folder: place for place, folder in enumerate(_ORDER)}
-    items.sort(key=lambda item: places.get(item.path.parent.name, -1))
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> schedule.Workers:
+    """pytest-xdist's hook."""
+    return schedule.Workers(config, log)
 
 
 @pytest.fixture(scope="session")
@@ -51,10 +62,7 @@ def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
 
 @pytest.fixture(scope="module", autouse=True)
 def _search_ahead(request: pytest.FixtureRequest) -> None:
-    """Begin the searches, where they are wanted: two minutes of a processor, which most tests leave idle.
-
-    Not beside tests with hardware, network or systemd, which run before all others.
-    """
+    """Begin the searches, where they are wanted and there is one worker: most tests leave a processor idle."""
     wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
-    if wanted and request.path.parent.name in _ORDER[_ORDER.index("zenoh") :]:
+    if wanted and not hasattr(request.config, "workerinput"):
         request.getfixturevalue("searches")

@@ -1,5 +1,6 @@
 """The gateway as a user starts it: a process of its own, with a configuration file, on a port that nobody else has."""
 
+import itertools
 import json
 import os
 import secrets
@@ -9,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from gateway.client import Client
 from tests.hil.bed import SpiTestbed
@@ -19,14 +20,28 @@ READY = "hexapod-gateway is ready"
 COMMAND = (sys.executable, "-m", "gateway")
 
 
-def free_port() -> int:
-    """A TCP port of this machine's loopback that nobody listens on now.
+_PORTS: Final = range(10_000, 32_000)
+"""Below those that the kernel gives to connections: one of these could be in use before the gateway listens."""
+_WORKERS: Final = 8
 
-    Below those that the kernel gives to connections: one of these could be in use before the gateway listens.
-    """
+
+def _shuffled() -> list[int]:
+    """Each worker of `pytest -n` has ports of its own, and none comes twice before all others have."""
+    share = len(_PORTS) // _WORKERS
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % _WORKERS
+    ports = list(_PORTS[worker * share : (worker + 1) * share])
+    secrets.SystemRandom().shuffle(ports)
+    return ports
+
+
+_ports = itertools.cycle(_shuffled())
+
+
+def free_port() -> int:
+    """A TCP port of this machine's loopback that nobody listens on now."""
     while True:
         with socket.socket() as probe, suppress(OSError):
-            port = 10_000 + secrets.randbelow(22_000)
+            port = next(_ports)
             probe.bind(("127.0.0.1", port))
             return port
 

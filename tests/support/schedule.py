@@ -1,0 +1,63 @@
+"""Which test runs when, on which worker of `pytest -n`, and which ones alone: decided here for all of them."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import pytest
+from xdist.scheduler import LoadScopeScheduling
+
+ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "mutants", "unit", "fuzz")
+"""Longest chains first; last what is short, and what waits for the searches."""
+ALONE: Final = ("net", "hil/test_load.py")
+"""What measures time, or fills the machine: `make test` runs these after all others, one at a time."""
+APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
+"""Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
+TOGETHER: Final = ("box", "console", "net")
+"""Folders that share a machine or a browser; files of other folders share a gateway."""
+SEARCHES: Final = "test_every_reachable_state"
+"""The model check's: it waits for processes of its own."""
+
+
+def arrange(items: list[pytest.Item], *, on_a_worker: bool) -> None:
+    """Sort the tests, and mark those that run alone."""
+    for item in items:
+        if _is_among(_file(item.nodeid), ALONE):
+            item.add_marker(pytest.mark.alone)
+
+    def place(item: pytest.Item) -> int:
+        if on_a_worker and SEARCHES in item.nodeid:
+            return -1  # one worker waits for them, while they take what the others leave of the processors
+        folder = _file(item.nodeid).partition("/")[0]
+        return ORDER.index(folder) if folder in ORDER else -1
+
+    items.sort(key=place)
+
+
+def group(nodeid: str) -> str:
+    """What runs on one worker, one after the other."""
+    file = _file(nodeid)
+    if SEARCHES in nodeid:
+        return SEARCHES
+    if _is_among(file, APART):
+        return nodeid
+    return file.partition("/")[0] if _is_among(file, TOGETHER) else file
+
+
+class Workers(LoadScopeScheduling):  # type: ignore[misc]  # xdist says nothing of its types
+    """Hands groups to workers, in the order of the tests."""
+
+    def __init__(self, config: pytest.Config, log: Any = None) -> None:
+        super().__init__(config, log)
+        config.option.loadscopereorder = False
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group(nodeid)
+
+
+def _file(nodeid: str) -> str:
+    """Its file, from the folder in tests/ on."""
+    return nodeid.partition("::")[0].removeprefix("tests/")
+
+
+def _is_among(file: str, places: Sequence[str]) -> bool:
+    return file in places or file.partition("/")[0] in places
