@@ -1,4 +1,4 @@
-"""Which tests keep together: what shares a machine, a browser or a gateway is on one worker, and anything else is free."""
+"""Which tests keep together: what shares a machine, a browser or a gateway is on one worker; anything else is free."""
 
 from pathlib import Path
 
