@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
-from gateway.protocol.frames import MAX_ANGLE_CDEG, STOP, Frame, OneLeg, OneServo, Op, ServoOp
+from gateway.protocol.frames import MAX_ANGLE_CDEG, OP_STOP, STOP, Frame, OneLeg, OneServo, ServoOp
 from schemas.robot import SERVO_IDS
 
 MAX_TRIM_CDEG: Final = 90_00
@@ -95,7 +95,7 @@ class Calibration:
 
     def _wire_op(self, servo_id: int, op: ServoOp) -> ServoOp:
         servo = self.servos.get(servo_id)
-        if servo is None or op.op is Op.STOP:
+        if servo is None or op.op is OP_STOP:
             return op
         return ServoOp(op.op, servo.wire_cdeg(op.angle_cdeg))
 
@@ -107,7 +107,7 @@ class Calibration:
         return OneLeg(frame.leg, (first, second, third))
 
     def _user_op(self, servo_id: int, op: ServoOp) -> ServoOp:
-        return STOP if op.op is Op.STOP else ServoOp(op.op, self.of(servo_id).user_cdeg(op.angle_cdeg))
+        return STOP if op.op is OP_STOP else ServoOp(op.op, self.of(servo_id).user_cdeg(op.angle_cdeg))
 
 
 class ServoChange(NamedTuple):

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from gateway.core.value import value
-from gateway.protocol.frames import STOP, Op, ServoOp, servo_ids_of
+from gateway.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
 from schemas.command import (
     MAX_ESTOP,
     MAX_PAYLOAD_BYTES,
@@ -30,7 +30,7 @@ ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
 """JSON, and what Zenoh reports when the publisher gave no encoding."""
 
 Targets = tuple[tuple[int, ServoOp], ...]
-_OPS: Final = {"start": Op.START, "set": Op.SET}
+_OPS: Final = {"start": OP_START, "set": OP_SET}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
 _LEG_COMMAND: Final = LegCommand.__pydantic_validator__
 """Called at once, without the wrapper around it: it reads each setpoint of a gait."""
@@ -55,7 +55,7 @@ class Intent:
     @property
     def only_stops(self) -> bool:
         """Whether it stops servos and does nothing else. A reset stops none."""
-        return bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)
+        return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
 
 
 @value

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.core.pacing import NEVER, NS_PER_MS, NS_PER_S, RateSlots
-from gateway.protocol.frames import Op, ServoOp, servo_ids_of
+from gateway.protocol.frames import OP_START, ServoOp, servo_ids_of
 from schemas.telemetry import WatchdogState
 
 NO_COMMAND: Final = 0
@@ -64,7 +64,7 @@ class Servo:
     @property
     def will_run(self) -> bool:
         """Whether a `set` has something to set: the servo runs, or waits to be started."""
-        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)
+        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)
 
     def note_stop(self, by: str, instant_ns: int) -> None:
         """Remember who stopped it in this instant."""

@@ -14,7 +14,7 @@ from gateway.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.core.reach import Reach
 from gateway.core.speed import step
-from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.protocol.frames import OP_SET, OP_STOP, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
@@ -34,7 +34,7 @@ def _whole_leg(leg: Leg) -> OneLeg:
         if servo.waiting is not None
         else STOP
         if servo.angle_cdeg is None
-        else ServoOp(Op.SET, servo.angle_cdeg)
+        else ServoOp(OP_SET, servo.angle_cdeg)
         for servo in leg.servos
     ]
     return OneLeg(leg.number, (first, second, third))
@@ -165,7 +165,7 @@ class Legs:
                 taken += _taken_over(leg, command.source)
             moves = False
             for _, op in targets:
-                moves = moves or op.op is not Op.STOP
+                moves = moves or op.op is not OP_STOP
             if moves:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns
@@ -201,12 +201,12 @@ class Legs:
                 newest = merged(servo.waiting, op)
                 effects += self._replaced(servo)
             servo.waiting, servo.waiting_number, servo.target_cdeg = newest, command.number, None
-            if op.op is Op.STOP:
+            if op.op is OP_STOP:
                 servo.note_stop(command.channel, self.instant_ns)
         effects += self._send(leg, now_ns)
         for servo, _ in targets:
             # The leg's rate slot has not come. Its moves wait; its Stops do not.
-            if servo.waiting is not None and servo.waiting.op is Op.STOP:
+            if servo.waiting is not None and servo.waiting.op is OP_STOP:
                 servo.waiting = None
                 # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
                 if servo.running or not servo.repeats_left:
@@ -238,7 +238,7 @@ class Legs:
         effects: list[Effect] = [Transmit(frame if wire is None else wire.frame(frame), cause)]
         for servo, target in waiting:
             servo.waiting = None
-            if target.op is Op.STOP:
+            if target.op is OP_STOP:
                 self._stopped(servo, now_ns)
             else:
                 servo.angle_cdeg = target.angle_cdeg
@@ -253,11 +253,11 @@ class Legs:
         said: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is None and servo.target_cdeg is not None:
-                servo.waiting, servo.waiting_number = ServoOp(Op.SET, servo.target_cdeg), NO_COMMAND
+                servo.waiting, servo.waiting_number = ServoOp(OP_SET, servo.target_cdeg), NO_COMMAND
             if servo.waiting is None:
                 continue
             speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
-            if servo.waiting.op is not Op.STOP:
+            if servo.waiting.op is not OP_STOP:
                 target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
                 if speed_cdeg_s is None or servo.angle_cdeg is None:
                     servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
@@ -300,7 +300,7 @@ class Legs:
                 if servo.angle_cdeg is not None:
                     angle_cdeg = self.landing.angle_cdeg(servo.servo_id, now_ns)
                     if angle_cdeg != servo.angle_cdeg:
-                        servo.waiting, servo.waiting_number = ServoOp(Op.SET, angle_cdeg), NO_COMMAND
+                        servo.waiting, servo.waiting_number = ServoOp(OP_SET, angle_cdeg), NO_COMMAND
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
             for servo in leg.servos:
                 servo.target_cdeg = None  # one whose speed is limited follows the line, and not where the line was

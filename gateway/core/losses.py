@@ -8,7 +8,7 @@ that were left starts.
 from typing import Final
 
 from gateway.core.intake import Rejection, Targets, stop_all_of
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import OP_START
 from schemas.keys import COMMAND_KEYS
 
 DETAIL: Final = "more messages came than can be read; a stop may be among those lost, so it counts as received"
@@ -28,7 +28,7 @@ class Losses:
 
     def accepted(self, targets: Targets) -> None:
         """One of the next messages was carried out."""
-        started = {servo_id for servo_id, op in targets if op.op is Op.START}
+        started = {servo_id for servo_id, op in targets if op.op is OP_START}
         self._stops = tuple(stop for stop in self._stops if stop[0] not in started)
 
     def take(self) -> tuple[str, Targets]:

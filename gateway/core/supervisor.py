@@ -63,7 +63,7 @@ from gateway.core.legs import Legs
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.reach import Reach
 from gateway.core.transitions import TRANSITIONS, IllegalEvent
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import OP_SET, OP_STOP
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
@@ -196,7 +196,7 @@ class Supervisor:
         """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
         if self.mode in _REJECTING:
             return _REJECTING[self.mode]
-        moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
+        moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not OP_STOP]
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
         if moves and (guarded or command.lease is not None):
             rejection = self._why_closed(command.lease) or self.calibrating.rejection(moves)
@@ -212,7 +212,7 @@ class Supervisor:
                 # Which of the two is older is not known, and an older Start must not overtake a Stop.
                 by = ", ".join(sorted(servo.stopped_by))
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
-            if op.op is Op.SET and not servo.will_run:
+            if op.op is OP_SET and not servo.will_run:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
 

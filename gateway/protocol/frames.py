@@ -44,6 +44,12 @@ class Op(enum.IntEnum):
     SET = 3
 
 
+OP_START: Final = Op.START
+OP_STOP: Final = Op.STOP
+OP_SET: Final = Op.SET
+"""For what each setpoint asks: to find a member by way of its enum takes Python 3.11 as long as three calls."""
+
+
 class ServoOp:
     """What one servo is told: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP).
 
@@ -59,7 +65,7 @@ class ServoOp:
             raise FrameError(f"the angle is {angle_cdeg!r}; it is a whole number of hundredths of a degree")
         if not 0 <= angle_cdeg <= MAX_ANGLE_CDEG:
             raise FrameError(f"the angle is {angle_cdeg} hundredths of a degree; it is 0 to {MAX_ANGLE_CDEG}")
-        if op is Op.STOP and angle_cdeg != 0:
+        if op is OP_STOP and angle_cdeg != 0:
             raise FrameError(f"the angle of a Stop is {angle_cdeg} hundredths of a degree; a Stop has none, so 0")
         self.op: Final = op
         self.angle_cdeg: Final = angle_cdeg
@@ -74,7 +80,7 @@ class ServoOp:
         return f"ServoOp(op={self.op!r}, angle_cdeg={self.angle_cdeg})"
 
 
-STOP: Final = ServoOp(Op.STOP)
+STOP: Final = ServoOp(OP_STOP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +104,7 @@ class OneServo:
     @property
     def is_stop(self) -> bool:
         """Whether the frame only de-energises."""
-        return self.command.op is Op.STOP
+        return self.command.op is OP_STOP
 
     def to_bytes(self) -> bytes:
         """The 6 bytes of the frame."""
@@ -137,7 +143,7 @@ class OneLeg:
     def is_stop(self) -> bool:
         """Whether the frame only de-energises."""
         first, second, third = self.commands
-        return first.op is second.op is third.op is Op.STOP
+        return first.op is second.op is third.op is OP_STOP
 
     def to_bytes(self) -> bytes:
         """The 14 bytes of the frame."""

@@ -20,7 +20,7 @@ from typing import Any, Final, Self
 from gateway.core.intake import Intent
 from gateway.core.value import value
 from gateway.errors import GatewayError
-from gateway.protocol.frames import Op
+from gateway.protocol.frames import OP_STOP
 from gateway.protocol.framing import Framing
 from gateway.recorder import format as form
 from gateway.recorder import place
@@ -49,7 +49,6 @@ INCIDENTS: Final = {
 """Events that are kept as incidents, and how their ids end."""
 MISTAKE: Final = "mistake"
 ACCEPTED: Final = "accepted"
-_STOP: Final = Op.STOP
 
 logger = logging.getLogger(__name__)
 
@@ -173,7 +172,7 @@ class RingRecorder(Recorder):
             self.held = ns, number, verb, key, source, intent
             return
         for target in intent.targets:
-            if target[1].op is _STOP:
+            if target[1].op is OP_STOP:
                 self.held = ns, number, verb, key, source, intent
                 return
         self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))

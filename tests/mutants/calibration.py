@@ -278,7 +278,7 @@ CALIBRATION = Subject(
             "the servo's own 180 is out of reach",
         ),
         Mutant(
-            "if servo is None or op.op is Op.STOP:",
+            "if servo is None or op.op is OP_STOP:",
             "if servo is None:",
             "a Stop for a trimmed servo becomes something else",
         ),
@@ -289,7 +289,7 @@ CALIBRATION = Subject(
         ),
         Mutant(
             "return ServoOp(op.op, servo.wire_cdeg(op.angle_cdeg))",
-            "return ServoOp(Op.SET, servo.wire_cdeg(op.angle_cdeg))",
+            "return ServoOp(OP_SET, servo.wire_cdeg(op.angle_cdeg))",
             "a trimmed servo never starts",
         ),
         Mutant(

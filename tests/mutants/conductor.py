@@ -359,7 +359,7 @@ LOSSES = Subject(
     "gateway/core/losses.py",
     tests=CONDUCTOR.tests,
     mutants=(
-        Mutant("if op.op is Op.START}", "}", "a Set undoes a Stop that was lost"),
+        Mutant("if op.op is OP_START}", "}", "a Set undoes a Stop that was lost"),
         Mutant("if stop[0] not in started)", "if False)", "a start of one servo undoes the Stop of another"),
         Mutant(
             '        self.key, self._stops = "", ()\n',

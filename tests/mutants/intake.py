@@ -9,18 +9,18 @@ INTAKE = Subject(
         Mutant('"application/json", "zenoh/bytes"}', '"application/json"}', "a plain put is rejected"),
         Mutant('"application/json", "zenoh/bytes"}', '"application/json", "zenoh/bytes", ""}', "no encoding is any"),
         Mutant(
-            "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
-            "any(op.op is Op.STOP for _, op in self.targets)",
+            "bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)",
+            "any(op.op is OP_STOP for _, op in self.targets)",
             "an old Start passes where a Stop stands beside it",
         ),
         Mutant(
-            "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
+            "bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)",
             "False",
             "a Stop that was delayed on its way is rejected",
         ),
         Mutant(
-            "bool(self.targets) and all(op.op is Op.STOP for _, op in self.targets)",
-            "all(op.op is Op.STOP for _, op in self.targets)",
+            "bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)",
+            "all(op.op is OP_STOP for _, op in self.targets)",
             "a reset that was delayed on its way passes for a Stop",
         ),
         Mutant(
@@ -111,12 +111,12 @@ INTAKE = Subject(
         ),
         Mutant(
             "ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))",
-            "ServoOp(Op.SET, round(setpoint.angle_deg * 100))",
+            "ServoOp(OP_SET, round(setpoint.angle_deg * 100))",
             "a start is a set",
         ),
         Mutant(
             "ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))",
-            "ServoOp(Op.START, round(setpoint.angle_deg * 100))",
+            "ServoOp(OP_START, round(setpoint.angle_deg * 100))",
             "a set energises a servo that somebody stopped",
         ),
         Mutant(
@@ -125,7 +125,7 @@ INTAKE = Subject(
             "angles are cut, not rounded",
         ),
         Mutant(
-            '"start": Op.START, "set": Op.SET}', '"start": Op.SET, "set": Op.START}', "set energises, start does not"
+            '"start": OP_START, "set": OP_SET}', '"start": OP_SET, "set": OP_START}', "set energises, start does not"
         ),
         Mutant("(2 + 2 * len(JOINTS)) + 64\n", "(2 + 2 * len(JOINTS)) + 6\n", "a source with colons is rejected"),
         Mutant("4 + len(LEGS) * (2 +", "0 + len(LEGS) * (2 +", "the fullest legal command is rejected"),

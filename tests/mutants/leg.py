@@ -15,12 +15,12 @@ LEG = Subject(
     ),
     mutants=(
         Mutant(
-            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)",
+            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)",
             "return self.angle_cdeg is not None or self.waiting is not None",
             "a leg that a Stop came for queues with those to be energised",
         ),
         Mutant(
-            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is Op.START)",
+            "return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)",
             "return self.angle_cdeg is not None",
             "a start that is pending has no watchdog, and a set after it is rejected",
         ),

@@ -25,13 +25,13 @@ LEGS = Subject(
             "nobody wakes up for what is pending for joint 1",
         ),
         Mutant(
-            "else ServoOp(Op.SET, servo.angle_cdeg)",
+            "else ServoOp(OP_SET, servo.angle_cdeg)",
             "else STOP",
             "a servo that nothing is pending for is stopped with its neighbour's frame",
         ),
         Mutant(
-            "else ServoOp(Op.SET, servo.angle_cdeg)",
-            "else ServoOp(Op.START, servo.angle_cdeg)",
+            "else ServoOp(OP_SET, servo.angle_cdeg)",
+            "else ServoOp(OP_START, servo.angle_cdeg)",
             "a servo is started that nobody starts",
         ),
         Mutant(
@@ -156,17 +156,17 @@ LEGS = Subject(
             "a pending start becomes a set",
         ),
         Mutant(
-            "            if op.op is Op.STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
+            "            if op.op is OP_STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
             "",
             "an older start overtakes a Stop that came with moves",
         ),
         Mutant(
-            "            if op.op is Op.STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
-            "            if op.op is Op.STOP:\n                servo.note_stop(command.channel, now_ns)\n",
+            "            if op.op is OP_STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
+            "            if op.op is OP_STOP:\n                servo.note_stop(command.channel, now_ns)\n",
             "an older start overtakes a Stop that came with moves, where time passes in an instant",
         ),
         Mutant(
-            "if servo.waiting is not None and servo.waiting.op is Op.STOP:\n                servo.waiting = None\n",
+            "if servo.waiting is not None and servo.waiting.op is OP_STOP:\n                servo.waiting = None\n",
             "if False:\n                servo.waiting = None\n",
             "a Stop that came with moves waits for the rate slot",
         ),
@@ -212,8 +212,8 @@ LEGS = Subject(
             "of three targets one is sent",
         ),
         Mutant(
-            "            servo.waiting = None\n            if target.op is Op.STOP:\n                self._stopped(servo, now_ns)\n",
-            "            servo.waiting = None\n            if target.op is Op.STOP:\n                servo.angle_cdeg = None\n",
+            "            servo.waiting = None\n            if target.op is OP_STOP:\n                self._stopped(servo, now_ns)\n",
+            "            servo.waiting = None\n            if target.op is OP_STOP:\n                servo.angle_cdeg = None\n",
             "a Stop that came with moves is not repeated",
         ),
         Mutant(

@@ -16,21 +16,21 @@ PACING = Subject(
         Mutant("SPACING_SHARE: Final = 4\n", "SPACING_SHARE: Final = 5\n", "frames closer than a quarter of a period"),
         Mutant("SPACING_SHARE: Final = 4\n", "SPACING_SHARE: Final = 2\n", "a jittering stream waits twice as long"),
         Mutant(
-            "if older.op is Op.START and newer.op is Op.SET:",
-            "if older.op is Op.START:",
+            "if older.op is OP_START and newer.op is OP_SET:",
+            "if older.op is OP_START:",
             "a Stop or start after a pending start is sent as a start of angle 0",
         ),
         Mutant(
-            "if older.op is Op.START and newer.op is Op.SET:",
-            "if newer.op is Op.SET:",
+            "if older.op is OP_START and newer.op is OP_SET:",
+            "if newer.op is OP_SET:",
             "a set energises a servo that nobody started",
         ),
         Mutant(
-            "if older.op is Op.START and newer.op is Op.SET:",
+            "if older.op is OP_START and newer.op is OP_SET:",
             "if False:",
             "a pending start becomes a set, and the servo stays off",
         ),
-        Mutant("ServoOp(Op.START, newer.angle_cdeg)", "older", "the older angle is sent"),
+        Mutant("ServoOp(OP_START, newer.angle_cdeg)", "older", "the older angle is sent"),
         Mutant("    return newer\n", "    return older\n", "the oldest target counts"),
         Mutant(
             "oldest_ns: int = -BUCKET * NS_PER_S",

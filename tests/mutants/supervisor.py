@@ -167,13 +167,13 @@ SUPERVISOR = Subject(
             "rejected changes keep the lease",
         ),
         Mutant(
-            "moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]",
+            "moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not OP_STOP]",
             "moves = [(servo_id, op) for servo_id, op in command.targets]",
             "a Stop is rejected, for the limits of an angle that it has not",
         ),
         Mutant(
-            "moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]",
-            "moves = [(servo_id, op) for servo_id, op in command.targets if op.op is Op.START]",
+            "moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not OP_STOP]",
+            "moves = [(servo_id, op) for servo_id, op in command.targets if op.op is OP_START]",
             "a set is never rejected: the controller ignores it, and everybody believes that the servo runs",
         ),
         Mutant(
@@ -191,13 +191,13 @@ SUPERVISOR = Subject(
             "command.channel not in servo.stopped_by:",
             "who stopped a servo, too, overtakes another's Stop",
         ),
-        Mutant("if op.op is Op.SET and not servo.will_run:", "if False:", "a set energises what was stopped"),
+        Mutant("if op.op is OP_SET and not servo.will_run:", "if False:", "a set energises what was stopped"),
         Mutant(
-            "if op.op is Op.SET and not servo.will_run:",
-            "if op.op is Op.SET and not servo.running:",
+            "if op.op is OP_SET and not servo.will_run:",
+            "if op.op is OP_SET and not servo.running:",
             "a set after a pending start is rejected",
         ),
-        Mutant("if op.op is Op.SET and not servo.will_run:", "if not servo.will_run:", "nothing can be started"),
+        Mutant("if op.op is OP_SET and not servo.will_run:", "if not servo.will_run:", "nothing can be started"),
         Mutant(
             "self._latched_ns = self.legs.instant_ns ",
             "self._latched_ns = now_ns ",
