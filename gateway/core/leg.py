@@ -109,6 +109,7 @@ class Leg:
 
     @property
     def armed(self) -> bool:
+        """Whether one of its servos runs, or waits to be started."""
         first, second, third = self.servos
         return first.will_run or second.will_run or third.will_run
 

@@ -29,15 +29,16 @@ class _PendingCommand:
 
 def _whole_leg(leg: Leg) -> OneLeg:
     """All three servos in one frame; one that nothing waits for is told what it does already."""
-    first, second, third = [
-        servo.waiting
-        if servo.waiting is not None
-        else STOP
-        if servo.angle_cdeg is None
-        else ServoOp(OP_SET, servo.angle_cdeg)
-        for servo in leg.servos
-    ]
-    return OneLeg(leg.number, (first, second, third))
+    first, second, third = leg.servos
+    return OneLeg(
+        leg.number,
+        (first.waiting or _as_it_is(first), second.waiting or _as_it_is(second), third.waiting or _as_it_is(third)),
+    )
+
+
+def _as_it_is(servo: Servo) -> ServoOp:
+    """What tells a servo to go on as it is."""
+    return STOP if servo.angle_cdeg is None else ServoOp(OP_SET, servo.angle_cdeg)
 
 
 def _stops(leg: Leg, servos: list[Servo], cause: Cause) -> list[Effect]:
@@ -245,7 +246,10 @@ class Legs:
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
             if servo.waiting_number != NO_COMMAND:
-                effects += self._target_done(servo.waiting_number)
+                pending = self._pending[servo.waiting_number]
+                pending.targets -= 1
+                if not pending.targets:
+                    effects.append(self._completed(servo.waiting_number))
         return effects
 
     def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
@@ -351,10 +355,11 @@ class Legs:
     def _target_done(self, number: int) -> list[Effect]:
         pending = self._pending[number]
         pending.targets -= 1
-        if pending.targets:
-            return []
-        del self._pending[number]
-        return [Completed(number, pending.coalesced)]
+        return [] if pending.targets else [self._completed(number)]
+
+    def _completed(self, number: int) -> Completed:
+        """All its targets are sent, or replaced."""
+        return Completed(number, self._pending.pop(number).coalesced)
 
     def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Forget what waits for these servos, and reject the commands that it came from, as a whole."""

@@ -51,9 +51,12 @@ class RateSlots:
 
     def take(self, now_ns: int) -> None:
         """A frame goes out now and uses up the oldest slot that the bucket still holds."""
-        self.oldest_ns = max(self.oldest_ns, now_ns - (BUCKET - 1) * self.period_ns) + self.period_ns
-        spacing_ns = -(-self.period_ns // SPACING_SHARE)  # rounded up: never closer
-        self.next_ns = max(self.oldest_ns, now_ns + spacing_ns)
+        oldest_kept_ns = now_ns - (BUCKET - 1) * self.period_ns
+        if self.oldest_ns < oldest_kept_ns:
+            self.oldest_ns = oldest_kept_ns
+        self.oldest_ns += self.period_ns
+        soonest_ns = now_ns - (-self.period_ns // SPACING_SHARE)  # rounded up: never closer
+        self.next_ns = self.oldest_ns if self.oldest_ns > soonest_ns else soonest_ns
 
 
 @dataclass(slots=True)

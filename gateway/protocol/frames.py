@@ -118,21 +118,30 @@ class OneServo:
         return cls(_read_servo_id(data, 2), _read_op(data, 3))
 
 
-@dataclass(frozen=True, slots=True)
 class OneLeg:
-    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3."""
+    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3. Written out, as ServoOp is."""
 
-    leg: int
-    commands: tuple[ServoOp, ServoOp, ServoOp]
+    __slots__ = ("commands", "leg")
 
-    def __post_init__(self) -> None:
-        if type(self.leg) is not int or self.leg not in LEGS:
-            raise FrameError(f"the leg is {self.leg!r}; it is 1 to 6")
-        if type(self.commands) is not tuple or len(self.commands) != _JOINTS_OF_A_LEG:
-            raise FrameError(f"the commands are {self.commands!r}; they are a tuple of three, for joints 1, 2 and 3")
-        first, second, third = self.commands
+    def __init__(self, leg: int, commands: tuple[ServoOp, ServoOp, ServoOp]) -> None:
+        if type(leg) is not int or leg not in LEGS:
+            raise FrameError(f"the leg is {leg!r}; it is 1 to 6")
+        if type(commands) is not tuple or len(commands) != _JOINTS_OF_A_LEG:
+            raise FrameError(f"the commands are {commands!r}; they are a tuple of three, for joints 1, 2 and 3")
+        first, second, third = commands
         if not type(first) is type(second) is type(third) is ServoOp:
-            raise FrameError(f"the commands are {self.commands!r}; each is a ServoOp")
+            raise FrameError(f"the commands are {commands!r}; each is a ServoOp")
+        self.leg: Final = leg
+        self.commands: Final = commands
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is OneLeg and (self.leg, self.commands) == (other.leg, other.commands)
+
+    def __hash__(self) -> int:
+        return hash((self.leg, self.commands))
+
+    def __repr__(self) -> str:
+        return f"OneLeg(leg={self.leg!r}, commands={self.commands!r})"
 
     @property
     def servos(self) -> tuple[tuple[int, ServoOp], ...]:
