@@ -34,6 +34,7 @@ _OPS: Final = {"start": OP_START, "set": OP_SET}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
 _LEG_COMMAND: Final = LegCommand.__pydantic_validator__
 """Called at once, without the wrapper around it: it reads each setpoint of a gait."""
+_ESTOP, _LEG, _LEGS = Target.ESTOP, Target.LEG, Target.LEGS  # see `frames.OP_STOP`
 _SERVO_OPS: Final = ("start", "set", "stop")
 
 
@@ -68,7 +69,7 @@ class Rejection:
 
 def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
     """Read the payload that came on `key`. Never raises: a payload that is wrong returns a Rejection."""
-    if key.target is Target.ESTOP:
+    if key.target is _ESTOP:
         return Intent()  # any payload engages it (docs/interface.md, Behaviour 5)
     if len(payload) > MAX_PAYLOAD_BYTES:
         return too_large(len(payload))
@@ -151,12 +152,12 @@ _READERS: Final = {
 
 def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
     """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
-    return tuple(
-        [
-            (servo_id, STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100)))
-            for servo_id, setpoint in zip(servo_ids, setpoints, strict=True)
-        ]
-    )
+    targets: Targets = ()
+    for place, servo_id in enumerate(servo_ids):
+        setpoint = setpoints[place]
+        op = STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))
+        targets += ((servo_id, op),)
+    return targets
 
 
 _MAX_COLONS: Final = 4 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
@@ -182,9 +183,9 @@ def _fields(target: Target, intent: Intent) -> int:
     fields += intent.lease is not None
     for _, op in intent.targets:
         fields += 1 if op is STOP else 2
-    if target is Target.LEG:
+    if target is _LEG:
         fields += 1
-    elif target is Target.LEGS:
+    elif target is _LEGS:
         fields += 1 + 2 * len(intent.targets) // len(JOINTS)
     return fields
 

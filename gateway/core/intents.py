@@ -8,6 +8,7 @@ from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.telemetry import Reason
 
+_DELETE: Final = Verb.DELETE
 MAX_KEY: Final = 100
 """Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
 
@@ -23,7 +24,7 @@ def intent_of(received: Received) -> Intent | Rejection:
     if received.key == keys.RESET and received.expression != keys.RESET:
         # A wildcard may name the reset among others; leaving the emergency stop must be meant.
         return Rejection(Reason.INVALID, f"a reset is not taken from a wildcard; put it on {keys.RESET}")
-    if received.verb is Verb.DELETE:
+    if received.verb is _DELETE:
         return stop_all_of(received.target)
     if received.size > MAX_PAYLOAD_BYTES:
         return too_large(received.size)

@@ -5,7 +5,7 @@ No Zenoh here, so that whatever carries messages can be exchanged, and a second 
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Protocol
+from typing import Final, Protocol
 
 from pydantic import BaseModel
 
@@ -24,6 +24,9 @@ class Verb(StrEnum):
     GET = "get"
     LOST = "lost"
     """It stands for puts that were lost before those that follow: a Stop may be among them."""
+
+
+_GET: Final = Verb.GET
 
 
 @value
@@ -47,7 +50,7 @@ class Received:
     @property
     def channel(self) -> str:
         """Messages of one channel came in this order; between channels the order is unknown."""
-        return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}"
+        return f"{'get' if self.verb is _GET else 'put'} {self.key}"
 
 
 class Outbox(Protocol):

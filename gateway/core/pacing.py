@@ -51,10 +51,8 @@ class RateSlots:
 
     def take(self, now_ns: int) -> None:
         """A frame goes out now and uses up the oldest slot that the bucket still holds."""
-        oldest_kept_ns = now_ns - (BUCKET - 1) * self.period_ns
-        if self.oldest_ns < oldest_kept_ns:
-            self.oldest_ns = oldest_kept_ns
-        self.oldest_ns += self.period_ns
+        kept_ns = now_ns - (BUCKET - 1) * self.period_ns
+        self.oldest_ns = (self.oldest_ns if self.oldest_ns > kept_ns else kept_ns) + self.period_ns
         soonest_ns = now_ns - (-self.period_ns // SPACING_SHARE)  # rounded up: never closer
         self.next_ns = self.oldest_ns if self.oldest_ns > soonest_ns else soonest_ns
 

@@ -49,6 +49,8 @@ pause, and take the processor from the threads of Zenoh's that receive: what is 
 flooded leg's frames, p99, on a busy machine: 171 and 181 ms without the pause, 25 and 50 ms with it."""
 
 _Item = zenoh.Sample | zenoh.Query
+_PUT, _DELETE, _LOST, _KIND_DELETE = Verb.PUT, Verb.DELETE, Verb.LOST, zenoh.SampleKind.DELETE
+"""Each message asks for these; see `frames.OP_STOP`."""
 _RING_KEYS: Final = COMMAND_KEYS.keys() - {ESTOP}
 
 logger = logging.getLogger(__name__)
@@ -139,10 +141,11 @@ class Inbox:
         message (its thread notes it by itself, and waits for the state), so that nothing that waits comes before it.
         """
         taken: dict[str, int] = {}
-        for received in self._take_commands():
+        for key, each in self._take_commands():
+            received = _lost(key) if each is None else each
             while self._estops:
                 yield self._estops.popleft()
-            if received.target is not None and received.verb is not Verb.LOST:
+            if received.target is not None and received.verb is not _LOST:
                 taken[received.key] = taken[received.key] + 1 if received.key in taken else 1
             yield received
         while self._estops:
@@ -205,24 +208,23 @@ class Inbox:
         # Empty the wakeups before the rings are read: a message that comes in between then rings again.
         self._note(item, received_ns)
         del item
-        for wakeup in self._wakeups:
-            waiting = self._note_all(wakeup, received_ns)
-            # Of a full wakeup two may have been taken out after another was lost: this one, and its thread's.
-            self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2
+        self._note_all(received_ns)
         flooded = self._read_all
         self._wake()
         return FLOOD_PAUSE_S if flooded else None
 
-    def _note_all(self, wakeup: Handler[Any], received_ns: int) -> int:
-        """Note what waits there, and say how much; what comes meanwhile is left for the next time."""
-        count = 0
-        try:
-            while count < OTHER_DEPTH and (item := wakeup.try_recv()) is not None:
-                self._note(item, received_ns)
-                count += 1
-        except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
-            pass
-        return count
+    def _note_all(self, received_ns: int) -> None:
+        """Note what waits in the wakeups; what comes meanwhile is left for the next time."""
+        for wakeup in self._wakeups:
+            count = 0
+            try:
+                while count < OTHER_DEPTH and (item := wakeup.try_recv()) is not None:
+                    self._note(item, received_ns)
+                    count += 1
+            except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
+                pass
+            # Of a full wakeup two may have been taken out after another was lost: this one, and its thread's.
+            self._read_all = self._read_all or count >= OTHER_DEPTH - 2
 
     def _note(self, item: _Item, received_ns: int) -> None:
         """A key of ours is read from its own ring; what names none of ours is rejected from here."""
@@ -244,16 +246,16 @@ class Inbox:
             # Its asker may wait for the end of all that it reached, so an emergency stop's is not sent behind others.
             (self._estop_replies if key == ESTOP else self._replies).let_go(item)
 
-    def _take_commands(self) -> list[Received]:
+    def _take_commands(self) -> list[tuple[str, Received | None]]:
         # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
         # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
         keys = () if self._read_all else {*self._heard, *self._look_at}
         try:
-            found = [_lost(key) if each is None else each for key, each in self._rings.read(keys)]
+            found = self._rings.read(keys)
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
             found = []
         if self._others:
-            found.extend(self._others)
+            found += [(other.key, other) for other in self._others]
             self._others.clear()
         return found
 
@@ -313,7 +315,7 @@ _NOT_BY_WILDCARD: Final = (
 
 def _words_of_stop(received: Received) -> bytes | None:
     """In JSON a word may be written with escapes, and each of them has a backslash. What is too large is rejected."""
-    if received.verb is Verb.DELETE:
+    if received.verb is _DELETE:
         return b""
     words = received.payload
     return words if b"stop" in words or b"\\" in words else None
@@ -330,7 +332,7 @@ def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | No
     if isinstance(item, zenoh.Query):
         verb, reply = Verb.GET, answers.to(item, key)
     else:
-        verb, reply = (Verb.DELETE if item.kind == zenoh.SampleKind.DELETE else Verb.PUT), None
+        verb, reply = (_DELETE if item.kind == _KIND_DELETE else _PUT), None
     return Received(
         key=key,
         expression=str(item.key_expr),

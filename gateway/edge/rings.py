@@ -58,9 +58,9 @@ class Ring(Generic[Item]):
         self.before: frozenset[Ring[Item]] = frozenset()
         """Those of them whose commands apply before its own: they are read after anything else, too."""
 
-    def rest(self, first: Item) -> list[Item]:
+    def rest(self, *first: Item) -> list[Item]:
         """`first`, and what came after it, at most the ring's depth: what comes meanwhile is left for the next time."""
-        found = [first]
+        found = [*first]
         while len(found) < self.depth and (item := self.receive()) is not None:
             found.append(item)
         return found
@@ -99,7 +99,9 @@ class Rings(Generic[Item, Message]):
         """
         due: Collection[Ring[Item]] = self._all
         if keys and not self.instant_open:
-            due = [ring for key in keys for ring in self._of[key]]
+            due = named = list[Ring[Item]]()
+            for key in keys:
+                named += self._of[key]
         taken: list[tuple[Ring[Item], Sequence[Message | None]]] = []
         stops = False
         for _ in range(PASSES):
@@ -109,7 +111,11 @@ class Rings(Generic[Item, Message]):
                     again.remove(ring)  # it is read now, after what made it due
                 first = ring.receive()
                 if first is not None:
-                    items = self._made(ring, ring.rest(first))
+                    second = ring.receive()
+                    items: Sequence[Message | None]
+                    items = (
+                        [self._make(ring.key, first)] if second is None else self._made(ring, ring.rest(first, second))
+                    )
                     taken.append((ring, items))
                     if self._may_stop(ring, items):
                         stops = True
@@ -133,8 +139,6 @@ class Rings(Generic[Item, Message]):
 
     def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
         """The newest, and before them the older Stops, or None where some may have been lost."""
-        if len(found) == 1:
-            return [self._make(ring.key, found[0])]
         newest = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
         if len(found) <= RING_DEPTH or ring.key == RESET:
             return newest

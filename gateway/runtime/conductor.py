@@ -35,7 +35,7 @@ from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
 from gateway.host.ownership import Ownership, OwnersTimer
-from gateway.protocol.frames import FIRST_OP, Op
+from gateway.protocol.frames import FIRST_OP, OP_STOP
 from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
 from gateway.runtime.answers import Answers
 from gateway.runtime.metrics import Metrics
@@ -53,6 +53,8 @@ FIRST_REOPEN_S: Final = 0.02
 """Well within the 100 ms of docs/interface.md, Behaviour 6: until the device answers, no Stop reaches the robot."""
 LAST_REOPEN_S: Final = 1.0
 """Half of what Behaviour 6 allows: a busy machine may wake up late, and a Stop may be waiting."""
+
+_LOST, _REPEAT = Verb.LOST, Cause.REPEAT  # see `frames.OP_STOP`
 
 logger = logging.getLogger(__name__)
 
@@ -98,7 +100,7 @@ class Conductor:
         self.metrics = Metrics()
         self.outbox = outbox
         self.recorder = recorder
-        self._teller = Teller(outbox, recorder, publish_frames=settings.telemetry.frames)
+        self._teller = Teller(outbox, recorder)
         self._tell = self._teller.event
         self.answers = Answers(self.metrics, recorder, self._sources, self._tell, clock)
         self._pending, self._numbers = self.answers.pending, self.answers.numbers
@@ -128,7 +130,7 @@ class Conductor:
         self._reopen_timer.cancel()
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
-        stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)
+        stop_frames = _count(self._step(ShutDown()), Cause.SHUTDOWN)
         self._arm()
         return stop_frames >= len(LEGS)
 
@@ -150,12 +152,16 @@ class Conductor:
             return
         now_ns = self.turned()
         instant_ns = self._instant_ns = self._instant_ns if self.instant_open() else now_ns
+        looked = False
         for received in self.take() if only is None else only:
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
+            looked = True
         if self._losses.key:
             self._stop_what_lost_stops_named(instant_ns)
-        self._do_what_is_due(instant_ns)
+            looked = False
+        if not looked:
+            self._do_what_is_due(instant_ns)
         self._arm()
 
     def turned(self) -> int:
@@ -182,7 +188,7 @@ class Conductor:
         if received.key == keys.ESTOP:
             self._emergency_stop(received, instant_ns)
             return
-        if received.verb is Verb.LOST:
+        if received.verb is _LOST:
             self._losses.note(received.key)
             return
         intent = intent_of(received)
@@ -192,7 +198,8 @@ class Conductor:
             )
             return
         source = intent.source or received.source
-        too_old = self._too_old(intent, source, instant_ns)
+        now_ns = self._clock()
+        too_old = self._too_old(intent, source, now_ns, instant_ns)
         if too_old is not None:
             self.recorder.command(0, received.verb, received.key, source, intent, received.received_ns)
             self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)
@@ -202,7 +209,8 @@ class Conductor:
         if received.key == keys.RESET:
             self._step(Reset(number, source, received.key, intent.estop, intent.lease), instant_ns)
         else:
-            self._step(Command(number, received.channel, intent.targets, source, intent.lease), instant_ns)
+            command = Command(number, received.channel, intent.targets, source, intent.lease)
+            self._step(command, instant_ns, now_ns)
             if self._losses.key and self.answers.rejected != number:
                 self._losses.accepted(intent.targets)
 
@@ -220,10 +228,10 @@ class Conductor:
             self._pending[number := next(self._numbers)] = key, None, None
             self._step(Command(number, f"put {key}", stops), instant_ns)
 
-    def _too_old(self, intent: Intent, source: str | None, instant_ns: int) -> str | None:
+    def _too_old(self, intent: Intent, source: str | None, now_ns: int, instant_ns: int) -> str | None:
         if self._staleness is None:
             return None
-        too_old = self._staleness.too_old(source, intent.sent_ms, self._clock(), instant_ns)
+        too_old = self._staleness.too_old(source, intent.sent_ms, now_ns, instant_ns)
         # A Stop is taken however old it is: to stop once too often harms nobody.
         return None if too_old is None or intent.only_stops else too_old
 
@@ -232,7 +240,7 @@ class Conductor:
         self._sources.note_estop(received)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
-        stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).count(Cause.ESTOP)
+        stop_frames = _count(self._step(EmergencyStop(received.source, received.key), instant_ns), Cause.ESTOP)
         latency_ns = max(0, self._clock() - received.received_ns)
         self.recorder.command(0, received.verb, received.key, self._sources.estop, Intent(), received.received_ns)
         if stop_frames >= len(LEGS):
@@ -242,15 +250,16 @@ class Conductor:
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
             received.reply(ack.model_dump_json().encode())
 
-    def _step(self, event: Event, instant_ns: int | None = None) -> list[Cause]:
-        """Let the supervisor take an event and carry out what it says. Returns why each frame was written."""
-        written, fault = self._carry_out(self.supervisor.step(event, self._clock(), instant_ns))
+    def _step(self, event: Event, instant_ns: int | None = None, now_ns: int | None = None) -> list[Written]:
+        """Let the supervisor take an event and carry out what it says. Returns the frames that were written."""
+        now_ns = self._clock() if now_ns is None else now_ns
+        written, fault = self._carry_out(self.supervisor.step(event, now_ns, instant_ns))
         if fault is not None:
             self._bus_failed(fault)
         self._tell_mode()
         return written
 
-    def _carry_out(self, effects: list[Effect]) -> tuple[list[Cause], SpiError | None]:
+    def _carry_out(self, effects: list[Effect]) -> tuple[list[Written], SpiError | None]:
         """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
         fault: SpiError | None = None
         written: list[Written] = []
@@ -260,16 +269,16 @@ class Conductor:
                 case Transmit():
                     if fault is not None and not effect.frame.is_stop:
                         continue
-                    before, repeats = repeats, effect.cause is Cause.REPEAT
+                    before, repeats = repeats, effect.cause is _REPEAT
                     try:
                         self.bus.write(effect.frame, first_repeat=repeats and not before)
                     except SpiError as error:
                         fault = fault or error
                         continue
-                    now_ns = self._clock()
+                    now_ns = self.bus.ended_ns
                     data, took_ns = self.bus.last_transfer, self.bus.last_transfer_ns
                     written.append(Written(data, effect.cause, now_ns, took_ns, effect.deadline_ns))
-                    if len(written) > 1 and data[FIRST_OP] != Op.STOP:
+                    if len(written) > 1 and data[FIRST_OP] != OP_STOP:
                         self.recorder.frames()  # no Stop follows in this step, so none waits for it
                     self.metrics.frames[effect.cause] += 1
                     if effect.deadline_ns is not None:
@@ -286,9 +295,10 @@ class Conductor:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been told
                 case Announce():
                     self._sources.announce(effect, self._clock(), self._tell)
-        if written or self.recorder.held is not None:
+        self.recorder.frames()
+        if self._settings.telemetry.frames:
             self._teller.frames(written)
-        return [frame.cause for frame in written], fault
+        return written, fault
 
     # ---- the bus
 
@@ -370,3 +380,7 @@ class Conductor:
             estop_source=self._sources.estop,
             incident=self.recorder.incident,
         )
+
+
+def _count(written: list[Written], cause: Cause) -> int:
+    return sum(frame.cause is cause for frame in written)

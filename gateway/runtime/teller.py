@@ -15,10 +15,9 @@ logger: Final = logging.getLogger(__name__)
 class Teller:
     """Events and frames go out through here."""
 
-    def __init__(self, outbox: Outbox, recorder: Recorder, *, publish_frames: bool) -> None:
+    def __init__(self, outbox: Outbox, recorder: Recorder) -> None:
         self._outbox = outbox
         self._recorder = recorder
-        self._publish_frames = publish_frames
 
     def event(
         self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
@@ -38,12 +37,9 @@ class Teller:
         self._outbox.publish(keys.EVENT, event)
 
     def frames(self, written: list[Written]) -> None:
-        """Tell the frames of a step, after the last of them was written."""
-        if self._recorder.told < len(written) or self._recorder.held is not None:
-            self._recorder.frames()
-        if self._publish_frames:
-            for frame in written:
-                record = telemetry.FrameRecord(
-                    time=wall_clock(), monotonic_ns=frame.ns, bytes=frame.data.hex(), cause=frame.cause
-                )
-                self._outbox.publish(keys.FRAME, record)
+        """Publish the frames of a step, after the last of them was written."""
+        for frame in written:
+            record = telemetry.FrameRecord(
+                time=wall_clock(), monotonic_ns=frame.ns, bytes=frame.data.hex(), cause=frame.cause
+            )
+            self._outbox.publish(keys.FRAME, record)

@@ -71,7 +71,8 @@ class Bus:
         self._clock = clock
         self._pause = pause
         self._device: SpiDevice | None = None
-        self._ended_ns = 0
+        self.ended_ns = 0
+        """When the last transfer ended; after `write` that is the frame's."""
         self._free_ns = 0
         self._synchronised = False  # as far as failed transfers tell
         self._synchronised_ns = 0  # when the last preamble ended
@@ -175,14 +176,14 @@ class Bus:
             raise zeros_fault
         self.resync_due = (
             self._resync_ns > 0
-            and self._ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
+            and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
         )
 
     def _wants_preamble(self, frame: Frame, *, first_repeat: bool) -> bool:
         if first_repeat or not self._synchronised:
             return True
         now_ns = self._clock()
-        if now_ns - self._ended_ns >= IDLE_NS:
+        if now_ns - self.ended_ns >= IDLE_NS:
             self._synchronised_ns = now_ns
         overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
         # A preamble that was begun is finished first; begun again after each frame, it would never end.
@@ -197,7 +198,7 @@ class Bus:
             # The clock is read after the pause, which is where a machine most likely stalls.
             if self._wait_for_gap() - announced_ns <= STALE_ANNOUNCEMENT_NS or attempt == TRIES:
                 self._transfer(body)
-                if self._ended_ns - announced_ns < LOST_BODY_NS:
+                if self.ended_ns - announced_ns < LOST_BODY_NS:
                     self._synchronised = True
                     return
             self._resynchronise()
@@ -225,7 +226,7 @@ class Bus:
         self._transfer(ZERO)
         self._synchronised, self._zeros = synchronised, zeros + 1
         if self._zeros == PREAMBLE_ZEROS:
-            self._synchronised, self._synchronised_ns, self.resync_due = True, self._ended_ns, False
+            self._synchronised, self._synchronised_ns, self.resync_due = True, self.ended_ns, False
 
     def _wait_for_gap(self) -> int:
         """Wait until the pause after the last transfer is over; returns the time then."""
@@ -246,10 +247,10 @@ class Bus:
         try:
             self._device.transfer(data)
         finally:
-            self._ended_ns = self._clock()
-            self.last_transfer, self.last_transfer_ns = data, self._ended_ns - begun_ns
+            self.ended_ns = self._clock()
+            self.last_transfer, self.last_transfer_ns = data, self.ended_ns - begun_ns
             self.transfer_latency.record(self.last_transfer_ns)
-            self._free_ns = self._ended_ns + self._frame_gap_ns
+            self._free_ns = self.ended_ns + self._frame_gap_ns
         return begun_ns
 
 

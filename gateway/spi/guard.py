@@ -112,7 +112,7 @@ def _is_frame(data: bytes) -> bool:
     if not known:
         return False
     for index in range(3, size, 4):
-        op, whole_deg, hundredths = data[index : index + 3]
+        op, whole_deg, hundredths = data[index], data[index + 1], data[index + 2]
         if op in _MOVES:
             legal = hundredths <= 99 and whole_deg <= (179 if hundredths else 180)
         else:

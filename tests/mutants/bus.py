@@ -147,7 +147,7 @@ BUS = Subject(
             "a repeated run of Stops finds a deaf controller",
         ),
         Mutant(
-            "        if now_ns - self._ended_ns >= IDLE_NS:\n            self._synchronised_ns = now_ns\n",
+            "        if now_ns - self.ended_ns >= IDLE_NS:\n            self._synchronised_ns = now_ns\n",
             "",
             "each first frame after a pause waits for zeros that nobody needs",
         ),
@@ -179,7 +179,7 @@ BUS = Subject(
         ),
         Mutant("or attempt == TRIES:", "or False:", "on a machine that stalls again and again, a Stop is never tried"),
         Mutant(
-            "if self._ended_ns - announced_ns < LOST_BODY_NS:", "if True:", "a body that came too late counts as heard"
+            "if self.ended_ns - announced_ns < LOST_BODY_NS:", "if True:", "a body that came too late counts as heard"
         ),
         Mutant(
             "        for _ in range(TRIES + 1):\n",
@@ -205,11 +205,11 @@ BUS = Subject(
             "eight zeros in place of sixteen",
         ),
         Mutant(
-            "= True, self._ended_ns, False",
+            "= True, self.ended_ns, False",
             "= True, self._synchronised_ns, False",
             "zeros fill every pause of a stream",
         ),
-        Mutant("= True, self._ended_ns, False", "= True, self._ended_ns, True", "zeros fill every pause of a stream"),
+        Mutant("= True, self.ended_ns, False", "= True, self.ended_ns, True", "zeros fill every pause of a stream"),
         Mutant(
             "        if now_ns < self._free_ns:\n            self._pause((self._free_ns - now_ns) / 1e9)\n",
             "        if now_ns < self._free_ns:\n",
@@ -221,7 +221,7 @@ BUS = Subject(
             "a frame among the zeros counts as one of them",
         ),
         Mutant(
-            "self._free_ns = self._ended_ns + self._frame_gap_ns",
+            "self._free_ns = self.ended_ns + self._frame_gap_ns",
             "self._free_ns = begun_ns + self._frame_gap_ns",
             "the gap is counted from a transfer's begin: the controller misses the next",
         ),

@@ -33,8 +33,8 @@ CONDUCTOR = Subject(
             "a bus that has recovered gets no Stop at the end",
         ),
         Mutant(
-            "stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)\n        self._arm()\n",
-            "stop_frames = self._step(ShutDown()).count(Cause.SHUTDOWN)\n",
+            "stop_frames = _count(self._step(ShutDown()), Cause.SHUTDOWN)\n        self._arm()\n",
+            "stop_frames = _count(self._step(ShutDown()), Cause.SHUTDOWN)\n",
             "the last Stops are not repeated, and the end waits for ever",
         ),
         Mutant("return stop_frames >= len(LEGS)", "return True", "the end is taken for done though a leg got no Stop"),
@@ -108,8 +108,8 @@ CONDUCTOR = Subject(
             "a reset that was sent before an emergency stop leaves it",
         ),
         Mutant(
-            "            self._step(Command(number, received.channel, intent.targets, source, intent.lease), instant_ns)\n",
-            "            self._step(Command(number, received.channel, intent.targets, source, intent.lease))\n",
+            "            self._step(command, instant_ns, now_ns)\n",
+            "            self._step(command, None, now_ns)\n",
             "an older start overtakes a Stop of its instant",
         ),
         Mutant(
@@ -138,8 +138,8 @@ CONDUCTOR = Subject(
             "an emergency stop waits until somebody looks for the device again",
         ),
         Mutant(
-            "self._step(EmergencyStop(received.source, received.key), instant_ns).count",
-            "self._step(EmergencyStop(received.source, received.key)).count",
+            "self._step(EmergencyStop(received.source, received.key), instant_ns)",
+            "self._step(EmergencyStop(received.source, received.key))",
             "a reset beats an emergency stop of its instant",
         ),
         Mutant(
@@ -207,7 +207,7 @@ CONDUCTOR = Subject(
             "                case Announce(kind=Kind.BUS_RECOVERED) if False:\n",
             "a bus that did not take its Stops is told as recovered",
         ),
-        Mutant("publish_frames=settings.telemetry.frames", "publish_frames=True", "telemetry.frames is ignored"),
+        Mutant("if self._settings.telemetry.frames:", "if True:", "telemetry.frames is ignored"),
         Mutant("        self.bus.close()\n        effects", "        effects", "a device at fault is never released"),
         Mutant(
             "            effects = [effect for effect in effects if not isinstance(effect, Announce)]\n",
@@ -343,7 +343,7 @@ INTENTS = Subject(
             "a wildcard leaves the emergency stop",
         ),
         Mutant(
-            "    if received.verb is Verb.DELETE:\n        return stop_all_of(received.target)\n",
+            "    if received.verb is _DELETE:\n        return stop_all_of(received.target)\n",
             "",
             "a delete stops nothing",
         ),

@@ -14,18 +14,18 @@ MESSAGE = Subject(
     tests=_TESTS,
     mutants=(
         Mutant(
-            """return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}\"""",
+            """return f"{'get' if self.verb is _GET else 'put'} {self.key}\"""",
             "return self.key",
             "a put and a get of one key count as in order: a start overtakes a Stop",
         ),
         Mutant(
-            """return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}\"""",
+            """return f"{'get' if self.verb is _GET else 'put'} {self.key}\"""",
             """return f"{self.verb} {self.key}\"""",
             "a delete and a put of one key count as of two: a start after it is rejected",
         ),
         Mutant(
-            """return f"{'get' if self.verb is Verb.GET else 'put'} {self.key}\"""",
-            """return f"{'get' if self.verb is Verb.GET else 'put'}\"""",
+            """return f"{'get' if self.verb is _GET else 'put'} {self.key}\"""",
+            """return f"{'get' if self.verb is _GET else 'put'}\"""",
             "all keys count as in order: a start overtakes a Stop",
         ),
     ),
@@ -72,8 +72,8 @@ INBOX = Subject(
             "with a dead reply sender the service says that it hears",
         ),
         Mutant(
-            "        for received in self._take_commands():\n            while self._estops:\n                yield self._estops.popleft()\n",
-            "        for received in self._take_commands():\n",
+            "            received = _lost(key) if each is None else each\n            while self._estops:\n                yield self._estops.popleft()\n",
+            "            received = _lost(key) if each is None else each\n",
             "an emergency stop waits for all that was taken before",
         ),
         Mutant(
@@ -107,17 +107,17 @@ INBOX = Subject(
             "an emergency stop that a tick has served already ends the service",
         ),
         Mutant(
-            "                self._note(item, received_ns)\n                count",
-            "                count",
+            "                    self._note(item, received_ns)\n                    count",
+            "                    count",
             "of several messages at once, only the first is taken in time",
         ),
         Mutant(
-            "self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2",
+            "self._read_all = self._read_all or count >= OTHER_DEPTH - 2",
             "pass",
             "a message whose wakeup was lost is never taken",
         ),
         Mutant(
-            "self._read_all = self._read_all or waiting >= OTHER_DEPTH - 2",
+            "self._read_all = self._read_all or count >= OTHER_DEPTH - 2",
             "self._read_all = True",
             "each message looks into all rings, and waits a millisecond",
         ),
@@ -143,18 +143,16 @@ INBOX = Subject(
             "an emergency stop's answer waits behind an asker who does not read",
         ),
         Mutant(
-            "            found.extend(self._others)\n            self._others.clear()\n",
+            "            found += [(other.key, other) for other in self._others]\n            self._others.clear()\n",
             "            self._others.clear()\n",
             "an unknown key is never answered",
         ),
         Mutant(
-            "            found.extend(self._others)\n            self._others.clear()\n",
-            "            found.extend(self._others)\n",
+            "            found += [(other.key, other) for other in self._others]\n            self._others.clear()\n",
+            "            found += [(other.key, other) for other in self._others]\n",
             "an unknown key is answered again and again",
         ),
-        Mutant(
-            "Verb.DELETE if item.kind == zenoh.SampleKind.DELETE else Verb.PUT", "Verb.PUT", "a delete stops nothing"
-        ),
+        Mutant("_DELETE if item.kind == _KIND_DELETE else _PUT", "_PUT", "a delete stops nothing"),
         Mutant(
             'if payload is not None and size <= MAX_PAYLOAD_BYTES else b""',
             'if payload is not None and size < MAX_PAYLOAD_BYTES else b""',
@@ -172,7 +170,7 @@ INBOX = Subject(
         ),
         Mutant("if item.source_info is not None else None", "if False else None", "nobody knows who commanded"),
         Mutant(
-            '    if received.verb is Verb.DELETE:\n        return b""\n',
+            '    if received.verb is _DELETE:\n        return b""\n',
             "",
             "a delete in a flood does not keep the instant open: an older start follows it",
         ),

@@ -41,8 +41,8 @@ INTAKE = Subject(
         Mutant('if where == "lease" and', 'if where == "leash" and', "an event shows most of a token"),
         Mutant("and not _SECRET.search(name)", "", "an event shows a token that stands where a name should"),
         Mutant(
-            "if key.target is Target.ESTOP:\n        return Intent()",
-            "if key.target is Target.ESTOP and not payload:\n        return Intent()",
+            "if key.target is _ESTOP:\n        return Intent()",
+            "if key.target is _ESTOP and not payload:\n        return Intent()",
             "an emergency stop with a payload is none",
         ),
         Mutant(
@@ -140,8 +140,8 @@ INTAKE = Subject(
         ),
         Mutant("fields += 1 if op is STOP else 2", "fields += 2", "a doubled name beside a Stop is not looked for"),
         Mutant(
-            "    if target is Target.LEG:\n        fields += 1\n",
-            "    if target is Target.LEG:\n        fields += 2\n",
+            "    if target is _LEG:\n        fields += 1\n",
+            "    if target is _LEG:\n        fields += 2\n",
             "a leg's servos may be given twice",
         ),
         Mutant(

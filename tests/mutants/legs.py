@@ -278,7 +278,19 @@ LEGS = Subject(
             "nobody is told that a target was replaced",
         ),
         Mutant(
-            "        pending.targets -= 1\n", "        pending.targets -= 2\n", "a command is acknowledged too early"
+            "        pending.targets -= 1\n        return",
+            "        pending.targets -= 2\n        return",
+            "a command is acknowledged too early",
+        ),
+        Mutant(
+            "                pending.targets -= 1\n",
+            "                pending.targets -= 2\n",
+            "a command is never acknowledged",
+        ),
+        Mutant(
+            "                if not pending.targets:\n",
+            "                if True:\n",
+            "a command is acknowledged too early",
         ),
         Mutant(
             "        for servo in self.servos.values():  # what is rejected here must not take effect on another leg\n",
