@@ -24,8 +24,11 @@ hypothesis_settings.register_profile(
 hypothesis_settings.load_profile("any machine")
 
 
-def pytest_configure() -> None:
-    """pytest's hook: what `nohup`, or a shell's `&`, lets a program ignore is undone: tests send these signals."""
+def pytest_configure(config: pytest.Config) -> None:
+    """pytest's hook."""
+    if config.pluginmanager.hasplugin("xdist"):
+        config.pluginmanager.import_plugin("tests.support.workers")
+    # What `nohup`, or a shell's `&`, lets a program ignore is undone: tests send these signals.
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
@@ -45,12 +48,6 @@ def pytest_asyncio_loop_factories(
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """pytest's hook."""
     schedule.arrange(items, on_a_worker=hasattr(config, "workerinput"))
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> schedule.Workers:
-    """pytest-xdist's hook."""
-    return schedule.Workers(config, log)
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,9 @@
 """Which test runs when, on which worker of `pytest -n`, and which ones alone: decided here for all of them."""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import pytest
-from xdist.scheduler import LoadScopeScheduling
 
 ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "mutants", "unit", "fuzz")
 """Longest chains first; last what is short, and what waits for the searches."""
@@ -41,17 +40,6 @@ def group(nodeid: str) -> str:
     if _is_among(file, APART):
         return nodeid
     return file.partition("/")[0] if _is_among(file, TOGETHER) else file
-
-
-class Workers(LoadScopeScheduling):  # type: ignore[misc]  # xdist says nothing of its types
-    """Hands groups to workers, in the order of the tests."""
-
-    def __init__(self, config: pytest.Config, log: Any = None) -> None:
-        super().__init__(config, log)
-        config.option.loadscopereorder = False
-
-    def _split_scope(self, nodeid: str) -> str:
-        return group(nodeid)
 
 
 def _file(nodeid: str) -> str:
