@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import zenoh
 
 from gateway import __version__
+from gateway.core.calibrating import ACCEPT_DEFAULT
 from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.supervisor import Supervisor
+from gateway.edge.calibration_desk import CalibrationDesk
 from gateway.edge.doorkeeper import Doorkeeper
 from gateway.edge.inbox import Inbox
 from gateway.edge.lease_desk import LeaseDesk, checker_of
@@ -24,7 +26,8 @@ from gateway.edge.outbox import ZenohOutbox
 from gateway.edge.session import open_session, service_config
 from gateway.edge.strangers import Strangers
 from gateway.errors import GatewayError
-from gateway.host import descriptors, logs, realtime
+from gateway.host import calibration_file, descriptors, logs, realtime
+from gateway.host.calibration_keeper import CalibrationKeeper
 from gateway.host.descriptors import Spare
 from gateway.host.ownership import Ownership
 from gateway.host.systemd import SystemdNotifier
@@ -32,6 +35,7 @@ from gateway.protocol.frames import centidegrees
 from gateway.recorder.place import folder_of
 from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime import prometheus as exposition
+from gateway.runtime.calibrations import Calibrations
 from gateway.runtime.conductor import Conductor
 from gateway.runtime.ending import END_S, End, close_within, leave, stop_the_robot
 from gateway.runtime.lease_answers import LeaseAnswers
@@ -41,7 +45,7 @@ from gateway.spi import SpiDevice
 from gateway.spi.bus import bus_for
 from gateway.spi.kernel import KernelDevice
 from gateway.spi.simulator import SimulatedController
-from schemas.keys import STATE
+from schemas.keys import CALIBRATION, CALIBRATION_CMD, LEASE, STATE
 
 if TYPE_CHECKING:
     from gateway.certs import ProofChecker
@@ -148,6 +152,7 @@ async def _run(
         recorder=recorder,
         owner=owner,
     )
+    calibrations = _calibrations(settings, conductor, loop)
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
         with owner:
@@ -165,7 +170,7 @@ async def _run(
         session = opening.result()
         outbox.open(session)
         with owner:  # its threads hear at once, and have to wait until it is connected
-            inbox = _inbox(session, loop, conductor, checker, settings.lease.ttl_ms)
+            inbox = _inbox(session, loop, conductor, checker, settings.lease.ttl_ms, calibrations)
         doorkeeper = Doorkeeper(session)
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
@@ -174,6 +179,7 @@ async def _run(
         )
         with owner:
             conductor.announce_start()
+            calibrations.announce_start()
         notifier.ready("takes commands")
         on_ready(config)
         tasks = [
@@ -201,6 +207,19 @@ async def _run(
         raise GatewayError(end.failure)
 
 
+def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
+    """The calibration as it was kept. One that cannot be trusted keeps the service from starting anything, not itself:
+    the Stops at the start, and those that follow, need none."""
+    path = calibration_file.path_of(settings)
+    if path is None:
+        return Calibrations(conductor, None)
+    calibration, fault = calibration_file.load(path)
+    conductor.supervisor.calibrating.load(calibration, fault)
+    if fault is not None:
+        logger.warning("%s; nothing is started until `%s`", fault, ACCEPT_DEFAULT)
+    return Calibrations(conductor, CalibrationKeeper(path, loop, conductor.owner).keep)
+
+
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
     """All that is opened on the network. Waits for name servers, and for routers where the Zenoh file says so."""
     if settings.telemetry.metrics:
@@ -214,6 +233,7 @@ def _inbox(
     conductor: Conductor,
     checker: "ProofChecker | None",
     ttl_ms: float,
+    calibrations: Calibrations,
 ) -> Inbox:
     """What comes in, connected with the conductor."""
     desk = LeaseDesk(LeaseAnswers(conductor, ttl_ms), checker, wall_clock=wall_clock)
@@ -224,7 +244,11 @@ def _inbox(
         on_wakeup=conductor.tick,
         on_estop=lambda received: conductor.tick((received,)),
         on_state_query=conductor.answer_state,
-        read_lease=desk.note,
+        readers={
+            LEASE: desk.note,
+            CALIBRATION_CMD: CalibrationDesk(calibrations).note,
+            CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
+        },
     )
     conductor.take = inbox.take
     conductor.instant_open = lambda: inbox.instant_open

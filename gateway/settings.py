@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from gateway.errors import ConfigError
@@ -120,18 +120,26 @@ class LeaseSettings(Section):
     takeover: Literal["stop", "never"] = "stop"
 
 
+def _absolute(path: str) -> str:
+    if (path and not path.startswith("/")) or "\0" in path:
+        raise ValueError('write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none')
+    return path
+
+
+AbsolutePath = Annotated[str, AfterValidator(_absolute)]
+
+
+class CalibrationSettings(Section):
+    """The file in which the calibration is kept."""
+
+    path: AbsolutePath = ""
+
+
 class RecorderSettings(Section):
     """The black box. At least the ten seconds before an incident; more than ten minutes is for recordings."""
 
-    path: str = ""
+    path: AbsolutePath = ""
     seconds: Annotated[float, Finite, Field(ge=10, le=600)] = 60.0
-
-    @field_validator("path")
-    @classmethod
-    def _absolute(cls, path: str) -> str:
-        if (path and not path.startswith("/")) or "\0" in path:
-            raise ValueError('write the path of a folder, such as /var/lib/hexapod-gateway, or "" for none')
-        return path
 
 
 class TelemetrySettings(Section):
@@ -165,6 +173,7 @@ class Settings(Section):
     limits: LimitSettings = LimitSettings()
     watchdog: WatchdogSettings = WatchdogSettings()
     lease: LeaseSettings = LeaseSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
     recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     log: LogSettings = LogSettings()

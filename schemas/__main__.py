@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
@@ -18,10 +19,11 @@ def documents() -> dict[str, str]:
     """File name → text of each payload's JSON Schema."""
     commands: dict[str, TypeAdapter[Any]] = {
         "ServoCommand": SERVO_COMMAND,
-        **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand)},
+        **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand)},
         "LeaseRequest": LEASE_REQUEST,
     }
-    reports = {model.__name__: TypeAdapter(model) for model in (Ack, LeaseAck, GatewayState, Event, FrameRecord)}
+    models = (Ack, LeaseAck, GatewayState, Event, FrameRecord, Calibration)
+    reports = {model.__name__: TypeAdapter(model) for model in models}
     made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
     return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}
 

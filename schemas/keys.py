@@ -15,15 +15,20 @@ LEGS_COMMAND: Final = f"{ROOT}/legs/cmd"
 ESTOP: Final = f"{ROOT}/estop/cmd"
 RESET: Final = f"{ROOT}/reset/cmd"
 LEASE: Final = f"{ROOT}/lease/cmd"
-"""Who is driving. It takes `get` only, and commands nothing that moves, so it is none of COMMAND_KEYS."""
+"""Who is driving."""
+CALIBRATION_CMD: Final = f"{ROOT}/calibration/cmd"
+"""Changes the calibration."""
+GET_ONLY: Final = (LEASE, CALIBRATION_CMD)
+"""They take `get` only, and command nothing that moves, so they are none of COMMAND_KEYS."""
 STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
+CALIBRATION: Final = f"{ROOT}/calibration"
 ALIVE: Final = f"{ROOT}/alive"
 
-PUBLISHED: Final = (STATE, EVENT, FRAME)
+PUBLISHED: Final = (STATE, EVENT, FRAME, CALIBRATION)
 """What the gateway publishes, for all who may watch."""
-ASKABLE: Final = (STATE,)
+ASKABLE: Final = (STATE, CALIBRATION)
 """Of these, what a watcher may also `get`."""
 
 
@@ -84,6 +89,8 @@ def parse(key: str) -> CommandKey:
             )
         case [_, "lease", "cmd"]:
             raise ValueError(f"{LEASE} takes get only: its answer is for one alone")
+        case [_, "calibration", "cmd"]:
+            raise ValueError(f"{CALIBRATION_CMD} takes get only: whoever changes it has to know what became of it")
         case _:
             raise ValueError(f"{_short(key)} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")
 

@@ -195,6 +195,16 @@ class LeaseReport(Report):
     asked_by: str | None = None
 
 
+class CalibrationReport(Report):
+    """The calibration in force, without its numbers; those are on `hexapod/calibration`."""
+
+    revision: Count = 0
+    fault: Annotated[
+        str | None, Field(description="why the kept calibration cannot be used; nothing can be started then")
+    ] = None
+    kept: Annotated[bool, Field(description="whether it outlasts a restart; false: in memory only")] = False
+
+
 class GatewayState(Report):
     """The payload of `hexapod/state`."""
 
@@ -211,6 +221,7 @@ class GatewayState(Report):
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
     estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
+    calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
     loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
     incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
 

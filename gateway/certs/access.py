@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, LEASE, PUBLISHED
+from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, GET_ONLY, PUBLISHED
 
 WIDTH: Final = 120
 
@@ -39,12 +39,12 @@ TRAFFIC: Final = (
         ("declare_subscriber", "declare_queryable"),
         (ALL_COMMANDS,),
         operators_only=True,
-        robots_keys=(*COMMAND_KEYS, LEASE),
+        robots_keys=(*COMMAND_KEYS, *GET_ONLY),
     ),
     Traffic("watching", True, ("declare_subscriber",), PUBLISHED),
     Traffic("telemetry", False, ("put",), PUBLISHED),
-    Traffic("asking for the state", True, ("query",), ASKABLE),
-    Traffic("state as an answer", False, ("reply", "declare_queryable"), ASKABLE),
+    Traffic("asking for state and calibration", True, ("query",), ASKABLE),
+    Traffic("state and calibration as an answer", False, ("reply", "declare_queryable"), ASKABLE),
     Traffic("asking who is alive", True, ("declare_liveliness_subscriber", "liveliness_query"), (ALIVE,)),
     Traffic("alive", False, ("liveliness_token",), (ALIVE,)),
 )

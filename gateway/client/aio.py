@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 from weakref import WeakSet
 
@@ -22,6 +22,7 @@ from gateway.errors import GatewayError, LeaseLostError, ZenohError
 from schemas.telemetry import Ack, Event, GatewayState
 
 if TYPE_CHECKING:
+    from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
 
 T = TypeVar("T")
@@ -158,6 +159,22 @@ class AsyncClient:
     async def reset(self, estop: int | None = None) -> Ack:
         """See `Client.reset`."""
         return await self._ask(self.client.reset, estop)
+
+    async def calibration(self) -> "Calibration":
+        """See `Client.calibration`."""
+        return await self._ask(self.client.calibration)
+
+    async def calibrate(
+        self,
+        servos: "Mapping[int, ServoChange]" = MappingProxyType({}),
+        landing: Mapping[int, Angle | None] = MappingProxyType({}),
+        *,
+        revision: int | None = None,
+        accept_default: bool = False,
+    ) -> Ack:
+        """See `Client.calibrate`."""
+        calibrate = self.client.calibrate
+        return await self._ask(lambda: calibrate(servos, landing, revision=revision, accept_default=accept_default))
 
     async def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None

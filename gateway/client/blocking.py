@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
 import zenoh
@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError
 from gateway.client.ending import close_at_the_end
 from gateway.client.lease import Lease
 from gateway.client.lease_requests import LeaseRequests
-from gateway.client.payloads import Angle, leg_payload, legs_payload, servo_payload
+from gateway.client.payloads import Angle, leg_payload, legs_payload, number, servo_payload
 from gateway.client.proof import Identity
 from gateway.client.stream import Stream
 from gateway.edge.config_file import get, one_line
@@ -28,6 +28,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 
 if TYPE_CHECKING:
+    from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -210,6 +211,38 @@ class Client:
         gateway is first asked for the latest. If a newer one is requested meanwhile, the gateway rejects the reset.
         """
         return self.ask(keys.RESET, {"estop": self.state().estop if estop is None else estop})
+
+    # ---- how the robot was built
+
+    def calibration(self) -> "Calibration":
+        """Trim, direction and limits of each servo, and the landing pose, as they are in force."""
+        from schemas.calibration import Calibration  # no emergency stop waits for what it loads
+
+        return self._get(keys.CALIBRATION, None, Calibration, again=True)
+
+    def calibrate(
+        self,
+        servos: "Mapping[int, ServoChange]" = MappingProxyType({}),
+        landing: Mapping[int, Angle | None] = MappingProxyType({}),
+        *,
+        revision: int | None = None,
+        accept_default: bool = False,
+    ) -> Ack:
+        """Change the calibration: all that is named, or nothing. Accepted once it is kept on the robot's disk.
+
+        No servo that it changes may run. `landing` is the landing pose in degrees; None takes a servo out of it. With
+        `revision`, that of `calibration()`, it is rejected if somebody else has changed it meanwhile. `accept_default`
+        takes the calibration without any trim as this robot's, where the file that kept its own cannot be read.
+        """
+        payload: dict[str, Any] = {
+            "servos": {str(name): change.model_dump(exclude_none=True) for name, change in servos.items()},
+            "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
+        }
+        if revision is not None:
+            payload["revision"] = revision
+        if accept_default:
+            payload["accept_default"] = True
+        return self.ask(keys.CALIBRATION_CMD, payload)
 
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None

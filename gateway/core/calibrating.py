@@ -21,7 +21,8 @@ from gateway.core.reach import Reach
 from gateway.protocol.frames import ServoOp
 from schemas.telemetry import Kind, Reason
 
-_ACCEPT: Final = "hexapod-gateway calibrate --accept-default"
+ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate --accept-default"
+"""What a person does where the calibration cannot be trusted."""
 
 
 class _OnItsWay(NamedTuple):
@@ -101,7 +102,9 @@ class Calibrating:
         return None
 
     def _untrusted(self) -> str:
-        return f"{self.fault}; nothing is started until `{_ACCEPT}` takes the default calibration as this robot's"
+        return (
+            f"{self.fault}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
+        )
 
     def kept(self, event: Kept) -> list[Effect]:
         """The change that is on its way is kept, and from now on in force; or it is not, and the old one stays."""

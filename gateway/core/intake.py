@@ -10,6 +10,7 @@ from pydantic_core import from_json
 
 from gateway.core.value import value
 from gateway.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
+from schemas.calibration import MAX_TRIM_DEG
 from schemas.command import (
     MAX_ESTOP,
     MAX_PAYLOAD_BYTES,
@@ -79,15 +80,15 @@ def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection
         )
     colons = payload.count(b":")
     if colons > _MAX_COLONS:
-        return _too_many_fields(payload)
+        return too_many_fields(payload)
     try:
         intent = _READERS[key.target](key.number, payload)
     except ValidationError as error:
-        return _explain(error)
+        return explain(error)
     # Each field takes a colon. A payload with no more colons than fields repeats no name and needs no second reading.
-    twice = _name_given_twice(payload) if colons > _fields(key.target, intent) else None
+    twice = name_given_twice(payload) if colons > _fields(key.target, intent) else None
     if twice is not None:
-        return Rejection(Reason.INVALID, f"{_name(twice)} is given twice in one object; which one counts is not clear")
+        return given_twice(twice)
     return intent
 
 
@@ -169,7 +170,8 @@ would block the loop for 1.4 ms.
 """
 
 
-def _too_many_fields(payload: bytes) -> Rejection:
+def too_many_fields(payload: bytes) -> Rejection:
+    """The rejection of a payload that has too many colons to be a command."""
     try:
         from_json(payload)
     except ValueError as error:
@@ -194,7 +196,7 @@ class _GivenTwiceError(Exception):
     """Carries the name that one of a payload's objects has twice."""
 
 
-def _name_given_twice(payload: bytes) -> str | None:
+def name_given_twice(payload: bytes) -> str | None:
     """The first name that an object of this (valid) payload has twice, or None.
 
     pydantic silently keeps the last value; which one the sender meant must not be guessed.
@@ -225,7 +227,13 @@ _SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
 _PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
 
-def _explain(error: ValidationError) -> Rejection:
+def given_twice(name: str) -> Rejection:
+    """The rejection of a payload in which an object has this name twice."""
+    return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; which one counts is not clear")
+
+
+def explain(error: ValidationError) -> Rejection:
+    """What is wrong with a payload, in a sentence that names the field and what it must be."""
     faults = error.errors(include_url=False)
     first = faults[0]
     if first["type"] == "json_invalid":
@@ -257,7 +265,8 @@ def _sentence(fault: dict[str, Any]) -> str:
         case "union_tag_not_found":
             return f'{_join(where, "op")} is missing; it must be "start", "set" or "stop"'
         case "literal_error" if field == "[key]":
-            return f'legs has {_echo(fault["input"])}; it may have "1" to "6"'
+            may = '"1" to "6"' if loc[0] == "legs" else '"11" to "63": the leg (1 to 6), then the joint (1 to 3)'
+            return f"{loc[0]} has {_echo(fault['input'])}; it may have {may}"
         case "too_long" if field == "servos":
             return f"{where} has {fault['ctx']['actual_length']} entries; a leg has {len(JOINTS)} servos"
         case "too_short" if loc == ("legs",):
@@ -277,11 +286,16 @@ _MUST: Final = {
     "model_type": "an object",
     "dict_type": "an object",
     "model_attributes_type": "an object",
+    "bool_type": "true or false",
+    "literal_error": "true, or left out",  # accept_default
 }
 _RANGES: Final[dict[object, str]] = {
     "angle_deg": "between 0 and 180",
     "sent_ms": f"between 0 and {MAX_SENT_MS}",
     "estop": f"between 0 and {MAX_ESTOP}",
+    "revision": "0 or more",
+    "trim_deg": f"between {-MAX_TRIM_DEG:g} and {MAX_TRIM_DEG:g}",
+    **dict.fromkeys(("min_deg", "max_deg", *map(str, SERVO_IDS)), "between 0 and 180"),  # a landing angle is a servo's
 }
 
 

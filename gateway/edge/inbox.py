@@ -13,28 +13,30 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Final
 
 import zenoh
 from zenoh.handlers import Handler, RingChannel
 
 from gateway.core.message import Received, Reply, Verb
+from gateway.edge.desk import Reader
 from gateway.edge.receiver import Deal, ReceiverThread
 from gateway.edge.replies import ReplySender
 from gateway.edge.rings import PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.host.realtime import LOOP_PRIORITY
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, LEASE, STATE
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
 from schemas.telemetry import Ack, Reason
 
 OTHER_DEPTH: Final = 16
 """The same for what names no key of ours; it is rejected one by one, so there is no use in more."""
-LEASE_DEPTH: Final = 32
-"""Questions about the lease that wait to be read. One that is pushed out stays unanswered, which its sender notices."""
+READER_DEPTH: Final = 32
+"""Questions on a further key that wait to be read. One that is pushed out has no answer, which its sender notices."""
 LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """The wakeup can ring before the message has reached its key's own ring (two deliveries, one after the other, by a
 thread that may be interrupted in between). So a wakeup whose key had nothing is followed by some more looks."""
@@ -68,11 +70,11 @@ class Inbox:
         on_wakeup: Callable[[], None],
         on_estop: Callable[[Received], None],
         on_state_query: Callable[[Reply], None],
-        read_lease: Callable[[zenoh.Query, int, Reply], Deal] | None = None,
+        readers: Mapping[str, Reader] = MappingProxyType({}),
     ) -> None:
         """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given.
 
-        `read_lease` owns nothing yet, and says what is to be done with a question about the lease.
+        `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet.
         """
         self._loop = loop
         self._wake = on_wakeup
@@ -122,10 +124,9 @@ class Inbox:
                 lambda query, _: partial(on_state_query, self._replies.to(query, STATE)),
             ),
         ]
-        if read_lease is not None:
-            read = read_lease
-            ring = self._queryable(session, LEASE, LEASE_DEPTH)
-            waits.append(("lease-get", ring, lambda query, ns: read(query, ns, self._replies.to(query, LEASE))))
+        self._read_elsewhere = readers.keys()
+        for key, read in readers.items():
+            waits.append((f"{key}-get", self._queryable(session, key, READER_DEPTH), self._note_for(key, read)))
         self._receivers = [
             *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
             *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
@@ -191,6 +192,9 @@ class Inbox:
 
     # ---- on the receiver threads
 
+    def _note_for(self, key: str, read: Reader) -> Callable[[zenoh.Query, int], Deal]:
+        return lambda query, received_ns: read(query, received_ns, self._replies.to(query, key))
+
     def _estop(self, item: _Item, received_ns: int) -> Deal:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
             # Whoever lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
@@ -231,15 +235,12 @@ class Inbox:
         key = str(item.key_expr)
         if key in _RING_KEYS:
             self._heard[key] = self._heard[key] + 1 if key in self._heard else 1
-        elif key != ESTOP and not (key == LEASE and isinstance(item, zenoh.Query)):
-            named = (
-                {known for known in COMMAND_KEYS if item.key_expr.intersects(zenoh.KeyExpr(known))}
-                if "*" in key
-                else set[str]()
-            )
+        elif key != ESTOP and not (key in self._read_elsewhere and isinstance(item, zenoh.Query)):
+            wild = "*" in key
+            named = _named(item, COMMAND_KEYS) if wild else set[str]()
             for each in named & _RING_KEYS:
                 self._heard[each] = self._heard.get(each, 0) + 1
-            if not named:
+            if not named and not (wild and isinstance(item, zenoh.Query) and _named(item, self._read_elsewhere)):
                 self._others.append(_received(self._replies, key, item, received_ns))
                 return
         if isinstance(item, zenoh.Query):
@@ -311,6 +312,11 @@ _NOT_BY_WILDCARD: Final = (
     .model_dump_json()
     .encode()
 )
+
+
+def _named(item: _Item, among: Collection[str]) -> set[str]:
+    """The keys that a wildcard names."""
+    return {key for key in among if item.key_expr.intersects(zenoh.KeyExpr(key))}
 
 
 def _words_of_stop(received: Received) -> bytes | None:

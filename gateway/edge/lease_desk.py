@@ -16,11 +16,11 @@ from pydantic import ValidationError
 
 from gateway import certs
 from gateway.core.events import Do, LeaseRequest
-from gateway.core.intake import ENCODINGS
+from gateway.core.intake import Rejection
 from gateway.core.message import Reply
 from gateway.core.nonces import Nonces
 from gateway.edge.config_file import get
-from schemas.command import MAX_PAYLOAD_BYTES
+from gateway.edge.desk import Deal, payload_of
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
 
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
 CHECKS_PER_S: Final = 20
 """6 ms a second of the interpreter's lock. A person asks once, and a program once for each lease."""
-
-Deal = Callable[[], None]
-"""What an owner of the state is to do with a request."""
 
 
 class Answers(Protocol):
@@ -66,16 +63,10 @@ class LeaseDesk:
 
     def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> Deal:
         """Read one query; what is then to be done with it."""
-        payload = query.payload
-        size = 0 if payload is None else len(payload)
-        if "*" in str(query.key_expr):
-            return self._reject(None, Reason.INVALID, "the lease is not asked for by wildcard", reply)
-        if size > MAX_PAYLOAD_BYTES:
-            detail = f"the payload has {size} bytes; at most {MAX_PAYLOAD_BYTES} are read"
-            return self._reject(None, Reason.TOO_LARGE, detail, reply)
-        if query.encoding is not None and str(query.encoding) not in ENCODINGS:
-            return self._reject(None, Reason.BAD_ENCODING, "the encoding must be application/json, or left out", reply)
-        return self.read(b"" if payload is None else payload.to_bytes(), now_ns, reply)
+        payload = payload_of(query)
+        if isinstance(payload, Rejection):
+            return self._reject(None, payload.reason, payload.detail, reply)
+        return self.read(payload, now_ns, reply)
 
     def read(self, payload: bytes, now_ns: int, reply: Reply) -> Deal:
         """Read one payload; what is then to be done with it."""

@@ -4,8 +4,10 @@ A file that is broken, cut off or of another version is an error and not a defau
 servo would go where nobody sent it.
 """
 
+import glob
 import math
 import os
+import stat
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,14 +16,21 @@ from typing import Any, Final
 
 from gateway.core.calibration import Calibration, CalibrationError, ServoCalibration
 from gateway.errors import ConfigError
+from gateway.host.systemd import SERVICE_STATE, state_directory
 from gateway.protocol.frames import centidegrees
+from gateway.settings import Settings
 from schemas.robot import SERVO_IDS
 
+NAME: Final = "calibration.toml"
+"""In the service's state directory."""
 VERSION: Final = 1
 KEPT: Final = 10
 """How many earlier calibrations are kept beside the file."""
 MAX_BYTES: Final = 64 * 1024
 """A whole calibration takes 2 kB; what is larger is no calibration, and is not read."""
+
+MOST_DIGITS: Final = 18
+"""Of a revision: more is none of ours, and takes long to read."""
 
 _HEAD: Final = """\
 # How this robot's servos differ from the drawing. Written by `hexapod-gateway calibrate`; whoever changes it by hand
@@ -30,10 +39,50 @@ _HEAD: Final = """\
 """
 
 
-def read(path: Path) -> Calibration | None:
-    """The calibration kept there; None: there is none yet. Raises ConfigError with one sentence."""
+def path_of(settings: Settings) -> Path | None:
+    """Where the gateway itself keeps its calibration; None: in memory only."""
+    if settings.calibration.path:
+        return Path(settings.calibration.path)
+    folder = state_directory()
+    return None if folder is None else folder / NAME
+
+
+def path_to_read(settings: Settings) -> Path | None:
+    """The same for whoever looks at it: also the service's, where systemd did not start the looker."""
+    path = path_of(settings)
+    return path if path is not None else SERVICE_STATE / NAME if SERVICE_STATE.is_dir() else None
+
+
+def load(path: Path) -> tuple[Calibration, str | None]:
+    """What a gateway starts with, and why nothing may be started with it, if so.
+
+    Where the file cannot be used, that is the default with a revision which none of those beside the file has, so that
+    what is kept next is newer than them.
+    """
+    earlier: list[Path] = []
+    with suppress(OSError):
+        earlier = previous(path)
     try:
-        with path.open("rb") as file:
+        found = read(path)
+    except ConfigError as error:
+        fault = str(error)
+    else:
+        if found is not None or not earlier:
+            return found or Calibration(), None
+        fault = f"{path}: is missing, and {earlier[0].name} stands beside it"
+    return Calibration(1 + _number(path, earlier[0]) if earlier else 0), fault
+
+
+def read(path: Path) -> Calibration | None:
+    """The calibration kept there; None: there is none yet. Raises ConfigError with one sentence.
+
+    It waits for the disk, and for nothing else: not for somebody who writes into a pipe of that name.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise ConfigError(f"{path}: is no file")
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         return None
@@ -67,22 +116,27 @@ def write(path: Path, calibration: Calibration) -> None:
 
 def previous(path: Path) -> list[Path]:
     """The earlier calibrations beside it, newest first."""
-    numbered = [
-        (int(number), found)
-        for found in path.parent.glob(f"{path.stem}.*{path.suffix}")
-        if (number := found.name[len(path.stem) + 1 : -len(path.suffix)]).isdecimal()
-    ]
+    beside = path.parent.glob(f"{glob.escape(path.stem)}.*{glob.escape(path.suffix)}")
+    numbered = [(number, found) for found in beside if (number := _number(path, found)) >= 0]
     return [found for _, found in sorted(numbered, reverse=True)]
+
+
+def _number(path: Path, found: Path) -> int:
+    """The revision in an earlier calibration's name; -1: it has none."""
+    text = found.name[len(path.stem) + 1 : len(found.name) - len(path.suffix)]
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS else -1
 
 
 def _keep_previous(path: Path) -> None:
     """A second name for the file as it is; only then is it replaced, so that there is a whole one at any time."""
     try:
-        name = str(from_toml(path.read_text(encoding="utf-8")).revision)
-    except FileNotFoundError:
-        return
-    except ValueError:
+        before = read(path)
+    except ConfigError:
         name = "broken"
+    else:
+        if before is None:
+            return
+        name = str(before.revision)
     copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
     copy.unlink(missing_ok=True)
     os.link(path, copy)
@@ -129,7 +183,7 @@ def from_toml(text: str) -> Calibration:
         raise ValueError(f"version is {version!r}; this gateway reads {VERSION}")
     _names(values, {"version", "revision", "landing", "servos", "end"}, "the file")
     revision = values["revision"]
-    if type(revision) is not int or revision < 0:
+    if type(revision) is not int or not 0 <= revision < 10**MOST_DIGITS:
         raise ValueError(f"revision is {revision!r}; it is a whole number")
     if values["end"] != {"of_revision": revision}:
         raise ValueError(f"the last line is not of_revision = {revision}; the file was cut off, or half of it changed")

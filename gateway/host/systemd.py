@@ -3,9 +3,21 @@
 import os
 import socket
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
 
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a service that works."""
+
+
+SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
+"""The service's state directory (deploy/systemd), for commands that systemd did not start."""
+
+
+def state_directory() -> Path | None:
+    """The folder that systemd has made for what this process keeps; None: systemd did not start it, or made none."""
+    given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(given) if given else None
 
 
 class SystemdNotifier:

@@ -5,12 +5,11 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from gateway.host.systemd import SERVICE_STATE, state_directory
 from gateway.settings import Settings
 
 RING: Final = "black-box"
 INCIDENTS: Final = "incidents"
-SERVICE: Final = Path("/var/lib/hexapod-gateway")
-"""The service's state directory (deploy/systemd), for commands that systemd did not start."""
 
 RECORDS_PER_FRAME: Final = 4
 """A setpoint makes one record, or two, where a frame is two transfers: the command, and the frame that it was accepted
@@ -31,14 +30,13 @@ def folder_of(settings: Settings) -> Path | None:
     """The black box's folder for the gateway itself; None: it is off."""
     if settings.recorder.path:
         return Path(settings.recorder.path)
-    given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-    return Path(given) if given else None
+    return state_directory()
 
 
 def folder_to_read(settings: Settings) -> Path | None:
     """The same for whoever reads it: also the service's, where systemd did not start the reader."""
     folder = folder_of(settings)
-    return folder if folder is not None else SERVICE if SERVICE.is_dir() else None
+    return folder if folder is not None else SERVICE_STATE if SERVICE_STATE.is_dir() else None
 
 
 def prepare(folder: Path) -> Path:

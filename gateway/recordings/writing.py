@@ -21,7 +21,8 @@ from gateway.geometry import Geometry, load, urdf
 from gateway.recordings.drawing import DRAWN_SCHEMAS, Drawing
 from gateway.recordings.locking import locked
 from gateway.recordings.plain_schema import Schema, plain_schema, without_nulls
-from schemas.keys import EVENT, FRAME, STATE
+from schemas.calibration import Calibration
+from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 from schemas.telemetry import Event, FrameRecord, GatewayState
 
 CHUNK_BYTES: Final = 16 * 1024
@@ -35,7 +36,12 @@ JSON_ENCODING: Final = "json"
 SCHEMA_ENCODING: Final = "jsonschema"
 URDF_NAME: Final = "robot.urdf"
 
-REPORTS: Final[Mapping[str, type[BaseModel]]] = {STATE: GatewayState, EVENT: Event, FRAME: FrameRecord}
+REPORTS: Final[Mapping[str, type[BaseModel]]] = {
+    STATE: GatewayState,
+    EVENT: Event,
+    FRAME: FrameRecord,
+    CALIBRATION: Calibration,
+}
 """The keys that are recorded, which are their channels' names, and what is published there."""
 
 

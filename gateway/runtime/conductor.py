@@ -10,15 +10,18 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from gateway import __version__
+from gateway.core.calibration_intake import CalibrationIntent
 from gateway.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    Calibrate,
     Command,
     Completed,
     Effect,
     EmergencyStop,
     Event,
+    Kept,
     LeaseRequest,
     Rejected,
     Reset,
@@ -106,6 +109,8 @@ class Conductor:
         self._pending, self._numbers = self.answers.pending, self.answers.numbers
         self.take: Callable[[], Iterable[Received]] = tuple
         """Where messages come from; the service connects the inbox here once everything stands."""
+        self.calibration_kept = False
+        """Whether the calibration outlasts this process."""
         self.instant_open: Callable[[], bool] = lambda: False
         """Whether the next messages are of the same instant as the last; the inbox, as well."""
 
@@ -199,7 +204,7 @@ class Conductor:
             return
         source = intent.source or received.source
         now_ns = self._clock()
-        too_old = self._too_old(intent, source, now_ns, instant_ns)
+        too_old = self.too_old(intent, source, now_ns, instant_ns)
         if too_old is not None:
             self.recorder.command(0, received.verb, received.key, source, intent, received.received_ns)
             self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)
@@ -214,9 +219,11 @@ class Conductor:
             if self._losses.key and self.answers.rejected != number:
                 self._losses.accepted(intent.targets)
 
-    def ask_lease(self, request: LeaseRequest) -> list[Effect]:
-        """Let the supervisor take a request for the lease. Returns its effects, which are carried out."""
-        effects = self.supervisor.step(request, self._clock())
+    def ask(self, event: LeaseRequest | Calibrate | Kept) -> list[Effect]:
+        """Let the supervisor take what commands nothing that moves. Returns its effects, which are carried out."""
+        if self._closed:
+            return []
+        effects = self.supervisor.step(event, self._clock())
         self._after(self._carry_out(effects)[1])
         return effects
 
@@ -228,7 +235,10 @@ class Conductor:
             self._pending[number := next(self._numbers)] = key, None, None
             self._step(Command(number, f"put {key}", stops), instant_ns)
 
-    def _too_old(self, intent: Intent, source: str | None, now_ns: int, instant_ns: int) -> str | None:
+    def too_old(
+        self, intent: Intent | CalibrationIntent, source: str | None, now_ns: int, instant_ns: int
+    ) -> str | None:
+        """Why a command was, or may have been, delayed for too long; None: it was not."""
         if self._staleness is None:
             return None
         too_old = self._staleness.too_old(source, intent.sent_ms, now_ns, instant_ns)
@@ -379,6 +389,7 @@ class Conductor:
             simulated=self._simulated,
             estop_source=self._sources.estop,
             incident=self.recorder.incident,
+            calibration_kept=self.calibration_kept,
         )
 
 

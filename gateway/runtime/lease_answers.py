@@ -17,8 +17,10 @@ class LeaseAnswers:
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
         """Whoever asks is known, or has said a name that needs no proof."""
-        effects = self._conductor.ask_lease(request)
-        answer = next(effect for effect in effects if isinstance(effect, LeaseAnswer))
+        effects = self._conductor.ask(request)
+        answer = next((effect for effect in effects if isinstance(effect, LeaseAnswer)), None)
+        if answer is None:  # the service has ended
+            return
         if answer.reason is not None:
             self.reject(request.source, answer.reason, answer.detail or "", reply, holder=answer.holder)
             return

@@ -79,6 +79,11 @@ class _Numbers(Collector):
         for kind in LEASE_KINDS:
             changes.add_metric([kind], lease.changes[kind])
         yield changes
+        calibrating = self._conductor.supervisor.calibrating
+        revision = calibrating.in_force.revision
+        yield GaugeMetricFamily(f"{_PREFIX}_calibration_revision", "The calibration in force", revision)
+        fault = float(calibrating.fault is not None)
+        yield GaugeMetricFamily(f"{_PREFIX}_calibration_fault", "1: it cannot be read, and nothing starts", fault)
         modes = GaugeMetricFamily(f"{_PREFIX}_mode", "1 for the mode the gateway is in", labels=["mode"])
         for mode in Mode:
             modes.add_metric([mode], float(mode is self._conductor.supervisor.mode))

@@ -13,6 +13,7 @@ from gateway.runtime.metrics import Metrics
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas.telemetry import (
+    CalibrationReport,
     CommandCounts,
     GatewayState,
     Kind,
@@ -54,6 +55,7 @@ def report(
     simulated: bool,
     estop_source: str | None = None,
     incident: str | None = None,
+    calibration_kept: bool = False,
 ) -> GatewayState:
     """The state at `now_ns`."""
     p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -87,6 +89,11 @@ def report(
             p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
         ),
         lease=_lease(supervisor.lease, now_ns),
+        calibration=CalibrationReport(
+            revision=supervisor.calibrating.in_force.revision,
+            fault=supervisor.calibrating.fault,
+            kept=calibration_kept,
+        ),
     )
 
 

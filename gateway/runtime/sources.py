@@ -13,7 +13,14 @@ Tell = Callable[[Kind, str, str | None, str | None, Reason | None, int], None]
 
 
 _LIMITED: Final = frozenset(
-    {Kind.SOURCE_CHANGED, Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED, Kind.LEASE_TAKEN, Kind.LEASE_ASKED}
+    {
+        Kind.SOURCE_CHANGED,
+        Kind.LEASE_ACQUIRED,
+        Kind.LEASE_RELEASED,
+        Kind.LEASE_TAKEN,
+        Kind.LEASE_ASKED,
+        Kind.CALIBRATED,
+    }
 )
 """What others can bring about as often as they like."""
 

@@ -22,7 +22,7 @@ from gateway.recordings import repair as repair_recording
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
-from schemas.keys import EVENT, FRAME, STATE
+from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
 PROGRESS_S: Final = 0.5
 SILENT_S: Final = 3.0
@@ -54,12 +54,14 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
     if path.exists() and not overwrite:
         raise ConfigError(f"{path}: exists; name another file, or overwrite it with --force")
     with connect() as client:
-        frames_before = client.state().spi.frames
+        state = client.state()
         try:
             recording = Recording(path, shape, overwrite=overwrite, time_ns=time.time_ns())
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
-        recorder = _Recorder(recording, frames_before)
+        recorder = _Recorder(recording, state.spi.frames)
+        if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
+            recorder.hear(CALIBRATION, client.calibration().model_dump_json().encode())
         with recorder.hears(client), on_end_signals(recorder.end):
             hint(f"recording into {path}; Ctrl-C ends it")
             return recorder.run(seconds)
@@ -121,11 +123,15 @@ class _Recorder:
                     return
                 self._write(*heard)
 
-    def _take(self, key: str, sample: zenoh.Sample) -> None:
+    def hear(self, key: str, payload: bytes) -> None:
+        """Something that the gateway says."""
         if self._waiting.qsize() >= MOST_WAITING:
             self._dropped += 1
             return
-        self._waiting.put((key, sample.payload.to_bytes(), time.monotonic_ns() + self._since_1970_ns))
+        self._waiting.put((key, payload, time.monotonic_ns() + self._since_1970_ns))
+
+    def _take(self, key: str, sample: zenoh.Sample) -> None:
+        self.hear(key, sample.payload.to_bytes())
 
     def _write(self, key: str, payload: bytes, time_ns: int) -> None:
         try:

@@ -87,8 +87,8 @@ ACCESS = Subject(
             "no event is heard",
         ),
         Mutant(
-            '"asking for the state", True, ("query",), ASKABLE',
-            '"asking for the state", True, ("query",), PUBLISHED',
+            '"asking for state and calibration", True, ("query",), ASKABLE',
+            '"asking for state and calibration", True, ("query",), PUBLISHED',
             "more may be asked than is answered",
         ),
         Mutant('("reply", "declare_queryable"), ASKABLE', '("reply",), ASKABLE', "nobody can ask for the state"),

@@ -193,7 +193,6 @@ DESK = Subject(
             "                verified = True\n",
             "a name counts as proved where nobody asks for a proof",
         ),
-        Mutant('        if "*" in str(query.key_expr):\n', "        if False:\n", "a look at all keys is a request"),
         Mutant(
             "    first = error.errors(include_url=False, include_input=False)[0]\n    if",
             "    first = error.errors(include_url=False)[0]\n"

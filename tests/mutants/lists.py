@@ -3,6 +3,7 @@
 from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
 from tests.mutants.calibration import CALIBRATING, CALIBRATION, REACH
+from tests.mutants.calibration_desk import CALIBRATION_INTAKE, CALIBRATIONS, DESKS
 from tests.mutants.conductor import ANSWERS, CONDUCTOR, INTENTS, LOSSES
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
@@ -40,6 +41,9 @@ SUBJECTS: tuple[Subject, ...] = (
     NONCES,
     PROOF,
     DESK,
+    DESKS,
+    CALIBRATION_INTAKE,
+    CALIBRATIONS,
     LEG,
     LEGS,
     PACING,

@@ -26,7 +26,7 @@ LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
 def main(folder: Path) -> None:
     """Run a gateway, bring everything about, and write what was heard."""
     changed = threading.Condition()
-    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack", "lease")}
+    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack", "lease", "calibration")}
     settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 2}}
     with (
         tempfile.TemporaryDirectory() as scratch,
@@ -35,7 +35,12 @@ def main(folder: Path) -> None:
     ):
         subscribers: list[Any] = [
             client.session.declare_subscriber(key, _into(heard[name], changed))
-            for key, name in ((keys.STATE, "state"), (keys.EVENT, "event"), (keys.FRAME, "frame"))
+            for key, name in (
+                (keys.STATE, "state"),
+                (keys.EVENT, "event"),
+                (keys.FRAME, "frame"),
+                (keys.CALIBRATION, "calibration"),
+            )
         ]
 
         def ask(key: str, payload: object) -> None:
@@ -60,6 +65,9 @@ def main(folder: Path) -> None:
         ask(keys.leg_command(1), LEG)
         wait_for('"active"', "state")
         wait_for("watchdog_expired", "event")
+        ask(keys.CALIBRATION_CMD, {"servos": {"32": {"trim_deg": -7.5, "inverted": True}}, "landing": {"11": 45}})
+        ask(keys.CALIBRATION_CMD, {"servos": {"32": {"trim_deg": 400}}})
+        wait_for('"revision":1', "calibration")
         rejected: list[object] = ["{", {"servos": []}, {"servos": [{"op": "set", "angle_deg": 1}] * 3}, " " * 5000]
         for payload in rejected:
             ask(keys.leg_command(1), payload)

@@ -15,9 +15,11 @@ from pydantic import BaseModel
 
 from gateway.core.message import Received, Verb
 from gateway.core.supervisor import Supervisor
+from gateway.edge.calibration_desk import CalibrationDesk
 from gateway.edge.lease_desk import LeaseDesk
 from gateway.protocol.frames import Frame, decode
 from gateway.recorder.recorder import NO_RECORDER, Recorder
+from gateway.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.runtime.conductor import Conductor
 from gateway.runtime.lease_answers import LeaseAnswers
 from gateway.service import BEAT_S, rules
@@ -37,9 +39,15 @@ class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
     def __init__(
-        self, sections: Mapping[str, Mapping[str, Any]] | None = None, record: Callable[..., Recorder] | None = None
+        self,
+        sections: Mapping[str, Mapping[str, Any]] | None = None,
+        record: Callable[..., Recorder] | None = None,
+        keep: WriteAndThen | None = None,
     ) -> None:
-        """`record`: makes its black box of the settings and its clock; without it, it has none."""
+        """`record`: makes its black box of the settings and its clock; without it, it has none.
+
+        `keep`: keeps its calibration; without it, it is in memory only.
+        """
         spi = {"frame_gap_us": 0}  # see _pause
         merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
         self.settings = Settings.model_validate(merged)
@@ -66,6 +74,8 @@ class Robot:
         fresh = (f"{number:032x}" for number in itertools.count(1))
         answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
         self.desk = LeaseDesk(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
+        self.calibrations = Calibrations(self.conductor, keep)
+        self.calibration_desk = CalibrationDesk(self.calibrations)
         self._beat()
 
     def _beat(self) -> None:
@@ -149,6 +159,17 @@ class Robot:
         self.desk.read(json.dumps(fields).encode(), self.now_ns(), answers.append)()
         (answer,) = answers
         return LeaseAck.model_validate_json(answer)
+
+    def calibrate(self, payload: object) -> list[Ack]:
+        """A change of the calibration; the list that its answer will be in."""
+        self._instants += 1
+        answers: list[Ack] = []
+        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+        deal = self.calibration_desk.read(
+            data, self.now_ns(), lambda answer: answers.append(Ack.model_validate_json(answer))
+        )
+        deal()
+        return answers
 
     # ---- what came of it
 

@@ -11,12 +11,12 @@ import pytest
 import zenoh
 
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
-from schemas.keys import ALIVE, COMMAND_KEYS, EVENT, FRAME, STATE
+from schemas.keys import ALIVE, CALIBRATION, COMMAND_KEYS, EVENT, FRAME, STATE
 
 DECLARATIONS = ("declare_subscriber", "declare_queryable", "declare_liveliness_subscriber")
 MESSAGES = ("put", "delete", "query", "reply", "liveliness_token", "liveliness_query", *DECLARATIONS)
 FLOWS = ("ingress", "egress")
-TELEMETRY = (STATE, EVENT, FRAME)
+TELEMETRY = (STATE, EVENT, FRAME, CALIBRATION)
 OTHERS = ("hexapod/secret", "hexapod/*", "hexapod/**", "**", "robot2/hexapod/state", "robot2/hexapod/estop/cmd")
 KEYS = (*COMMAND_KEYS, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, *OTHERS)
 WILD = ("hexapod/leg/*/cmd", "hexapod/**/cmd")
@@ -69,8 +69,8 @@ def said(flow: str, messages: str, *keys: str) -> set[Said]:
 WATCHING = (
     said("ingress", "declare_subscriber", *TELEMETRY)
     | said("egress", "put", *TELEMETRY)
-    | said("ingress", "query", STATE)
-    | said("egress", "reply declare_queryable", STATE)
+    | said("ingress", "query", STATE, CALIBRATION)
+    | said("egress", "reply declare_queryable", STATE, CALIBRATION)
     | said("ingress", "declare_liveliness_subscriber liveliness_query", ALIVE)
     | said("egress", "liveliness_token", ALIVE)
 )

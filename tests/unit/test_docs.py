@@ -25,7 +25,9 @@ def named(page: str) -> set[str]:
     return {path for path in found if re.fullmatch(r"[\w.][\w./-]*", path)} - MADE_ELSEWHERE
 
 
-MADE_ELSEWHERE = frozenset({"gateway.toml", "router.json5", "robot-1.json5", "anna.json5", "NAME.json5"})
+MADE_ELSEWHERE = frozenset(
+    {"gateway.toml", "calibration.toml", "router.json5", "robot-1.json5", "anna.json5", "NAME.json5"}
+)
 """Files of the reader's own, which the pages tell how to make or fill."""
 
 

@@ -16,6 +16,7 @@ from gateway.cli import app
 from gateway.errors import ConfigError
 from gateway.settings import ServoLimits, Settings, load
 from schemas import keys
+from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand
 from schemas.lease import Challenge, Claim, LeaseAck, Proof, Release, Renew
 from schemas.robot import LEGS, SERVO_IDS
@@ -56,14 +57,14 @@ def fields(model: type[BaseModel]) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("model", [Ack, LeaseAck, GatewayState, Event, FrameRecord])
+@pytest.mark.parametrize("model", [Ack, LeaseAck, Calibration, GatewayState, Event, FrameRecord])
 def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
     assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
 
 
 def test_what_comes_in_has_these_fields() -> None:
     assert set(names("### ServoCommand")) == set(MoveCommand.model_fields) | set(StopCommand.model_fields)
-    for model in (LegCommand, LegsCommand, ResetCommand):
+    for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand):
         assert set(names(f"### {model.__name__}")) == set(model.model_fields)
     asked = {name for model in (Challenge, Claim, Renew, Release) for name in model.model_fields}
     assert set(names("### LeaseRequest")) == asked - {"proof"} | {f"proof.{name}" for name in Proof.model_fields}
@@ -83,9 +84,9 @@ def test_these_are_all_keys() -> None:
         for name in spelled[pattern] if pattern else [""]:
             found[key.replace(pattern, name) if pattern else key] = direction
     assert {key for key, direction in found.items() if direction == "in"} == set(keys.COMMAND_KEYS)
-    assert {key for key, direction in found.items() if direction == "in, `get` only"} == {keys.LEASE}
+    assert {key for key, direction in found.items() if direction == "in, `get` only"} == set(keys.GET_ONLY)
     out = {value for name, value in vars(keys).items() if name.isupper() and isinstance(value, str)}
-    out -= {keys.ROOT, keys.ALL_COMMANDS, keys.LEASE, *keys.COMMAND_KEYS}
+    out -= {keys.ROOT, keys.ALL_COMMANDS, *keys.GET_ONLY, *keys.COMMAND_KEYS}
     assert {key for key, direction in found.items() if direction == "out"} == out
 
 

@@ -21,21 +21,27 @@ from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.telemetry import Ack
 
-WIRE: Final = Path(__file__).parents[1] / "data" / "wire" / "1.0"
+WIRE: Final = Path(__file__).parents[1] / "data" / "wire"
 START_NS: Final = 1_700_000_000_000_000_000
 PERIOD_NS: Final = 3_333_333
 MODELS: Final[tuple[type[BaseModel], ...]] = (*REPORTS.values(), Ack, LegCommand, LegsCommand, ResetCommand)
-NAMES: Final = {keys.STATE: "state", keys.EVENT: "event", keys.FRAME: "frame"}
+NAMES: Final = {
+    keys.STATE: "1.0/state",
+    keys.EVENT: "1.0/event",
+    keys.FRAME: "1.0/frame",
+    keys.CALIBRATION: "1.1/calibration",
+}
 
 
 def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
-    """Recorded payloads of all three keys, in turn."""
+    """Recorded payloads of all keys, in turn."""
     wires = {
         key: [json.loads(line) for line in (WIRE / f"{name}.jsonl").read_text().splitlines()]
         for key, name in NAMES.items()
     }
     for number in range(count):
-        key = keys.STATE if number % 30 == 0 else keys.EVENT if number % 30 == 15 else keys.FRAME
+        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT}
+        key = others.get(number % 30, keys.FRAME)
         yield key, wires[key][number % len(wires[key])], START_NS + number * PERIOD_NS
 
 

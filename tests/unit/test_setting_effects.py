@@ -35,6 +35,7 @@ SHOWN_ELSEWHERE = {
     "lease.required": "test_lease_conductor.py",
     "lease.ttl_ms": "test_lease_conductor.py",
     "lease.takeover": "test_lease_conductor.py",
+    "calibration.path": "zenoh/test_calibration.py",
     "recorder.path": "test_recorder.py",
     "recorder.seconds": "test_recorder.py",
     "telemetry.state_hz": "test_service.py",

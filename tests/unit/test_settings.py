@@ -46,6 +46,8 @@ landing = {}
 required = false
 ttl_ms = 1000
 takeover = "stop"
+[calibration]
+path = ""
 [recorder]
 path = ""
 seconds = 60
@@ -104,6 +106,8 @@ landing = { 11 = 90 }
 required = true
 ttl_ms = 200
 takeover = "never"
+[calibration]
+path = "/mnt/calibration.toml"
 [recorder]
 path = "/mnt/box"
 seconds = 10

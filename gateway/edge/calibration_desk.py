@@ -1,0 +1,43 @@
+"""What comes in on the calibration's key: read on the thread that hears it, before anybody owns the robot's state."""
+
+from functools import partial
+from typing import Protocol
+
+import zenoh
+
+from gateway.core.calibration_intake import CalibrationIntent, read
+from gateway.core.intake import Rejection
+from gateway.core.message import Reply
+from gateway.edge.desk import Deal, payload_of
+
+
+class Calibrations(Protocol):
+    """Who decides; to be called by an owner of the state."""
+
+    def change(self, intent: CalibrationIntent, source: str | None, received_ns: int, reply: Reply) -> None:
+        """Decide, and answer once that is kept."""
+
+    def reject(self, source: str | None, rejection: Rejection, reply: Reply) -> None:
+        """Answer what is rejected already, and tell of it."""
+
+
+class CalibrationDesk:
+    """Reads commands one by one, on one thread."""
+
+    def __init__(self, calibrations: Calibrations) -> None:
+        self._calibrations = calibrations
+
+    def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> Deal:
+        """Read one query; what is then to be done with it."""
+        source = str(query.source_info.source_id.zid) if query.source_info is not None else None
+        payload = payload_of(query)
+        if isinstance(payload, Rejection):
+            return partial(self._calibrations.reject, source, payload, reply)
+        return self.read(payload, now_ns, reply, source)
+
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None) -> Deal:
+        """Read one payload; what is then to be done with it."""
+        intent = read(payload)
+        if isinstance(intent, Rejection):
+            return partial(self._calibrations.reject, source, intent, reply)
+        return partial(self._calibrations.change, intent, intent.source or source, now_ns, reply)

@@ -1,0 +1,82 @@
+"""The calibration's two keys: what is in force is told, and a change is decided, kept, and only then acknowledged."""
+
+import logging
+from collections.abc import Callable
+from functools import partial
+
+from gateway.core.calibration import Calibration
+from gateway.core.calibration_intake import CalibrationIntent
+from gateway.core.calibration_report import report_of
+from gateway.core.events import Announce, Calibrate, Keep, Kept
+from gateway.core.intake import Intent, Rejection
+from gateway.core.message import Reply, Verb
+from gateway.runtime.conductor import Conductor
+from schemas import keys
+from schemas.telemetry import Kind, Reason
+
+WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
+"""Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
+
+
+logger = logging.getLogger(__name__)
+
+
+class Calibrations:
+    """Asks the conductor. Everything here is called by the owner of the robot's state."""
+
+    def __init__(self, conductor: Conductor, keep: WriteAndThen | None) -> None:
+        """Without `keep`, a calibration lives as long as the process."""
+        self._conductor = conductor
+        self._keep = keep
+        conductor.calibration_kept = keep is not None
+
+    def announce_start(self) -> None:
+        """Publish what is in force from the start on, and log that it will be forgotten, if so."""
+        if self._keep is None:
+            logger.info("the calibration is kept in memory only, until this process ends (calibration.path)")
+        self.tell()
+
+    def tell(self) -> None:
+        """Publish what is in force."""
+        self._conductor.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
+
+    def answer(self, reply: Reply) -> None:
+        """Answer a `get` on what is in force."""
+        reply(report_of(self._in_force).model_dump_json().encode())
+
+    def change(self, intent: CalibrationIntent, source: str | None, received_ns: int, reply: Reply) -> None:
+        """Decide about a change, and answer once it is on the disk, or rejected."""
+        conductor, answers, key = self._conductor, self._conductor.answers, keys.CALIBRATION_CMD
+        now_ns = conductor.turned()
+        too_old = conductor.too_old(intent, source, now_ns, now_ns)
+        number = 0 if too_old is not None else answers.expect(key, source, reply)
+        asked = Intent((), source, intent.sent_ms)
+        conductor.recorder.command(number, Verb.GET, key, source, asked, received_ns)
+        if too_old is not None:
+            answers.reject(key, source, reply, Reason.STALE, too_old)
+            return
+        event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, key, intent.lease)
+        for effect in conductor.ask(event):
+            if isinstance(effect, Keep):
+                self._hand_on(effect)
+
+    def reject(self, source: str | None, rejection: Rejection, reply: Reply) -> None:
+        """Answer a message that is no change, and tell of it."""
+        self._conductor.answers.reject(keys.CALIBRATION_CMD, source, reply, rejection.reason, rejection.detail)
+
+    def _hand_on(self, keep: Keep) -> None:
+        kept = partial(self._kept, keep.number)
+        if self._keep is None:
+            kept(None)
+        else:
+            self._keep(keep.calibration, kept)
+
+    def _kept(self, number: int, fault: str | None) -> None:
+        effects = self._conductor.ask(Kept(number, fault))
+        if any(isinstance(effect, Announce) and effect.kind is Kind.CALIBRATED for effect in effects):
+            self.tell()
+            self._conductor.outbox.publish(keys.STATE, self._conductor.state())
+
+    @property
+    def _in_force(self) -> Calibration:
+        return self._conductor.supervisor.calibrating.in_force

@@ -1,0 +1,158 @@
+"""The calibration of a real gateway: changed by real clients, on the wire, on the disk, and after a restart."""
+
+import asyncio
+import json
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import AsyncClient, Client
+from gateway.core.calibration import ServoCalibration
+from gateway.host import calibration_file
+from gateway.protocol.frames import OneLeg, decode
+from schemas import keys
+from schemas.calibration import Calibration, ServoChange
+from schemas.telemetry import Ack, Event, FrameRecord, Reason
+from tests.support.gateway_process import Gateway
+from tests.support.heard import Heard, events, frames
+
+MIRRORED = {31: ServoChange(trim_deg=7.5), 32: ServoChange(trim_deg=-10, inverted=True), 33: ServoChange(max_deg=140)}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("state") / "calibration.toml"
+
+
+@pytest.fixture(scope="module")
+def gateway(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"frames": True},
+        "watchdog": {"timeout_ms": 10_000, "repeats": 0},
+        "calibration": {"path": str(path)},
+    }
+    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+        yield running
+
+
+@pytest.fixture
+def client(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="anna") as connected:
+        assert connected.stop().accepted
+        yield connected
+
+
+def rejected_for(reason: Reason, event: Event) -> bool:
+    return event.reason == reason
+
+
+def leg_of(record: FrameRecord) -> list[int]:
+    frame = decode(bytes.fromhex(record.bytes))
+    assert isinstance(frame, OneLeg)
+    return [command.angle_cdeg for command in frame.commands]
+
+
+def test_the_wire_has_the_servos_angles_the_state_the_users_and_the_disk_the_calibration(
+    client: Client, path: Path
+) -> None:
+    heard, told, news = frames(client), events(client), Heard(client, keys.CALIBRATION, Calibration)
+    revision = client.calibration().revision
+    assert client.calibrate(MIRRORED, {11: 45}, revision=revision).accepted
+    kept = calibration_file.read(path)
+    assert kept is not None
+    assert (kept.revision, kept.landing_cdeg) == (revision + 1, {11: 45_00})
+    assert kept.of(32) == ServoCalibration(-10_00, inverted=True)
+    assert news.wait(lambda each: each.revision == kept.revision) == client.calibration()
+    assert told.wait(lambda event: event.kind == "calibrated").source == "anna"
+    assert client.start_leg(3, 90, 45, 120).accepted
+    started = heard.wait(lambda record: not decode(bytes.fromhex(record.bytes)).is_stop)
+    assert leg_of(started) == [97_50, 125_00, 120_00]
+    state = client.state()
+    assert [servo.angle_deg for servo in state.legs[2].servos] == [90, 45, 120]
+    assert (state.calibration.revision, state.calibration.fault, state.calibration.kept) == (kept.revision, None, True)
+    beyond = client.set_leg(3, 175, 45, 120)
+    assert (beyond.reason, beyond.detail) == (
+        Reason.JOINT_LIMIT,
+        "175 degrees of servo 31 are its own 182.5, with its trim; a servo has 0 to 180",
+    )
+    running = client.calibrate({31: ServoChange(trim_deg=0)})
+    assert running.reason == Reason.INVALID
+    assert "servo 31 runs" in str(running.detail)
+    assert client.calibrate({41: ServoChange(trim_deg=1)}).accepted, "leg 4 stands still"
+
+
+def test_of_two_who_change_the_same_revision_one_is_told_so(gateway: Gateway, client: Client) -> None:
+    with gateway.client(source="bert") as bert:
+        revision = client.calibration().revision
+        assert client.calibrate(landing={11: 40}, revision=revision).accepted
+        rejected = bert.calibrate(landing={11: 50}, revision=revision)
+        assert rejected.reason == Reason.STALE
+        assert client.calibration().landing["11"] == 40
+
+
+def test_whoever_drives_calibrates(gateway: Gateway, client: Client) -> None:
+    with gateway.client(source="bert") as bert, client.lease():
+        assert bert.calibrate(landing={11: 30}).reason == Reason.NOT_HOLDER
+        assert client.calibrate(landing={11: 30}).accepted
+
+
+def test_for_asyncio_the_same(gateway: Gateway) -> None:
+    async def change() -> tuple[Ack, Calibration]:
+        async with AsyncClient(gateway.endpoint, timeout_s=5) as robot:
+            before = await robot.calibration()
+            return await robot.calibrate({51: ServoChange(min_deg=12.34)}, revision=before.revision), (
+                await robot.calibration()
+            )
+
+    ack, after = asyncio.run(change())
+    assert ack.accepted
+    assert after.servos["51"].min_deg == 12.34
+
+
+def test_what_is_no_command_is_answered_and_a_put_or_wildcard_is_none(client: Client) -> None:
+    told = events(client)
+    for payload, reason in (
+        (b"{", Reason.MALFORMED),
+        (b'{"servos": {"11": {"trim_deg": 400}}}', Reason.INVALID),
+        (b" " * 5000, Reason.TOO_LARGE),
+    ):
+        (reply,) = client.session.get(keys.CALIBRATION_CMD, payload=payload, timeout=5)
+        assert reply.ok is not None
+        assert Ack.model_validate_json(reply.ok.payload.to_bytes()).reason == reason
+    for reason in (Reason.MALFORMED, Reason.INVALID, Reason.TOO_LARGE):
+        told.wait(partial(rejected_for, reason))
+    (reply,) = client.session.get(keys.CALIBRATION_CMD, payload=b"{}", encoding="text/plain", timeout=5)
+    assert reply.ok is not None
+    assert Ack.model_validate_json(reply.ok.payload.to_bytes()).reason == Reason.BAD_ENCODING
+    revision = client.calibration().revision
+    client.publish(keys.CALIBRATION_CMD, {"landing": {"11": 20}})
+    told.wait(lambda event: "takes get only" in event.detail)
+    replies = client.session.get("hexapod/calibration/*", payload=json.dumps({"landing": {"11": 20}}), timeout=5)
+    (answer,) = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+    assert Ack.model_validate_json(answer).reason == Reason.INVALID
+    assert client.calibration().revision == revision
+
+
+def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "calibration.toml"
+    settings = {"calibration": {"path": str(path)}}
+    with Gateway(tmp_path, settings) as first, first.client() as client:
+        for angle_deg in range(1, 14):
+            assert client.calibrate({11: ServoChange(trim_deg=angle_deg)}).accepted
+        first.child.kill()
+    assert [each.name for each in calibration_file.previous(path)] == [
+        f"calibration.{n}.toml" for n in range(12, 2, -1)
+    ]
+    with Gateway(tmp_path, settings) as again, again.client() as client:
+        assert client.calibration().servos["11"].trim_deg == 13
+        assert client.state().calibration.revision == 13
+
+
+def test_in_memory_only_a_restart_forgets_it_and_the_log_says_so(tmp_path: Path) -> None:
+    with Gateway(tmp_path, {"log": {"format": "json"}}) as gateway, gateway.client() as client:
+        gateway.child.wait_for_output("the calibration is kept in memory only")
+        assert client.calibrate({11: ServoChange(trim_deg=1)}).accepted
+        assert (client.calibration().revision, client.state().calibration.kept) == (1, False)
