@@ -1,6 +1,6 @@
 """The benchmark: this gateway beside the naive script, in one run, on emulated SPI devices.
 
-    python -m tests.benchmarks [--quick] [--only steady|calls|lease|recorder|flood|landing|idle|memory] [--markdown]
+    python -m tests.benchmarks [--quick] [--only PART] [--markdown]    # PART: steady, calls, lease, …; see --help
 
 Each is a process of its own, and so is each publisher. A message carries its number in its angles, so that a transfer
 is matched with the moment when its message was published; all clocks are the machine's one monotonic clock. The two
@@ -22,7 +22,7 @@ from typing import Self
 
 from schemas.keys import leg_command
 from tests.benchmarks.calls import calls
-from tests.benchmarks.landing import landing
+from tests.benchmarks.landing import landing, landing_rejected
 from tests.benchmarks.lease import lease
 from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb, say
 from tests.benchmarks.publisher import number_of
@@ -226,6 +226,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "recorder": recorder,
     "flood": flood,
     "landing": landing,
+    "landing-rejected": landing_rejected,
     "idle": idle,
     "memory": memory,
 }

@@ -2,6 +2,9 @@
 
 Both stop all six legs when one falls silent (`watchdog.scope`), so that the sixth Stop is the same thing for both. All
 the while another leg is flooded with starts, and a program spins on every core. Times are the emulated device's.
+
+A landing rejects what it is flooded with, and to reject a command takes longer than to replace it by the next one. What
+of the difference is that, `rejected` shows: there the flood's leg may not go where it is sent, with either gateway.
 """
 
 import os
@@ -22,9 +25,6 @@ from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, microseconds, ratio_row
 from tests.support.child import Child
 
-BLOCKS = 5
-ROUNDS = 40
-"""In each block."""
 TIMEOUT_MS, LANDING_MS = 60.0, 160.0
 LEG, FLOODED_LEG = 3, 6
 START = (90, 45, 120)
@@ -35,9 +35,26 @@ LONGER = 1.2
 """The flood goes on for so much longer than a block's pauses, since its commands take their time, too."""
 NICE = -10
 """A laptop has processors of its own; this process is the one that presses the emergency stop."""
+ABOVE_THE_FLOOD = 170.0
+"""Degrees: no flood numbers its messages up to there."""
 EARLY_MS = 5.0
 """Stops that are earlier than that are another leg's silence: the flood itself had no processor for so long."""
 MOST = 1.25
+
+
+@dataclass(frozen=True)
+class _Flood:
+    """What a run has beside its silences and emergency stops."""
+
+    rejected: bool
+    """By both gateways; else only while the robot lands."""
+    blocks: int
+    rounds: int
+    """In each block."""
+
+
+ACCEPTED = _Flood(rejected=False, blocks=5, rounds=40)
+REJECTED = _Flood(rejected=True, blocks=5, rounds=12)
 
 
 @dataclass
@@ -56,12 +73,14 @@ class _Found:
 class _Side:
     """One of the two gateways."""
 
-    def __init__(self, name: str, folder: Path, stack: ExitStack, landing_ms: float) -> None:
+    def __init__(self, name: str, folder: Path, stack: ExitStack, landing_ms: float, flood: _Flood) -> None:
         (folder / name).mkdir()
         settings: dict[str, dict[str, Any]] = {
             "watchdog": {"timeout_ms": TIMEOUT_MS, "scope": "robot", "repeats": 0, "landing_ms": landing_ms},
             "watchdog.landing": POSE if landing_ms else {},
+            "limits.servos.61": {"min_deg": ABOVE_THE_FLOOD if flood.rejected else 0.0},
         }
+        self._rounds = flood.rounds
         self.name = name
         self.due_ms = TIMEOUT_MS + landing_ms
         self.subject = Subject("gateway", folder / name, stack, settings)
@@ -71,17 +90,17 @@ class _Side:
 
     def block(self) -> None:
         """Silences, then emergency stops."""
-        with self._flooded(ROUNDS * (self.due_ms / 1000 + SLACK_S)):
+        with self._flooded(self._rounds * (self.due_ms / 1000 + SLACK_S)):
             begun_ns = now_ns()
-            for _ in range(ROUNDS):
+            for _ in range(self._rounds):
                 self._start()
                 time.sleep(self.due_ms / 1000 + SLACK_S)
             self._silences(self.subject.device.written(begun_ns))
         in_the_middle_s = (TIMEOUT_MS + self.due_ms) / 2000 if self.due_ms > TIMEOUT_MS else TIMEOUT_MS / 2000
-        with self._flooded(ROUNDS * (in_the_middle_s + SLACK_S)):
+        with self._flooded(self._rounds * (in_the_middle_s + SLACK_S)):
             begun_ns = now_ns()
             requests: list[int] = []
-            for _ in range(ROUNDS):
+            for _ in range(self._rounds):
                 self._start()
                 time.sleep(in_the_middle_s)
                 requests.append(now_ns())
@@ -153,11 +172,11 @@ def _first(frames: list[tuple[int, Frame]], leg: int, op: Op) -> int | None:
     return next((at_ns for at_ns, frame in frames if _is(frame, leg, op)), None)
 
 
-def landing(folder: Path) -> list[Row]:
+def landing(folder: Path, flood: _Flood = ACCEPTED) -> list[Row]:
     """Both. In the column of the naive script: the gateway that stops at once."""
     with ExitStack() as stack:
-        lands = _Side("lands", folder, stack, LANDING_MS)
-        stops = _Side("stops", folder, stack, 0)
+        lands = _Side("lands", folder, stack, LANDING_MS, flood)
+        stops = _Side("stops", folder, stack, 0, flood)
         for _ in range(os.cpu_count() or 1):
             stack.enter_context(closing(Child([sys.executable, "-c", "while True: pass"], os.environ)))
         with suppress(PermissionError):
@@ -166,14 +185,19 @@ def landing(folder: Path) -> list[Row]:
             os.setpriority(os.PRIO_PROCESS, 0, NICE)
         for side in (lands, stops):
             side.robot = side.subject.client()
-        for number in range(BLOCKS):
+        for number in range(flood.blocks):
             for side in (lands, stops) if number % 2 else (stops, lands):
-                say(f"landing: block {number + 1} of {BLOCKS}, the gateway that {side.name}")
+                say(f"landing: block {number + 1} of {flood.blocks}, the gateway that {side.name}")
                 side.block()
-    return _rows(lands.found, stops.found)
+    return _rows("landing, flood rejected by both" if flood.rejected else "landing", lands.found, stops.found)
 
 
-def _rows(lands: _Found, stops: _Found) -> list[Row]:
+def landing_rejected(folder: Path) -> list[Row]:
+    """The same with a flood that both reject: what is left of the difference is the landing's."""
+    return landing(folder, REJECTED)
+
+
+def _rows(part: str, lands: _Found, stops: _Found) -> list[Row]:
     late, plain, estops, plain_estops = (
         [each_us for block in blocks for each_us in block]
         for blocks in (lands.late_us, stops.late_us, lands.estop_us, stops.estop_us)
@@ -182,23 +206,23 @@ def _rows(lands: _Found, stops: _Found) -> list[Row]:
     beside = "(beside: stops at once)"
     return [
         Row(
-            f"landing: silence → its last frame, p50 and worst of {len(landed_ms)}",
+            f"{part}: silence → its last frame, p50 and worst of {len(landed_ms)}",
             f"{median(landed_ms):.1f} and {landed_ms[-1]:.1f} ms",
             "",
             f"before {TIMEOUT_MS:g} + {LANDING_MS:g} ms",
             landed_ms[-1] < TIMEOUT_MS + LANDING_MS,
         ),
-        ratio_row(f"landing: sixth Stop later than due, p50 {beside}", *_p50(lands.late_us, stops.late_us), "µs", MOST),
-        _worst(f"landing: the same, worst of {len(late)} and {len(plain)}", late, plain),
+        ratio_row(f"{part}: sixth Stop later than due, p50 {beside}", *_p50(lands.late_us, stops.late_us), "µs", MOST),
+        _worst(f"{part}: the same, worst of {len(late)} and {len(plain)}", late, plain),
         ratio_row(
-            f"landing: emergency stop in its middle → sixth Stop, p50 {beside}",
+            f"{part}: emergency stop in its middle → sixth Stop, p50 {beside}",
             *_p50(lands.estop_us, stops.estop_us),
             "µs",
             MOST,
         ),
-        _worst(f"landing: the same, worst of {len(estops)} and {len(plain_estops)}", estops, plain_estops),
+        _worst(f"{part}: the same, worst of {len(estops)} and {len(plain_estops)}", estops, plain_estops),
         Row(
-            "landing: rounds that another silence spoiled, left out",
+            f"{part}: rounds that another silence spoiled, left out",
             str(lands.left_out),
             str(stops.left_out),
         ),
