@@ -5,8 +5,10 @@ import os
 import re
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -75,8 +77,8 @@ class RobotHost(AbstractContextManager["RobotHost"]):
             self.frames = frames(self.client)
             self.events = events(self.client)
             self.port = port
-            self._since = self._events_since = 0
             self._close = opened.pop_all()
+        self.forget()
 
     def __enter__(self) -> Self:
         return self
@@ -93,9 +95,12 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         self.forget()
 
     def forget(self) -> None:
-        """What is said of frames and events is about those from now on."""
-        self.client.state()  # asked later, so answered later than all that was reported before
-        self._since, self._events_since = len(self.frames.all), len(self.events.all)
+        """What is said of frames and events is about those from now on, by their own times.
+
+        What was reported before may still be under way: the gateway answers, reports frames and reports events on
+        threads of their own, and so they are heard.
+        """
+        self._since_ns, self._since = time.monotonic_ns(), datetime.now(UTC)
 
     @property
     def rejected(self) -> int:
@@ -108,9 +113,9 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         return {leg.leg for leg in self.client.state().legs if any(servo.running for servo in leg.servos)}
 
     def seen(self, condition: Callable[[FrameRecord], bool]) -> list[FrameRecord]:
-        """Such frames, all that were written up to now."""
+        """Such frames, all that were heard up to now: after a wait for a frame, all that were written before it."""
         self.client.state()
-        return [frame for frame in self.frames.all[self._since :] if condition(frame)]
+        return [frame for frame in self.frames.all if self._is_new(frame) and condition(frame)]
 
     def wait_for_commands(self, *legs: int, count: int = 5) -> None:
         """Wait until each of these legs has been commanded that often."""
@@ -129,15 +134,16 @@ class RobotHost(AbstractContextManager["RobotHost"]):
 
     def wait_for_event(self, condition: Callable[[Event], bool]) -> Event:
         """Wait for such an event."""
-        before = sum(condition(event) for event in self.events.all[: self._events_since])
-        return self.events.wait(condition, count=before + 1)
+        return self.events.wait(lambda event: event.time > self._since and condition(event))
 
     def _wait(self, condition: Callable[[FrameRecord], bool], count: int) -> None:
-        before = sum(condition(frame) for frame in self.frames.all[: self._since])
-        self.frames.wait(condition, count=before + count)
+        self.frames.wait(lambda frame: self._is_new(frame) and condition(frame), count=count)
+
+    def _is_new(self, frame: FrameRecord) -> bool:
+        return frame.monotonic_ns > self._since_ns
 
     def _late_ms(self, leg: int) -> float:
-        frames = self.frames.all[self._since :]
+        frames = [frame for frame in self.frames.all if self._is_new(frame)]
         stop = next(place for place, frame in enumerate(frames) if is_stop(leg)(frame))
         last = max(frame.monotonic_ns for frame in frames[:stop] if is_command(leg)(frame))
         return (frames[stop].monotonic_ns - last) / 1e6 - TIMEOUT_MS

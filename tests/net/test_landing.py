@@ -58,12 +58,14 @@ class Scene(Hosts):
 
     def way(self, landing: Event) -> Way:
         """What the landing has to do; the event names the leg that was silent first."""
+        self.robot.wait_for_frames(lambda frame: frame.cause is Cause.WATCHDOG, 1)
         (silent,) = re.findall(r"leg ([1-6]) was not heard", landing.detail)
         commanded = reported(self.seen(Cause.COMMAND))
         return Way.after(commanded, int(silent), POSE, timeout_ms=TIMEOUT_MS, landing_ms=LANDING_MS, hz=HZ)
 
     def check_way_down(self, landing: Event) -> list[Seen]:
         """All commands, then a straight line, then six Stops in time, and nothing else; the line."""
+        self.robot.wait_for_frames(lambda frame: frame.cause is Cause.WATCHDOG and is_stop(frame), len(LEGS))
         self.wait_for(Kind.WATCHDOG_EXPIRED)
         ours = reported(self.seen(Cause.WATCHDOG))
         down, stops = ours[: -len(LEGS)], ours[-len(LEGS) :]
@@ -102,7 +104,7 @@ def scene(running_scene: Scene, network: Network) -> Scene:
     del network
     for laptop in running_scene.laptops:
         laptop.ask("pause")
-        laptop.ask("in-reach")
+        laptop.wait_for_answer()
         laptop.ask("release")
     running_scene.robot.at_rest()
     return running_scene
@@ -118,6 +120,7 @@ def test_a_link_that_is_cut_in_mid_walk_lands_the_robot_in_a_straight_line_and_t
     scene.walk(scene.anna, *LEGS)
     network.cut(0)
     down = scene.check_way_down(scene.wait_for(Kind.LANDING))
+    network.fix(0)
     check_story(scene.robot, len(down))
 
 
@@ -195,6 +198,7 @@ def test_a_lease_that_is_taken_meanwhile_stops_everything_and_the_taker_may_star
     robot.wait_for_frames(lambda frame: frame.cause is Cause.WATCHDOG, 5 * len(LEGS))
     way = scene.way(landing)
     assert bert.ask("lease take")["holder"] == "bert"
+    robot.wait_for_frames(is_stop, len(LEGS))
     stops = reported(robot.seen(is_stop))
     assert [each.leg for each in stops] == [*LEGS]
     down = reported(scene.seen(Cause.WATCHDOG))
