@@ -117,8 +117,9 @@ def test_a_transfer_that_never_returns_is_the_service_managers_case(
 
         wire.bed.block()
         with ThreadPoolExecutor(1) as pool:
+            count = len(wire.bed.transfers)
             pool.submit(client.set_leg, 3, 91, 45, 120)
-            wire.bed.wait_for_count(len(wire.bed.transfers) + 1, LATE_S)
+            wire.bed.wait_for_count(count + 1, LATE_S)
             manager.drain()
             assert manager.hear(manager.timeout_s) is None, "the manager's watchdog runs out"
             gateway.child.kill()
