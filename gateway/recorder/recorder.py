@@ -204,6 +204,8 @@ class RingRecorder(Recorder):
     def frames(self) -> None:
         if self.held is not None:
             self._release()
+        if self.told == len(self.step):
+            return
         for written in self.step[self.told :]:
             late_ns = 0 if written.deadline_ns is None else written.ns - written.deadline_ns
             self._append(form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, late_ns))

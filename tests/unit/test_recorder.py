@@ -165,6 +165,25 @@ async def test_what_waits_is_recorded_at_once(folder: Path) -> None:
 
 
 @pytest.mark.virtual_time
+async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_targets(folder: Path) -> None:
+    robot = recorded(folder)
+    leg_4 = keys.leg_command(4)
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    robot.put(LEG_3, leg("start", 91, 91, 91))
+    robot.sleep_through(0.004)
+    robot.put(leg_4, leg("start", 10, 10, 10))
+    robot.sleep_through(0.0015)  # leg 3 has a rate slot again, a quarter of its period after the first; leg 4 has none
+    robot.put(leg_4, leg("start", 11, 11, 11))
+    commands = {each.number: each for each in contents(folder, form.CommandRecord)}
+    assert [(each.key, each.targets[0][1].angle_cdeg) for each in commands.values()] == [
+        (LEG_3, 90_00), (LEG_3, 91_00), (leg_4, 10_00), (leg_4, 11_00),
+    ]  # fmt: skip
+    accepted = [frame for frame in contents(folder, form.FrameWritten) if frame.number]
+    assert [frame.number for frame in accepted] == [1, 3, 2]
+    assert all(decode(frame.data).servos == commands[frame.number].targets for frame in accepted)
+
+
+@pytest.mark.virtual_time
 async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = recorded(folder)
     monkeypatch.setattr(robot.controller, "transfer", lambda _: 1 / 0)
