@@ -24,7 +24,12 @@ def main() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
-        env = {**os.environ, "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]', "HEXAPOD_RECORDER__PATH": name}
+        env = {
+            **os.environ,
+            "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]',
+            "HEXAPOD_RECORDER__PATH": name,
+            "HEXAPOD_CALIBRATION__PATH": str(ELKAPOD / "calibration.toml"),
+        }
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         gateway = Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD / "gateway.toml")], env)
         gateway.wait_for_output(READY)
