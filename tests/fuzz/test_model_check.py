@@ -8,7 +8,7 @@ import pytest
 
 from gateway.core.leg import Rules
 from gateway.core.supervisor import Supervisor
-from tests.fuzz import planted
+from tests.fuzz import planted, planted_motion
 from tests.support.history import Violation
 from tests.support.model_check import Key, Report, State, check, start, successors
 from tests.support.small_robots import CONFIGURATIONS, Configuration
@@ -109,20 +109,20 @@ def test_parts_without_a_bug_keep_every_promise() -> None:
         (ONE_LEG, planted.StartsBesideStopServos, "rejected for servo_stopped|announced once"),
         (WHOLE_ROBOT, planted.OneSilentLegOnly, "not heard for the timeout"),
         (STAGGERED, planted.with_legs(planted.AllAtOnce), "with a pause"),
-        (LANDING, planted.LandingWithoutEnd, "not heard for the timeout|a landing ends in time"),
-        (LANDING, planted.LandingMadeLonger, "not heard for the timeout|wakes up|leaves its straight line"),
-        (LANDING, planted.CommandsDuringLanding, "rejected for landing"),
-        (LANDING, planted.LandsAfterEmergencyStop, "the mode is|wakes up"),
+        (LANDING, planted_motion.LandingWithoutEnd, "not heard for the timeout|a landing ends in time"),
+        (LANDING, planted_motion.LandingMadeLonger, "not heard for the timeout|wakes up|leaves its straight line"),
+        (LANDING, planted_motion.CommandsDuringLanding, "rejected for landing"),
+        (LANDING, planted_motion.LandsAfterEmergencyStop, "the mode is|wakes up"),
         (
             LANDING,
-            planted.with_legs(planted.StartsWhileLanding),
+            planted.with_legs(planted_motion.StartsWhileLanding),
             "is started|nothing moves unasked|nobody asked|set although",
         ),
-        (LANDING, planted.with_legs(planted.LandsAtOnce), "leaves its straight line"),
-        (SPEED, planted.with_legs(planted.Jumps), "no faster than its speed"),
-        (SPEED, planted.with_legs(planted.TakesOneStep), "wakes up in time"),
-        (SPEED, planted.with_legs(planted.TimeCountsTwice), "no faster than its speed"),
-        (SPEED, planted.with_legs(planted.GoesOnAfterStop), "although it does not run|wakes up in time"),
+        (LANDING, planted.with_legs(planted_motion.LandsAtOnce), "leaves its straight line"),
+        (SPEED, planted.with_legs(planted_motion.Jumps), "no faster than its speed"),
+        (SPEED, planted.with_legs(planted_motion.TakesOneStep), "wakes up in time"),
+        (SPEED, planted.with_legs(planted_motion.TimeCountsTwice), "no faster than its speed"),
+        (SPEED, planted.with_legs(planted_motion.GoesOnAfterStop), "although it does not run|wakes up in time"),
     ],
     ids=lambda value: getattr(value, "name", None) or getattr(value, "__name__", None),
 )

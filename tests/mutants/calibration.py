@@ -5,6 +5,7 @@ from tests.mutants.mutant import Mutant, Subject
 _TESTS = (
     "tests/unit/test_calibration.py",
     "tests/unit/test_supervisor_calibration.py",
+    "tests/unit/test_supervisor_calibration_streams.py",
     "tests/unit/test_supervisor.py",
     "tests/unit/test_supervisor_landing.py",
     "tests/unit/test_supervisor_machine.py",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
-from gateway.core.calibration import Calibration, Change
+from gateway.core.calibration import Calibration, Change, ServoCalibration, ServoChange
 from gateway.core.leg import Rules
 from gateway.core.pacing import NS_PER_S
 from gateway.protocol.frames import STOP, Op, ServoOp
@@ -77,6 +77,14 @@ _TWO_LEGS = (
     ("legs", ((11, START), (21, STOP))),
 )
 _WAITS = (0, TICK, 5 * TICK)
+_MIRRORED = Calibration(1, {11: ServoCalibration(-10_00, inverted=True)}, {11: HIGH})
+_AS_DRAWN = {11: ServoChange(trim_cdeg=0, inverted=False, max_cdeg=180_00)}
+_RECALIBRATED = (
+    Change(_AS_DRAWN, {}),
+    Change({11: ServoChange(-10_00, inverted=True, max_cdeg=15_00)}, {11: None}),
+    Change({11: ServoChange(90_01)}, {}),
+)
+"""What it then is: as drawn, so that any angle goes; with a limit below HIGH; and impossible."""
 
 CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
@@ -168,6 +176,55 @@ CONFIGURATIONS: Final = (
         (1, 2),
         (*(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)), ("legs", _each(SET, 11, 21))),
         (TICK, 3 * TICK),
+    ),
+    Configuration(
+        "one leg, a servo of which is calibrated",
+        _rules(repeats=0, timeout_ns=2 * TICK),
+        (1,),
+        (*_ONE_SERVO[0:3:2], ("leg", ((11, SET), (12, START)))),
+        (TICK, 4 * TICK),
+        ends=False,
+        calibration=_MIRRORED,
+        changes=_RECALIBRATED[:2],
+    ),
+    Configuration(
+        "one servo, calibrated and limited in speed, and landing",
+        _rules(
+            repeats=0,
+            landing_ns=4 * TICK,
+            landing_cdeg={11: 90_00},
+            max_speed_cdeg_s={11: 180_00 * NS_PER_S // (20 * TICK)},
+            joint_limits_cdeg={11: (0, 100_00)},
+        ),
+        (1,),
+        _ONE_SERVO[:3],
+        (0, TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+        calibration=_MIRRORED,
+        changes=_RECALIBRATED[1:],
+    ),
+    Configuration(
+        "one servo, calibrated by its driver",
+        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK),
+        (1,),
+        _ONE_SERVO[:1],
+        (TICK, 3 * TICK),
+        ends=False,
+        drivers=("anna",),
+        calm=True,
+        calibration=_MIRRORED,
+        changes=_RECALIBRATED[:1],
+    ),
+    Configuration(
+        "one servo, whose calibration cannot be read",
+        _rules(repeats=0),
+        (1,),
+        (*_ONE_SERVO[:3], ("leg", ((11, SET), (12, START)))),
+        _WAITS[1:],
+        calibration=_MIRRORED,
+        fault="it is broken",
+        changes=_RECALIBRATED[1:],
     ),
     Configuration(
         "one leg, a limited speed and landing",

@@ -10,15 +10,18 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from gateway.core.calibration import Calibration, Change, ServoCalibration, ServoChange
 from gateway.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    Calibrate,
     Command,
     Do,
     Effect,
     EmergencyStop,
     Event,
+    Kept,
     LeaseRequest,
     Reset,
     ShutDown,
@@ -66,6 +69,30 @@ RULES = st.builds(
     lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
     lease_takeover=st.booleans(),
 )
+CALIBRATIONS = st.sampled_from(
+    [
+        Calibration(),
+        Calibration(),
+        Calibration(
+            5, {11: ServoCalibration(-10_00, inverted=True), 21: ServoCalibration(max_cdeg=90_00)}, {11: 30_00}
+        ),
+    ]
+)
+CHANGES = st.builds(
+    Change,
+    st.dictionaries(
+        st.sampled_from([11, 12, 21, 33]),
+        st.builds(
+            ServoChange,
+            st.sampled_from([None, 0, 5_00, -90_00, 90_01]),
+            st.sampled_from([None, True, False]),
+            st.sampled_from([None, 0, 0, 45_00]),
+            st.sampled_from([None, 180_00, 180_00, 90_00]),
+        ),
+        max_size=2,
+    ),
+    st.dictionaries(st.sampled_from([11, 62]), st.sampled_from([None, 0, 50_00]), max_size=1),
+)
 DRIVERS = st.sampled_from(["anna", "ben"])
 WHOSE = st.sampled_from(["now", "now", "now", "before", "nobody's"])
 """Of the lease as it is now, as it was before, or of none."""
@@ -78,13 +105,20 @@ def is_handover(effect: Effect) -> bool:
 class SupervisorMachine(RuleBasedStateMachine):
     """One supervisor, its judge and its robot."""
 
-    @initialize(rules=RULES, now_ns=st.sampled_from([1, NS_PER_MS, 3_600_000_000_000]))
-    def make(self, rules: Rules, now_ns: int) -> None:
+    @initialize(
+        rules=RULES,
+        now_ns=st.sampled_from([1, NS_PER_MS, 3_600_000_000_000]),
+        calibration=CALIBRATIONS,
+        fault=st.sampled_from([None] * 9 + ["it cannot be read"]),
+    )
+    def make(self, rules: Rules, now_ns: int, calibration: Calibration, fault: str | None) -> None:
         self.now_ns = now_ns
         self.supervisor = Supervisor(rules)
         self.nameless = Supervisor(rules)
         """Takes the same, and hears of no source."""
-        self.oracle = Oracle(rules)
+        for supervisor in (self.supervisor, self.nameless):
+            supervisor.calibrating.load(calibration, fault)
+        self.oracle = Oracle(rules, calibration=calibration, fault=fault)
         self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
         self.number = self.tokens = 0
         self.carries = "now"
@@ -172,6 +206,25 @@ class SupervisorMachine(RuleBasedStateMachine):
     def start_everything(self, angle_cdeg: int, wait_ns: int) -> None:
         op = ServoOp(Op.START, angle_cdeg)
         self.command("legs", tuple((servo_id, op) for leg in LEGS for servo_id in servo_ids_of(leg)), wait_ns)
+
+    @rule(
+        change=CHANGES,
+        older=st.sampled_from([None, None, 0, 1]),
+        default=st.sampled_from([False] * 9 + [True]),
+        wait_ns=WAITS_NS,
+    )
+    def calibrate(self, change: Change, older: int | None, default: bool, wait_ns: int) -> None:
+        if Calibrate in TRANSITIONS[self.supervisor.mode]:
+            self.number += 1
+            revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
+            lease = self.token(self.carries)
+            self.step(Calibrate(self.number, change, revision, default, lease=lease), wait_ns)
+
+    @precondition(lambda self: self.oracle.calibration.on_its_way is not None)
+    @rule(fault=st.sampled_from([None, None, "the disk is full"]), wait_ns=WAITS_NS)
+    def the_disk_answers(self, fault: str | None, wait_ns: int) -> None:
+        way = self.oracle.calibration.on_its_way
+        self.step(Kept(0 if way is None else way.number, fault), wait_ns)
 
     @rule(wait_ns=WAITS_NS)
     def time_passes(self, wait_ns: int) -> None:
