@@ -13,6 +13,7 @@ import typer
 from gateway import __version__, protocol
 from gateway.errors import GatewayError
 from gateway.tools import certs, incidents, lease, recordings
+from gateway.tools.calibrate import command as calibrate
 from gateway.tools.drill import command as drill
 from gateway.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
 
@@ -218,6 +219,7 @@ app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(drill.app)
+app.add_typer(calibrate.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from gateway.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
 from gateway.client.lease import Lease
-from gateway.client.payloads import leg_payload, legs_payload, servo_payload
+from gateway.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.client.stream import Stream
 from gateway.errors import (
     DisconnectedError,
@@ -47,6 +47,7 @@ __all__ = [
     "StoppedError",
     "Stream",
     "ZenohError",
+    "calibration_payload",
     "leg_payload",
     "legs_payload",
     "servo_payload",

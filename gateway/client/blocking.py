@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError
 from gateway.client.ending import close_at_the_end
 from gateway.client.lease import Lease
 from gateway.client.lease_requests import LeaseRequests
-from gateway.client.payloads import Angle, leg_payload, legs_payload, number, servo_payload
+from gateway.client.payloads import Angle, calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.client.proof import Identity
 from gateway.client.stream import Stream
 from gateway.edge.config_file import get, one_line
@@ -234,15 +234,10 @@ class Client:
         `revision`, that of `calibration()`, it is rejected if somebody else has changed it meanwhile. `accept_default`
         takes the calibration without any trim as this robot's, where the file that kept its own cannot be read.
         """
-        payload: dict[str, Any] = {
-            "servos": {str(name): change.model_dump(exclude_none=True) for name, change in servos.items()},
-            "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
-        }
-        if revision is not None:
-            payload["revision"] = revision
-        if accept_default:
-            payload["accept_default"] = True
-        return self.ask(keys.CALIBRATION_CMD, payload)
+        return self.ask(
+            keys.CALIBRATION_CMD,
+            calibration_payload(servos, landing, revision=revision, accept_default=accept_default),
+        )
 
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None

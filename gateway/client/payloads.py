@@ -1,9 +1,13 @@
 """The payloads of commands, from whatever a program has for numbers."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, SupportsFloat, SupportsIndex
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
 
 from schemas.robot import JOINTS, LEGS
+
+if TYPE_CHECKING:
+    from schemas.calibration import ServoChange
 
 Angle = SupportsFloat | SupportsIndex
 """Degrees: an int, a float, or whatever is one, such as numpy's `float32` and `int64`. A bool is not."""
@@ -40,6 +44,25 @@ def legs_payload(op: str, angles_deg: Mapping[int, Sequence[Angle]]) -> dict[str
 def servo_payload(op: str, angle_deg: Angle | None = None) -> dict[str, Any]:
     """The payload of a servo's command. Raises TypeError where the angle is no number."""
     return {"op": op} if angle_deg is None else {"op": op, "angle_deg": number(angle_deg)}
+
+
+def calibration_payload(
+    servos: "Mapping[int, ServoChange]" = MappingProxyType({}),
+    landing: Mapping[int, Angle | None] = MappingProxyType({}),
+    *,
+    revision: int | None = None,
+    accept_default: bool = False,
+) -> dict[str, Any]:
+    """What changes the calibration; see `Client.calibrate`. Raises TypeError where an angle is no number."""
+    payload: dict[str, Any] = {
+        "servos": {str(name): change.model_dump(exclude_none=True) for name, change in servos.items()},
+        "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
+    }
+    if revision is not None:
+        payload["revision"] = revision
+    if accept_default:
+        payload["accept_default"] = True
+    return payload
 
 
 def number(angle_deg: Angle) -> float:

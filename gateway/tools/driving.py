@@ -54,11 +54,7 @@ def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float
         try:
             lease.acquire()
         except LeaseError as error:
-            if error.reason == Reason.LEASE_HELD and kept_lease.token_of(client) is not None:
-                say("rejected: lease_held: this user holds it already, in another terminal")
-                hint(f"`{this_command()} lease release` ends that.")
-                return 1
-            return rejected(error)
+            return not_acquired(client, error)
         try:
             released = _drive(client, lease, ended, for_s)
         finally:
@@ -126,6 +122,15 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, 
         yield {}
     finally:
         lease.release()
+
+
+def not_acquired(client: Client, error: LeaseError) -> int:
+    """Say why the lease is not to be had, and what can be done. Returns the exit code."""
+    if error.reason == Reason.LEASE_HELD and kept_lease.token_of(client) is not None:
+        say("rejected: lease_held: this user holds it already, in another terminal")
+        hint(f"`{this_command()} lease release` ends that.")
+        return 1
+    return rejected(error)
 
 
 def rejected(error: LeaseError | LeaseLostError) -> int:

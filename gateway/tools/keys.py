@@ -6,6 +6,13 @@ import signal
 import termios
 from collections.abc import Iterator
 from types import FrameType
+from typing import Final
+
+_ESCAPE: Final = 0x1B
+_REST_S: Final = 0.05
+"""How soon the rest of an arrow key follows its first byte, where the two come apart (a slow SSH)."""
+_NAMES: Final = {0x1B: "escape", 0x0D: "enter", 0x0A: "enter", 0x7F: "backspace", 0x08: "backspace", 0x03: "ctrl-c"}
+_ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 
 
 @contextlib.contextmanager
@@ -39,3 +46,44 @@ def wake_on_signals() -> Iterator[tuple[int, int]]:
             signal.signal(number, handler)
         os.close(readable)
         os.close(writable)
+
+
+class Keyboard:
+    """What the bytes of a terminal mean: "a", "left", "enter", "escape"; keys that have no name here are left out.
+
+    Escape may be what stops a servo, so it counts at once, though an arrow key begins with the same byte. Where the
+    rest of the arrow then follows, it is part of that and no key of its own.
+    """
+
+    def __init__(self) -> None:
+        self._escaped_s: float | None = None
+        """When the bytes ended in an escape."""
+
+    def keys(self, data: bytes, now_s: float) -> list[str]:
+        """The keys in what one reading gave."""
+        rest = self._escaped_s is not None and now_s - self._escaped_s < _REST_S and data[:1] in (b"[", b"O")
+        self._escaped_s = now_s if data[-1:] == b"\x1b" else None
+        found: list[str] = []
+        place = _sequence_end(data, 0) if rest else 0
+        while place < len(data):
+            byte = data[place]
+            if byte == _ESCAPE and data[place + 1 : place + 2] in (b"[", b"O"):
+                end = _sequence_end(data, place + 1)
+                if end == place + 3:  # with a number in it, it is another key, or an arrow with Shift or Ctrl
+                    found += [_ARROWS[last]] if (last := chr(data[place + 2])) in _ARROWS else []
+                place = end
+                continue
+            if byte in _NAMES:
+                found.append(_NAMES[byte])
+            elif 0x20 <= byte < 0x7F:
+                found.append(chr(byte))
+            place += 1
+        return found
+
+
+def _sequence_end(data: bytes, place: int) -> int:
+    """Behind a control sequence whose `[` or `O` is at `place`: numbers, then a letter or `~`. A space is in none."""
+    place += 1
+    while place < len(data) and data[place] in b"0123456789;<?":
+        place += 1
+    return place + 1 if place < len(data) and 0x40 <= data[place] < 0x7F else place

@@ -55,6 +55,16 @@ class Terminal:
         """Press keys: "Space", "r", "C-c"."""
         self._tmux("send-keys", *keys)
 
+    @property
+    def pid(self) -> int:
+        """The command's process."""
+        shell = self._tmux("display-message", "-p", "#{pane_pid}").strip()
+        return int(Path(f"/proc/{shell}/task/{shell}/children").read_text().split()[0])
+
+    def close(self) -> None:
+        """Close the window, as a person does."""
+        self._tmux("kill-session")
+
     def resize(self, columns: int, rows: int) -> None:
         self._tmux("resize-window", "-x", str(columns), "-y", str(rows))
 

@@ -4,19 +4,13 @@ A gateway on the simulated controller, with certificates. Bert's program lets le
 lease and lets five legs step at 50 Hz, and Bert's gets rejections. And `watch`'s own link, model and view.
 """
 
-import html
 import math
-import re
 import sys
 import tempfile
 import threading
 import time
 from functools import partial
-from io import StringIO
 from pathlib import Path
-
-from rich.console import Console
-from rich.terminal_theme import MONOKAI
 
 from gateway import certs
 from gateway.client import Client, leg_payload
@@ -25,11 +19,11 @@ from gateway.tools.watch.model import Model
 from gateway.tools.watch.view import picture
 from schemas import keys
 from tests.support.secured import Secured
+from tests.support.terminal_picture import svg
 
 COLUMNS, ROWS = 84, 24
 WALKING = (1, 3, 4, 5, 6)
 SECONDS = 4.0
-BLANK = "&#160;"
 SHOWN = "tls/robot.local:7447"
 """The address on the picture; the run's own is a port of the moment."""
 
@@ -74,34 +68,15 @@ def run(secured: Secured) -> str:
     link.close()
     if not walked:
         sys.exit("this machine was so busy that the watchdog stopped the gait; try again")
-    console = Console(record=True, file=StringIO(), width=COLUMNS, height=ROWS, force_terminal=True)
-    console.print(text)
-    return without_edge_blanks(console.export_svg(title="hexapod-gateway watch", theme=MONOKAI, unique_id="watch"))
-
-
-def without_edge_blanks(svg: str) -> str:
-    """Each text begins and ends with a character that is seen: not every program keeps blanks at the edges."""
-
-    def narrow(found: re.Match[str]) -> str:
-        before, x, between, length, after, text = found.groups()
-        content = text.replace(BLANK, " ")
-        bare = content.strip(" ")
-        column = float(length) / len(html.unescape(content))
-        x = float(x) + column * (len(content) - len(content.lstrip(" ")))
-        length = column * len(html.unescape(bare))
-        return f"{before}{x:g}{between}{length:g}{after}{bare.replace(' ', BLANK)}</text>" if bare else ""
-
-    return re.sub(
-        r'(<text class="watch-r\d+" x=")([\d.]+)(" y="[\d.]+" textLength=")([\d.]+)("[^>]*>)([^<]+)</text>', narrow, svg
-    )
+    return svg(text, "watch", COLUMNS, ROWS)
 
 
 def main() -> None:
     """Write the picture to the file named."""
     with tempfile.TemporaryDirectory() as folder, Secured(Path(folder)) as secured:
         certs.issue(secured.folder, "bert", "operator")
-        svg = run(secured)
-    Path(sys.argv[1]).write_text(svg + "\n")
+        drawn = run(secured)
+    Path(sys.argv[1]).write_text(drawn + "\n")
 
 
 if __name__ == "__main__":

@@ -58,10 +58,10 @@ def test_undo_goes_back_to_the_beginning() -> None:
     made.stands_at(95.0)
     made.wrong_way()
     assert made.changed == [32]
-    assert made.undo()
+    assert made.undo() == 32
     assert made.draft[32] == ServoCalibration(trim_cdeg=-5_00)
-    assert made.undo()
-    assert not made.undo()
+    assert made.undo() == 32
+    assert made.undo() is None
     assert made.changed == []
 
 

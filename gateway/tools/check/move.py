@@ -13,9 +13,10 @@ from typing import Final
 from gateway.client import Client
 from gateway.errors import ConfigError, ZenohError
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say, this_command, visible
+from gateway.tools.rest import why_not_at_rest
+from gateway.tools.terminal import hint, say, visible
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, GatewayState, Mode
+from schemas.telemetry import Ack, GatewayState
 
 DEFAULT_SERVO: Final = 11
 DEFAULT_ANGLE_DEG: Final = 90.0
@@ -114,12 +115,9 @@ def _accepted(ack: Ack) -> bool:
 
 
 def _at_rest(state: GatewayState) -> None:
-    if state.mode != Mode.IDLE:
-        remedy = {
-            Mode.ACTIVE: f"a servo runs; stop it first ({this_command()} send stop)",
-            Mode.ESTOPPED: f"leave the emergency stop first ({this_command()} reset)",
-        }.get(Mode(state.mode) if state.mode in set(Mode) else Mode.STARTING, "wait until it is idle")
-        raise ConfigError(f"the gateway is {state.mode}, and nothing is moved: {remedy}")
+    trouble = why_not_at_rest(state)
+    if trouble is not None:
+        raise ConfigError(trouble)
 
 
 def _servo(text: str) -> int:

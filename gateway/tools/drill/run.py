@@ -14,6 +14,7 @@ from gateway.tools.drill.steps import STEPS, Figures, Step
 from gateway.tools.driving import drives
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
+from gateway.tools.rest import why_not_at_rest
 from gateway.tools.terminal import hint, say
 from schemas.telemetry import GatewayState, Mode
 
@@ -166,8 +167,9 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
 
 
 def _at_rest(state: GatewayState) -> None:
-    if state.mode != Mode.IDLE:
-        raise ConfigError(f"the gateway is {state.mode}, and nothing is moved; the drill begins while it is idle")
+    trouble = why_not_at_rest(state)
+    if trouble is not None:
+        raise ConfigError(trouble)
 
 
 def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:

@@ -1,0 +1,85 @@
+"""The robot of `calibrate`: its calibration read and written, and the lease without which nothing is moved."""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Final
+
+from gateway.client import Client, Lease, LeaseLostError
+from gateway.core.calibration import Calibration, ServoCalibration
+from gateway.core.calibration_report import calibration_of
+from gateway.errors import GatewayError, RejectedError
+from gateway.tools import kept_lease
+from schemas import calibration as wire
+
+_CDEG: Final = 100
+
+
+class ChangedMeanwhileError(GatewayError):
+    """Another calibration is in force than the one that was to be changed."""
+
+    def __init__(self, newer: Calibration) -> None:
+        super().__init__(f"somebody else has changed the calibration meanwhile: revision {newer.revision} is in force")
+        self.newer = newer
+
+
+class Robot:
+    """Acquires the lease before anything moves, and again once it was lost. For one thread at a time."""
+
+    def __init__(self, client: Client, on_lost: Callable[[LeaseLostError], None]) -> None:
+        """`on_lost` is called on a thread of its own."""
+        self.client = client
+        self._on_lost = on_lost
+        self._lease: Lease | None = None
+        self._held = ExitStack()
+
+    def drive(self) -> None:
+        """Hold the lease. `send` and `reset` of this user count meanwhile. Raises LeaseError, DisconnectedError."""
+        if self._lease is not None and self._lease.held:
+            return
+        self.release()
+        lease = self.client.lease(source=kept_lease.me(), on_lost=self._on_lost)
+        lease.acquire()
+        self._lease = lease
+        self._held.callback(lease.release)
+        self._held.enter_context(kept_lease.kept(self.client, lease.token or ""))
+
+    @property
+    def drives(self) -> bool:
+        """Whether we hold it."""
+        return self._lease is not None and self._lease.held
+
+    def release(self) -> None:
+        """Let go of the lease."""
+        self._held.close()
+
+    def calibration(self) -> Calibration:
+        """What is in force. Raises DisconnectedError, ValueError."""
+        return calibration_of(self.client.calibration())
+
+    def write(
+        self, servos: Mapping[int, ServoCalibration], landing_cdeg: Mapping[int, int | None], revision: int
+    ) -> Calibration:
+        """Change these, if `revision` is in force; what is in force then.
+
+        Raises ChangedMeanwhileError, RejectedError, DisconnectedError.
+        """
+        self.drive()
+        landing = {servo_id: None if cdeg is None else cdeg / _CDEG for servo_id, cdeg in landing_cdeg.items()}
+        ack = self.client.calibrate(
+            {name: _change(servo) for name, servo in servos.items()}, landing, revision=revision
+        )
+        found = self.calibration()
+        if ack.accepted:
+            return found
+        if found.revision != revision:
+            raise ChangedMeanwhileError(found)
+        raise RejectedError(str(ack.reason), ack.detail or "no reason was given")
+
+
+def _change(servo: ServoCalibration) -> wire.ServoChange:
+    return wire.ServoChange(
+        trim_deg=servo.trim_cdeg / _CDEG,
+        inverted=servo.inverted,
+        min_deg=servo.min_cdeg / _CDEG,
+        max_deg=servo.max_cdeg / _CDEG,
+    )
