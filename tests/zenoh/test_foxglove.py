@@ -72,6 +72,7 @@ def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> N
                 if channel["topic"] == "hexapod/state" and "hexapod/frame" not in seen:
                     robot.stop()  # something to see
                     assert not robot.set_leg(1, 90, 90, 90).accepted
+                    assert robot.calibrate(landing={11: 45}).accepted
                 seen.add(channel["topic"])
             assert robot.state().commands.rejected > 0
             assert robot.state().mode == "idle"
