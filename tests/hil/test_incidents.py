@@ -21,6 +21,9 @@ from tests.support.gateway_process import COMMAND, READY, free_port, write_setti
 
 pytestmark = pytest.mark.hil
 
+BEFORE_NS = 9_900_000_000
+"""An incident goes back by ten seconds."""
+
 FAULTY = """
 import sys
 from gateway import cli
@@ -90,14 +93,17 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
     found = {path.stem.split("-", 3)[-1]: path for path in sorted((tmp_path / "box" / "incidents").iterdir())}
     assert found.keys() == KINDS.keys()
 
-    on_wire = [each.data.hex() for each in spi_testbed.transfers if each.delivered and len(each.data) == 14]
-    assert frames_in(found["crash"]) == on_wire, "all five within the ten seconds before the last"
+    on_wire = [each for each in spi_testbed.transfers if each.delivered and len(each.data) == 14]
+    shown = frames_in(found["crash"])
+    assert shown == [each.data.hex() for each in on_wire[-len(shown) :]]
+    # All five, or on a busy machine as many as come within the ten seconds before the last.
+    assert len(shown) >= sum(each.monotonic_ns > on_wire[-1].monotonic_ns - BEFORE_NS for each in on_wire)
     for kind, path in found.items():
-        shown = Child([*COMMAND, "incidents", "show", path.stem, "--config", str(config)], spi_testbed.environment)
-        assert shown.wait(30) == 0, str(shown)
-        assert shown.stdout.startswith(f"{path.stem}: "), kind
-        assert "last command of leg 3 (hil, start 90 45 120)" in shown.stdout, kind
-        shown.close()
+        story = Child([*COMMAND, "incidents", "show", path.stem, "--config", str(config)], spi_testbed.environment)
+        assert story.wait(30) == 0, str(story)
+        assert story.stdout.startswith(f"{path.stem}: "), kind
+        assert "last command of leg 3 (hil, start 90 45 120)" in story.stdout, kind
+        story.close()
 
 
 def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client, SpiTestbed, Child], None]) -> None:
