@@ -71,7 +71,12 @@ def _fit(state: GatewayState, recorded: Plan, speed: float) -> None:
     if state.mode is not Mode.IDLE:
         raise ConfigError(f"the robot is not at rest (its mode is {state.mode}); nothing is sent")
     gap_ms = recorded.longest_gap_ns / NS_PER_MS / speed
-    if speed != 1 and gap_ms > state.watchdog.timeout_ms:
+    if speed == 1 and gap_ms > state.watchdog.timeout_ms:
+        hint(
+            f"Once there are {gap_ms:.0f} ms between two setpoints of a leg: the recorded gateway stood still, or has "
+            f"a longer watchdog. This one stops it after {state.watchdog.timeout_ms:g} ms, and the replay ends there."
+        )
+    elif gap_ms > state.watchdog.timeout_ms:
         raise ConfigError(
             f"at --speed {speed:g} there are {gap_ms:.0f} ms between two setpoints of a leg, and the watchdog stops it "
             f"after {state.watchdog.timeout_ms:g} ms; a faster replay goes"

@@ -11,11 +11,11 @@ from gateway.errors import ConfigError
 from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.recordings import Recording
 from gateway.recordings.replaying import APART_NS, NS_PER_MS, Sent, Written, compare, plan
-from gateway.tools.replay import _ask, _frames
+from gateway.tools.replay import _ask, _fit, _frames
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
 from schemas.keys import FRAME, STATE
 from schemas.robot import LEGS
-from schemas.telemetry import Cause
+from schemas.telemetry import Cause, GatewayState, Mode, WatchdogReport
 
 BEGUN_NS: Final = 7_000_000_000
 
@@ -216,6 +216,16 @@ def test_frames_of_a_calibrated_robot_are_not_sent(tmp_path: Path) -> None:
         recording.add(STATE, {"calibration": {"revision": 2}}, BEGUN_NS)
     with pytest.raises(ConfigError, match="calibrated"):
         list(_frames(path))
+
+
+def test_a_gap_that_the_watchdog_does_not_wait_for_is_told_beforehand(capsys: pytest.CaptureFixture[str]) -> None:
+    watchdog = WatchdogReport.model_construct(timeout_ms=250)
+    state = GatewayState.model_construct(mode=Mode.IDLE, watchdog=watchdog)
+    for gap_ms in (240, 312):
+        _fit(state, plan([record(0, leg(1, Op.START)), record(gap_ms, leg(1))]), 1)
+        assert ("Once there are 312 ms" in capsys.readouterr().err) == (gap_ms == 312)
+    with pytest.raises(ConfigError, match=r"at --speed 0\.5 there are 480 ms"):
+        _fit(state, plan([record(0, leg(1, Op.START)), record(240, leg(1))]), 0.5)
 
 
 def test_a_real_robot_does_not_move_where_nobody_can_be_asked(
