@@ -201,7 +201,7 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
 
     The last frame may be missing: the process was killed between its transfer and its record. So may Stops that it
     wrote just then: they are recorded once the last of them is written. No record stands for a frame that was not
-    written, and each frame stands behind its command.
+    written, and each frame that moves stands behind its command.
     """
     content = reader.read(ring)
     assert not content.written
@@ -217,7 +217,8 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     commands = [record.content for record in records if isinstance(record.content, form.CommandRecord)]
     commanded = {tuple(op.angle_cdeg for _, op in command.targets) for command in commands}
     for frame in frames:
-        if frame.cause == Cause.COMMAND:
+        # Where a busy machine let a ring run full, a Stop may have been lost, and the gateway writes one of its own.
+        if frame.cause == Cause.COMMAND and frame.data.hex() not in STOPS:
             assert tuple(op.angle_cdeg for _, op in decode(frame.data).servos) in commanded
 
 
