@@ -1,17 +1,23 @@
 """The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
+import errno
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from gateway.protocol.frames import Op, decode, stop_leg
+from gateway.recorder.incidents import kind_of
+from gateway.recorder.story import story
+from gateway.recordings import read
 from tests.box.box import Unit
 from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
+from tests.hil.test_incidents import FAULTY, KINDS, frames_in
 from tests.support.child import Child
 
 pytestmark = pytest.mark.systemd
@@ -118,35 +124,68 @@ def test_killed(robot: InstalledGateway) -> None:
     assert {transfer.data for transfer in restarted} == STOPS
 
 
-def test_the_black_box_of_a_killed_service(robot: InstalledGateway) -> None:
-    """Its last seconds are told at once, and hexapod-recorder has them on the disk when their time is over."""
-    robot.unit.systemctl("start")
-    client, _ = start_moving(robot)
+def test_an_incident_of_each_kind(robot: InstalledGateway) -> None:
+    """The service's own, from what happens on its device; hexapod-recorder has each on the disk, as the wire was."""
     recorder = Unit(robot.box, "hexapod-recorder.service")
     assert recorder.property("ActiveState") == "active"
-    follow = (
-        "journalctl",
-        "--follow",
-        "--lines=0",
-        "--output=cat",
-        robot.box.journal_option,
-        f"--unit={recorder.name}",
-    )
-    journal = Child(follow, {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
+    robot.unit.systemctl("start")
+    assert "accepted" in robot.gateway(*MOVE_LEG_3)
+    robot.bed.wait_for(lambda seen: seen[-1].data == stop_leg(3).to_bytes())
+
+    robot.configure("watchdog.timeout_ms = 10_000\n")  # else the watchdog is first each time
+    restart_and_move(robot)
+    robot.gateway("estop")
+
+    restart_and_move(robot)
+    robot.bed.fail(errno.EIO, count=1)
+    assert "bus_fault" in robot.gateway(*MOVE_LEG_3, check=False)
+
+    robot.box.write("/run/faulty.py", FAULTY.replace('"planted" in', '"12.34" in'))
+    robot.drop_in("faulty", "ExecStart=\nExecStart=/opt/hexapod-gateway/venv/bin/python /run/faulty.py run")
+    restart_and_move(robot)
     with robot.journal() as service:
+        robot.gateway("send", "leg", "3", "set", "12.34", "45", "120", check=False)
+        service.wait_for_output("planted")
+
+    restart_and_move(robot)
+    with robot.journal() as service, recorder_journal(recorder) as kept:
         robot.unit.systemctl("kill", "--signal=SIGKILL")
-        service.wait_for_output("Started ")
-    client.wait()
-    client.close()
-    told = robot.gateway("incidents", "show", "last")
+        service.wait_for_output("Stop written to all six legs, 4 times each")
+        robot.unit.systemctl("stop")
+        told = robot.gateway("incidents", "show", "last")
+        kept.wait_for_output("-crash is kept: /var/lib/hexapod-gateway/incidents/", timeout_s=20)
     assert "-crash: the gateway ended without a word" in told
     assert "last command of leg 3" in told
-    assert "ended without a word" in told.splitlines()[-1] or "a gateway starts" in told
-    kept = journal.wait_for_output("is kept: /var/lib/hexapod-gateway/incidents/", timeout_s=20)
-    journal.close()
-    name = kept.partition("incident ")[2].partition(" ")[0]
-    assert name in robot.gateway("incidents", "list")
     assert robot.box.run("stat", "--format=%U %a", f"/var/lib/{NAME}/incidents").stdout == f"{NAME} 700\n"
+
+    robot.box.run("cp", "--recursive", f"/var/lib/{NAME}/incidents", "/box-out/")
+    found = {kind_of(path.stem): path for path in sorted((robot.box.shared / "incidents").iterdir())}
+    assert found.keys() >= {"watchdog", "estop", "bus-fault", "mistake", "crash"}
+    on_wire = [each.data.hex() for each in robot.bed.transfers if each.delivered]
+    for kind in KINDS:
+        frames = frames_in(found[kind])
+        rest = iter(on_wire)
+        assert all(frame in rest for frame in frames), f"{kind}: in the order of the wire"
+        assert any(has_started_hex(frame) for frame in frames), kind
+        assert f"-{kind}: " in story(list(read(found[kind])))[0]
+
+
+def restart_and_move(robot: InstalledGateway) -> None:
+    robot.unit.systemctl("restart")
+    assert "accepted" in robot.gateway(*MOVE_LEG_3)
+
+
+def has_started_hex(frame: str) -> bool:
+    return any(command.op is Op.START for _, command in decode(bytes.fromhex(frame)).servos)
+
+
+@contextmanager
+def recorder_journal(recorder: Unit) -> Iterator[Child]:
+    """What the recorder says from now on."""
+    options = ("--follow", "--lines=0", "--output=cat", recorder.box.journal_option, f"--unit={recorder.name}")
+    journal = Child(("journalctl", *options), {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
+    yield journal
+    journal.close()
 
 
 def test_hanging(robot: InstalledGateway) -> None:

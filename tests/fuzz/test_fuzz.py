@@ -23,7 +23,7 @@ from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import LEGS_COMMAND
 from schemas.telemetry import Reason
 from tests.fuzz.mutate import mutate_json
-from tests.fuzz.ring import COUNTED, READING, bounded
+from tests.fuzz.ring import COUNTED, MEASURED, READING, bounded
 from tests.fuzz.run import MAX_GROWTH_MB, fuzz
 from tests.fuzz.seeds import MAX_LEN, seeds
 from tests.fuzz.targets import TARGETS, check_frame, check_intake
@@ -202,7 +202,8 @@ def _greedy(_: bytes) -> bytes:
 @pytest.mark.parametrize(("work", "why"), [(_endless, "more than .* steps"), (_greedy, "bytes of memory for")])
 def test_too_much_work_or_memory_is_a_finding(work: Callable[[bytes], Any], why: str) -> None:
     """Whether an input is counted follows from its bytes."""
-    data = next(each for each in map(bytes, range(10_000)) if crc32(each) % COUNTED == (work is _greedy))
+    every, rest = (MEASURED, 1) if work is _greedy else (COUNTED, 0)
+    data = next(each for each in map(bytes, range(100_000)) if crc32(each) % every == rest)
     with pytest.raises(AssertionError, match=why):
         bounded(work, READING)(data)
 
