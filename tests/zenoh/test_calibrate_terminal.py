@@ -84,6 +84,7 @@ def test_space_escape_q_and_ctrl_c(patient: Gateway, tmp_path: Path) -> None:
         heard.wait(runs)
         terminal.press("C-c")
         assert terminal.wait_for_end() == 0
+        assert client.state().lease.holder is None
         assert " isig icanon " in terminal.words
         stopped_by_a_stop(client)
 

@@ -61,8 +61,8 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
             return 1
         payload = calibration_payload(landing=stand, revision=calibration.revision)
         code = _change(client, "the landing pose is written", state, payload)
-    if code == 0:
-        hint("The gateway goes there, if watchdog.landing_ms is set, when commands fall silent.")
+    if code == 0 and not state.watchdog.landing_ms:
+        hint("The robot lands only once watchdog.landing_ms is set in the gateway's settings; it is 0.")
     return code
 
 
@@ -95,7 +95,7 @@ def untrusted(fault: str) -> str:
 
 def unkept(report: CalibrationReport) -> str:
     """What to add where a restart loses what is written."""
-    return "" if report.kept else "the calibration is in memory only, and lost at a restart (calibration.path)"
+    return "" if report.kept else "The calibration is in memory only, and lost at a restart (calibration.path)."
 
 
 # ---- inside

@@ -14,6 +14,7 @@ from gateway.tools.calibrate.guide import Guide
 from gateway.tools.reach import Connection
 from gateway.tools.rest import why_not_at_rest
 from gateway.tools.terminal import hint, say, visible
+from schemas.telemetry import GatewayState
 
 _NO_TERMINAL: Final = (
     "calibrate needs a terminal, and somebody beside the robot; --show prints the calibration, and a program uses "
@@ -49,7 +50,7 @@ def run(connect: Connection) -> int:
             screen.robot.drive()
         except LeaseError as error:
             return driving.not_acquired(client, error)
-        screen.session.message = once.unkept(state.calibration)
+        screen.session.message = _remarks(state)
         if screen.run():
             with suppress(OSError):  # the terminal is gone
                 if not screen.stopped:
@@ -58,6 +59,13 @@ def run(connect: Connection) -> int:
         # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
         # frozen gateway), or for ever in a stuck terminal. The servo is stopped, and the lease released.
         os._exit(0 if screen.stopped and screen.fault is None else 1)
+
+
+def _remarks(state: GatewayState) -> str:
+    """What a person wants to know before anything moves."""
+    landing_ms = state.watchdog.landing_ms
+    lands = f"A servo that falls silent goes to its landing angle, in {landing_ms:g} ms, and is stopped there. "
+    return lands * bool(landing_ms) + once.unkept(state.calibration)
 
 
 def _last_words(guide: Guide, fault: Exception | None, began_from: int, unkept: str) -> None:
@@ -69,4 +77,4 @@ def _last_words(guide: Guide, fault: Exception | None, began_from: int, unkept: 
             servo = guide.draft[servo_id]
             say(f"  servo {servo_id}: {once.row(servo)}")
     elif guide.in_force.revision != began_from:
-        say(f"revision {guide.in_force.revision} is in force{f'; {unkept}' * bool(unkept)}")
+        say(f"revision {guide.in_force.revision} is in force. {unkept}".rstrip())
