@@ -46,7 +46,8 @@ class Driving:
         self._turn = asyncio.Lock()
         self._waiting = 0
         self._tasks: set[asyncio.Task[None]] = set()
-        self._mine = False
+        self.mine = False
+        """Whether the page drives."""
         self.token: str | None = None
         """What the page's commands carry."""
 
@@ -61,7 +62,7 @@ class Driving:
 
     def judge(self, ack: Ack) -> None:
         """What became of a command that carried the token."""
-        if self._mine and not ack.accepted and ack.reason in NOT_OURS:
+        if self.mine and not ack.accepted and ack.reason in NOT_OURS:
             self._lost(str(ack.reason), ack.detail)
 
     def close(self) -> None:
@@ -83,7 +84,7 @@ class Driving:
             try:
                 ack = await self._asked(request)
             except GatewayError as error:
-                self._tell(LeaseMessage(mine=self._mine, id=request.id, detail=str(error)))
+                self._tell(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
                 return
             self._heard(request, ack)
 
@@ -99,14 +100,14 @@ class Driving:
 
     def _heard(self, request: Lease, ack: LeaseAck) -> None:
         if ack.accepted and request.do in ("acquire", "take"):
-            self.token, self._mine = ack.lease, ack.lease is not None
+            self.token, self.mine = ack.lease, ack.lease is not None
         elif request.do == "release":
-            self.token, self._mine = (None, False) if ack.accepted or not self._mine else (self.token, True)
+            self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
         elif request.do == "renew":
-            self._mine = ack.accepted
+            self.mine = ack.accepted
         self._tell(
             LeaseMessage(
-                mine=self._mine,
+                mine=self.mine,
                 id=request.id,
                 accepted=ack.accepted,
                 reason=None if ack.reason is None else str(ack.reason),
@@ -118,12 +119,12 @@ class Driving:
         )
 
     def _lost(self, reason: str, detail: str | None) -> None:
-        self._mine = False
+        self.mine = False
         self._tell(LeaseMessage(mine=False, reason=reason, detail=detail))
 
     async def _give_back(self) -> None:
-        token, mine = self.token, self._mine
-        self.token, self._mine = None, False
+        token, mine = self.token, self.mine
+        self.token, self.mine = None, False
         if token is not None and mine:
             with suppress(GatewayError):  # what is not answered expires by itself
                 await asyncio.to_thread(self._requests().release, token, None, RELEASE_S)

@@ -20,6 +20,8 @@ from pydantic import ValidationError
 from gateway.client import AsyncClient, Client
 from gateway.console.driving import Requests
 from gateway.console.messages import LinkMessage
+from gateway.core.calibration import Calibration
+from gateway.core.calibration_report import calibration_of
 from gateway.errors import GatewayError, UnreachedError, ZenohError
 from gateway.tools import why
 from schemas import keys
@@ -90,6 +92,16 @@ class GatewayLink:
     def lease_requests(self) -> Requests:
         """Questions about the lease. Raises ZenohError."""
         return self._session().lease_requests
+
+    async def calibration(self) -> Calibration:
+        """What is in force. Raises GatewayError."""
+        self._session()
+        return calibration_of(await self._client.calibration())
+
+    async def state(self) -> GatewayState:
+        """How the robot is now. Raises GatewayError."""
+        self._session()
+        return await self._client.state()
 
     async def estop(self) -> Ack:
         """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError."""

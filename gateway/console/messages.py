@@ -24,6 +24,11 @@ Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; t
 Role = Literal["operator", "observer"]
 ROLES: Final[tuple[Role, ...]] = get_args(Role)
 LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
+CalibrateVerb = Literal[
+    "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
+    "undo", "write", "landing", "accept_default",
+]  # fmt: skip
+_WITH_ANGLE: Final = frozenset({"test", "jog", "stands_at"})
 
 _BY_THE_CONSOLE: Final = frozenset({"source", "sent_ms", "lease"})
 _PAYLOADS: Final[dict[keys.Target, tuple[type[BaseModel], ...]]] = {
@@ -128,9 +133,30 @@ class Lease(Closed):
         return self
 
 
-FROM_PAGE: Final[TypeAdapter[Alive | Command | StopAll | Reset | Lease]] = TypeAdapter(
-    Annotated[Alive | Command | StopAll | Reset | Lease, Field(discriminator="type")]
-)
+class Calibrate(Closed):
+    """One step of the guide through the calibration, which the console keeps for this WebSocket; it moves nothing.
+
+    The servo under test is moved by the page's own commands, to the `command_deg` of the answer (`CalibrationMessage`).
+    `deg` is where a test begins, how far to jog, or where the servo was measured to stand.
+    """
+
+    type: Literal["calibrate"]
+    id: Id
+    do: CalibrateVerb
+    servo: Annotated[int, Field(ge=11, le=63)] | None = None
+    deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if (self.deg is not None) != (self.do in _WITH_ANGLE):
+            raise ValueError(f"{self.do} has {'no' if self.deg is not None else 'a'} `deg`")
+        if (self.servo is not None) != (self.do == "test"):
+            raise ValueError(f"{self.do} has {'no' if self.servo is not None else 'a'} `servo`")
+        return self
+
+
+FromPage = Alive | Command | StopAll | Reset | Lease | Calibrate
+FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
 
 
 # ---- to the page
@@ -219,3 +245,32 @@ class LeaseMessage(Report):
     holder: str | None = None
     verified: bool | None = None
     ttl_ms: float | None = None
+
+
+class Draft(Report):
+    """One servo's calibration as the page would write it; `changed`: it is not what is in force."""
+
+    trim_deg: float
+    inverted: bool
+    min_deg: float
+    max_deg: float
+    changed: bool
+
+
+class CalibrationMessage(Report):
+    """The answer to `Calibrate`: where the guide stands. `error` says in one sentence what was not done, and why.
+
+    `shown_deg` is where the servo under test stands as the draft counts; `command_deg` what to command for that, by the
+    calibration in force.
+    """
+
+    type: Literal["calibration"] = "calibration"
+    id: int
+    revision: int | None = None
+    servos: dict[int, Draft] = Field(default_factory=dict)
+    landing: dict[int, float] = Field(default_factory=dict)
+    servo: int | None = None
+    shown_deg: float | None = None
+    command_deg: float | None = None
+    error: str | None = None
+    said: str | None = None

@@ -8,12 +8,19 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from gateway.console.messages import AckMessage, EventMessage, LeaseMessage, LinkMessage, Stopping
+from gateway.console.messages import (
+    AckMessage,
+    CalibrationMessage,
+    EventMessage,
+    LeaseMessage,
+    LinkMessage,
+    Stopping,
+)
 
 KEPT: Final = 64
 """Events, and acknowledgements; the oldest make way."""
 
-Message = EventMessage | AckMessage | LinkMessage | LeaseMessage | Stopping
+Message = EventMessage | AckMessage | LinkMessage | LeaseMessage | CalibrationMessage | Stopping
 
 
 class Outgoing:
@@ -23,7 +30,7 @@ class Outgoing:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
         self._acks: deque[AckMessage] = deque(maxlen=KEPT)
-        self._leases: deque[LeaseMessage] = deque(maxlen=KEPT)
+        self._leases: deque[LeaseMessage | CalibrationMessage] = deque(maxlen=KEPT)
         self._link: LinkMessage | None = None
         self._state: Callable[[], str] | None = None
         self._events: deque[EventMessage] = deque(maxlen=KEPT)
@@ -38,7 +45,7 @@ class Outgoing:
                     del self._stops[next(iter(self._stops))]
             case AckMessage():
                 self._acks.append(message)
-            case LeaseMessage():
+            case LeaseMessage() | CalibrationMessage():
                 self._leases.append(message)
             case LinkMessage():
                 self._link = message

@@ -16,12 +16,14 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from gateway.console.calibrating import Calibrating
 from gateway.console.driving import Driving
 from gateway.console.link import GatewayLink
 from gateway.console.messages import (
     FROM_PAGE,
     AckMessage,
     Alive,
+    Calibrate,
     Command,
     EventMessage,
     Lease,
@@ -119,6 +121,7 @@ class Page:
         self._link = link
         self._stops = stops
         self._driving = Driving(link.lease_requests, self.source, self.outgoing.put)
+        self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
         self._tokens = MESSAGES_A_SECOND
@@ -146,7 +149,7 @@ class Page:
         """The WebSocket is closed. A stop that it asked for goes on; the lease is given back."""
         self._driving.close()
 
-    def _do(self, message: Command | StopAll | Reset | Lease) -> None:
+    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate) -> None:
         match message:
             case StopAll():
                 self._stops.press(self, message.id)
@@ -162,6 +165,10 @@ class Page:
                 if self._driving.is_full:
                     raise EndError("too many requests for the lease wait for their answers")
                 self._driving.ask(message)
+            case Calibrate():
+                if self._calibrating.is_full:
+                    raise EndError("too many steps of the calibration wait for their answers")
+                self._calibrating.ask(message, mine=self._driving.mine)
 
     def _command(self, message: Command) -> None:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
@@ -176,7 +183,7 @@ class Page:
             with suppress(GatewayError):  # the page hears of the link
                 self._link.publish(message.key, payload)
 
-    def _signed(self, payload: dict[str, Any], sent_ms: float) -> dict[str, Any]:
+    def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:
         token = self._driving.token
         lease = {} if token is None else {"lease": token}
         return {**payload, **lease, "source": self.source, "sent_ms": sent_ms}

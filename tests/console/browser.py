@@ -2,6 +2,7 @@
 
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
+from re import Pattern
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -129,7 +130,7 @@ class Opened:
         """The leg that the sliders belong to."""
         self.page.locator("#leg-chooser label").nth(leg - 1).click()
 
-    def expect_status(self, leg: int, word: str) -> None:
+    def expect_status(self, leg: int, word: str | Pattern[str]) -> None:
         """Wait until the leg's row says so."""
         expect(self[f"leg-row-{leg}"]).to_contain_text(word)
 

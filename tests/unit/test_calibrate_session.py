@@ -138,6 +138,13 @@ def test_a_start_that_is_rejected_is_asked_for_again(person: Person) -> None:
     person.sees("RUNS at 70°")
 
 
+def test_a_typed_angle_replaces_the_suggested_one(person: Person) -> None:
+    person.press("3", "2", "enter")
+    person.sees("Start it at: 90_")
+    person.press("4", "5", "enter")
+    person.sees("servo 32 RUNS at 45°")
+
+
 def test_the_second_test_begins_where_the_first_one_ended(person: Person) -> None:
     person.tests(32)
     person.steps("left", "left")

@@ -44,6 +44,9 @@ def test_commands(message: dict[str, Any], only_stops: bool) -> None:
         {"type": "reset", "id": 4, "estop": 7, "sent_ms": 12},
         {"type": "lease", "id": 4, "do": "acquire"},
         {"type": "lease", "id": 4, "do": "release", "to": "bert"},
+        {"type": "calibrate", "id": 5, "do": "open"},
+        {"type": "calibrate", "id": 5, "do": "test", "servo": 32, "deg": 90},
+        {"type": "calibrate", "id": 5, "do": "jog", "deg": -0.1},
     ],
 )
 def test_the_others(message: dict[str, Any]) -> None:
@@ -56,6 +59,11 @@ def test_the_others(message: dict[str, Any]) -> None:
         [],
         {},
         {"type": "shutdown"},
+        {"type": "calibrate", "id": 5, "do": "jog"},
+        {"type": "calibrate", "id": 5, "do": "jog", "deg": 1e9},
+        {"type": "calibrate", "id": 5, "do": "test", "deg": 90},
+        {"type": "calibrate", "id": 5, "do": "undo", "servo": 32},
+        {"type": "calibrate", "id": 5, "do": "erase"},
         {"type": "alive"},
         {"type": "alive", "now_ms": "1"},
         {"type": "alive", "now_ms": -1},

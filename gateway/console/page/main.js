@@ -1,6 +1,7 @@
 // @ts-check
 /** Puts the page together. STOP ALL comes first: it works whatever fails after it. */
 
+import { Calibrate } from "./calibrate.js";
 import { attribute, byId, text } from "./dom.js";
 import { Drive } from "./drive.js";
 import { Pad } from "./gamepad.js";
@@ -27,6 +28,7 @@ const stop = new StopAll(link, model, {
   pressed: () => {
     /** @type {HTMLDialogElement} */ (byId("question")).close("no");
     hold.drop("STOP ALL was pressed");
+    calibrate.stop("STOP ALL was pressed");
   },
   say,
 });
@@ -44,8 +46,9 @@ const hold = new Hold(link, model, {
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: (why) => (hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
+  lost: (why) => (calibrate.servo !== null ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
 });
+const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active, say });
 const drive = new Drive(model, targets, hold, { say, select });
 const pad = new Pad(hold, targets, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });
 const numbers = new Numbers(model, select);
@@ -72,6 +75,7 @@ function closed(why) {
   model.linkStatus = "gone";
   if (why || !model.trouble) model.trouble = why || "the connection to the console is lost";
   hold.drop("the connection to the console is lost");
+  calibrate.closed();
   lease.closed();
   refresh();
 }
@@ -98,10 +102,14 @@ function heard(message) {
       break;
     case "ack":
       hold.heardAck(message);
+      calibrate.heardAck(message);
       stop.heardAck(message);
       break;
     case "stop":
       stop.heard(message);
+      break;
+    case "calibration":
+      calibrate.heard(message);
       break;
     case "lease":
       lease.heard(message);
@@ -114,6 +122,7 @@ function refresh() {
   stop.refresh(nowMs);
   lease.refresh();
   drive.refresh();
+  calibrate.refresh();
   attribute(document.body, "data-live", model.live(nowMs) ? "yes" : "no");
   if (document.visibilityState !== "visible") return;
   numbers.refresh(nowMs);

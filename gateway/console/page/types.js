@@ -10,7 +10,7 @@
  *   spi: {device: string, framing: string, frames: number, errors: number},
  *   watchdog: {timeout_ms: number, expirations: number,
  *              stop_latency_us: {p50: number | null, p99: number | null, max: number | null}},
- *   lease?: LeaseState | null, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
+ *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
  * }} GatewayState
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
  *            detail: string, left_out?: number}} GatewayEvent
@@ -28,6 +28,11 @@
  * @typedef {{type: "lease", mine: boolean, id?: number | null, accepted?: boolean | null, reason?: string | null,
  *            detail?: string | null, holder?: string | null, verified?: boolean | null,
  *            ttl_ms?: number | null}} LeaseMessage
+ *
+ * @typedef {{trim_deg: number, inverted: boolean, min_deg: number, max_deg: number, changed: boolean}} Draft
+ * @typedef {{type: "calibration", id: number, revision: number | null, servos: Record<number, Draft>,
+ *            landing: Record<number, number>, servo: number | null, shown_deg: number | null,
+ *            command_deg: number | null, error: string | null, said: string | null}} CalibrationMessage
  *
  * @typedef {[number, number, number]} Vector
  * @typedef {{xyz_m: Vector, yaw_rad: number}} Mount

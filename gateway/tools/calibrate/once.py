@@ -46,7 +46,7 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
         if state.calibration.fault is not None:
             say(visible(untrusted(state.calibration.fault)))
             return 1
-        stand = _running(state, legs)
+        stand = standing(state, legs)
         if not stand:
             which = f"leg {', '.join(map(str, legs))}" if legs else "the robot"
             say(f"no servo of {which} runs, so nobody knows where it stands: make it stand, and call this meanwhile")
@@ -135,7 +135,8 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
         return client.ask(keys.CALIBRATION_CMD, payload)
 
 
-def _running(state: GatewayState, legs: Sequence[int]) -> dict[int, float]:
+def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
+    """Where the running servos of these legs, or of all, are commanded to be, in degrees."""
     return {
         servo.id: centidegrees(servo.angle_deg) / _CDEG
         for leg in state.legs

@@ -66,7 +66,7 @@ class Robot:
         self.drive()
         landing = {servo_id: None if cdeg is None else cdeg / _CDEG for servo_id, cdeg in landing_cdeg.items()}
         ack = self.client.calibrate(
-            {name: _change(servo) for name, servo in servos.items()}, landing, revision=revision
+            {name: change_of(servo) for name, servo in servos.items()}, landing, revision=revision
         )
         found = self.calibration()
         if ack.accepted:
@@ -76,7 +76,8 @@ class Robot:
         raise RejectedError(str(ack.reason), ack.detail or "no reason was given")
 
 
-def _change(servo: ServoCalibration) -> wire.ServoChange:
+def change_of(servo: ServoCalibration) -> wire.ServoChange:
+    """What is sent to make a servo's calibration this one."""
     return wire.ServoChange(
         trim_deg=servo.trim_cdeg / _CDEG,
         inverted=servo.inverted,

@@ -53,6 +53,8 @@ class Session:
         """For whoever looks at what is in here."""
         self.asks = Asks.SERVO
         self.typed = ""
+        self._suggested = False
+        """Whether `typed` is a suggestion, which the first digit replaces."""
         self.servo_id = 0
         """The one that was typed, before it is started."""
         self.message = ""
@@ -162,8 +164,11 @@ class Session:
             self.message = "as drawn: no trim, not inverted, full range"
 
     def _type(self, key: str, alone: bool) -> None:
+        suggested, self._suggested = self._suggested, False
         if key == "backspace":
             self.typed = self.typed[:-1]
+        elif suggested and key != "enter":
+            self.typed = key  # it replaces the suggestion
         elif key != "enter":
             self.typed = (self.typed + key)[:_MAX_TYPED]
         elif self.asks is Asks.SERVO:
@@ -183,7 +188,7 @@ class Session:
     def _choose(self, typed: str) -> None:
         if typed not in map(str, SERVO_IDS):
             raise CalibrationError("type a servo: the leg (1 to 6), then the joint (1 to 3), such as 32")
-        self.typed = f"{self.guide.begins_at(int(typed)):g}"
+        self.typed, self._suggested = f"{self.guide.begins_at(int(typed)):g}", True
         self.asks, self.servo_id = Asks.ANGLE, int(typed)
 
     def _whole(self, key: str) -> bool:

@@ -1,0 +1,325 @@
+// @ts-check
+/**
+ * Calibration: one servo is started alone, jogged, and told what it is; the console keeps the draft, until it is written.
+ *
+ * The servo under test runs only while this page is seen: its angle is sent 20 times a second, as long as nothing is
+ * amiss (the same conditions as for hold to run), and by nobody else. Whatever ends that stops its leg.
+ */
+
+import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
+import { obstacle, PERIOD_MS } from "./hold.js";
+import { JOINTS, LEGS } from "./kinematics.js";
+
+/** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
+
+const STEPS = ["wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn"];
+
+export class Calibrate {
+  /**
+   * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
+   * @param {{mine: () => boolean, holds: () => boolean, say: (line: string) => void}} told
+   */
+  constructor(link, model, told) {
+    this.link = link;
+    this.model = model;
+    this.told = told;
+    /** What the console knows. @type {CalibrationMessage | null} */
+    this.view = null;
+    /** What was asked, by its number. @type {Map<number, string>} */
+    this.asked = new Map();
+    /** The servo that runs, or is about to. @type {number | null} */
+    this.servo = null;
+    /** The start whose answer is awaited. @type {number | null} */
+    this.starting = null;
+    /** Starts that were let go of before their answer came: a Stop may have overtaken them. @type {Map<number, number>} */
+    this.abandoned = new Map();
+    /** The set whose acknowledgement is awaited. @type {number | null} */
+    this.setting = null;
+    this.lastTickMs = 0;
+    /** @type {ReturnType<typeof setInterval> | undefined} */
+    this.timer = undefined;
+    this.cells = this.#table();
+    for (const leg of LEGS) {
+      for (const joint of JOINTS) {
+        const servo = String(10 * leg + joint);
+        byId("cal-servo").append(element("option", { value: servo }, `${servo}: leg ${leg}, joint ${joint}`));
+      }
+    }
+    const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+    details.addEventListener("toggle", () => (details.open ? this.#ask("open") : this.stop("the calibration was closed")));
+    byId("cal-start").addEventListener("click", () => this.#start());
+    byId("cal-stop").addEventListener("click", () => this.stop("stopped"));
+    for (const [id, deg] of /** @type {[string, number][]} */ ([
+      ["cal-down", -1],
+      ["cal-down-fine", -0.1],
+      ["cal-up-fine", 0.1],
+      ["cal-up", 1],
+    ])) {
+      byId(id).addEventListener("click", () => this.#ask("jog", { deg }));
+    }
+    byId("cal-jog").addEventListener("keydown", (event) => this.#key(event));
+    byId("cal-measured-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const field = /** @type {HTMLInputElement} */ (byId("cal-measured"));
+      if (field.value !== "") this.#ask("stands_at", { deg: field.valueAsNumber });
+      field.value = "";
+    });
+    for (const step of STEPS) byId(`cal-${step}`).addEventListener("click", () => this.#ask(step));
+    byId("cal-undo").addEventListener("click", () => this.#ask("undo"));
+    byId("cal-write").addEventListener("click", () => this.#write());
+    byId("cal-landing").addEventListener("click", () => this.#landing());
+    byId("cal-accept").addEventListener("click", () => this.#accept());
+    for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
+      [window, "blur"],
+      [document, "visibilitychange"],
+    ])) {
+      target.addEventListener(name, () => this.servo !== null && this.#stopIf(this.#obstacle(performance.now())));
+    }
+    window.addEventListener("pagehide", () => this.stop("this page was closed or left"));
+    document.addEventListener("freeze", () => this.stop("this page was frozen"));
+  }
+
+  /** End the test: its leg is stopped, and the watchdog does it where that does not arrive. @param {string} why */
+  stop(why) {
+    const { servo } = this;
+    if (servo === null) return;
+    clearInterval(this.timer);
+    this.timer = undefined;
+    if (this.starting !== null) this.abandoned.set(this.starting, servo);
+    this.servo = this.starting = this.setting = null;
+    const sent = this.#sendStop(servo);
+    this.told.say(`Servo ${servo}: ${why}.${sent ? "" : " Not connected: the watchdog stops it."}`);
+    this.#ask("leave");
+  }
+
+  /** @param {CalibrationMessage} message */
+  heard(message) {
+    const did = this.asked.get(message.id) ?? "";
+    this.asked.delete(message.id);
+    this.view = message;
+    if (message.error) this.told.say(`Calibration: ${message.error}.`);
+    else if (message.said) this.told.say(`Calibration: ${message.said}.`);
+    if (did === "test" && !message.error) this.#energise();
+    this.refresh();
+  }
+
+  /** @param {import("./types.js").AckMessage} message */
+  heardAck(message) {
+    const said = message.ack?.accepted
+      ? ""
+      : message.ack
+        ? `${message.ack.reason}: ${message.ack.detail ?? ""}`
+        : (message.error ?? "no answer");
+    const abandoned = this.abandoned.get(message.id);
+    if (abandoned !== undefined) {
+      this.abandoned.delete(message.id);
+      if (!said) this.#sendStop(abandoned);
+    } else if (message.id === this.starting) {
+      this.starting = null;
+      if (said) this.stop(`it was not started (${said})`);
+    } else if (message.id === this.setting) {
+      this.setting = null;
+      if (said) this.stop(said);
+    }
+  }
+
+  /** The connection to the console ended, and with it the guide that the console kept. */
+  closed() {
+    this.stop("the connection to the console is lost");
+    this.asked.clear();
+    this.view = null;
+    const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+    details.open = false;
+  }
+
+  refresh() {
+    const { view } = this;
+    const mine = this.told.mine();
+    const tested = this.servo !== null;
+    const fault = this.model.state?.calibration?.fault ?? null;
+    show(byId("cal-untrusted"), fault !== null);
+    text(byId("cal-fault"), fault ?? "");
+    show(byId("cal-lease"), !mine);
+    text(byId("cal-revision"), view?.revision == null ? "" : `revision ${view.revision}`);
+    show(byId("cal-choose"), !tested);
+    show(byId("cal-test"), tested);
+    for (const id of ["cal-start", "cal-accept"]) enable(button(id), mine);
+    const changed = Object.values(view?.servos ?? {}).some((draft) => draft.changed);
+    enable(button("cal-write"), mine && !tested && changed);
+    enable(button("cal-landing"), mine);
+    if (view?.servo != null && view.shown_deg != null && view.command_deg != null) {
+      const apart = view.shown_deg === view.command_deg ? "" : `, ${degrees(view.command_deg)} by what is in force`;
+      text(byId("cal-now"), `Servo ${view.servo} runs at ${degrees(view.shown_deg)}${apart}`);
+    }
+    for (const [servo, cell] of this.cells) {
+      const draft = view?.servos[servo];
+      text(cell, draft ? words(draft) : "");
+      attribute(cell, "data-changed", draft?.changed ? "yes" : null);
+    }
+  }
+
+  async #start() {
+    const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
+    const deg = /** @type {HTMLInputElement} */ (byId("cal-begin")).valueAsNumber;
+    if (!Number.isFinite(deg)) {
+      this.told.say("Calibration: type the angle at which it starts, such as 90.");
+      return;
+    }
+    const agreed = await confirmed(
+      `Start servo ${servo} at ${degrees(deg)}?`,
+      "It goes there at once, as fast as it can, wherever it stands now. Keep hands and cables away.",
+      `Start servo ${servo}`,
+      "Leave it",
+    );
+    if (!agreed) return;
+    if (this.told.holds()) this.told.say("Calibration: legs run; let go first.");
+    else this.#ask("test", { servo, deg });
+  }
+
+  /** The console agreed to the angle: start it, alone. */
+  #energise() {
+    const servo = this.view?.servo;
+    if (servo == null || this.servo !== null) return;
+    this.lastTickMs = performance.now();
+    const why = this.#obstacle(this.lastTickMs);
+    this.servo = servo;
+    if (why) {
+      this.stop(`it was not started (${why})`);
+      return;
+    }
+    this.starting = this.link.nextId();
+    if (!this.#command("start", this.starting)) {
+      this.stop("the network takes nothing");
+      return;
+    }
+    this.timer = setInterval(() => this.#tick(), PERIOD_MS);
+  }
+
+  #tick() {
+    const nowMs = performance.now();
+    const why = this.told.holds() ? "legs are driven" : this.#obstacle(nowMs);
+    this.lastTickMs = nowMs;
+    if (why) {
+      this.stop(why);
+      return;
+    }
+    if (this.starting !== null) return;
+    const id = this.setting === null ? (this.setting = this.link.nextId()) : undefined;
+    this.#command("set", id);
+  }
+
+  /** @param {"start" | "set"} op @param {number} [id] @returns {boolean} */
+  #command(op, id) {
+    const payload = { op, angle_deg: this.view?.command_deg };
+    const key = `hexapod/servo/${this.servo}/cmd`;
+    return this.link.sendNow({ type: "command", key, payload, sent_ms: performance.now(), ...(id ? { id } : {}) });
+  }
+
+  /** @param {number} servo */
+  #sendStop(servo) {
+    const payload = { servos: [{ op: "stop" }, { op: "stop" }, { op: "stop" }] };
+    const key = `hexapod/leg/${Math.floor(servo / 10)}/cmd`;
+    return this.link.sendStop({ type: "command", key, payload, sent_ms: performance.now(), id: this.link.nextId() });
+  }
+
+  /** @param {KeyboardEvent} event */
+  #key(event) {
+    const step = { ArrowRight: 1, ArrowLeft: -1, ArrowUp: 0.1, ArrowDown: -0.1 }[event.key];
+    if (step === undefined || event.target instanceof HTMLInputElement) return;
+    event.preventDefault();
+    if (![...this.asked.values()].includes("jog")) this.#ask("jog", { deg: step }); // none waits once the key is let go
+  }
+
+  async #write() {
+    const changed = Object.entries(this.view?.servos ?? {}).filter(([, draft]) => draft.changed);
+    const named = changed.map(([servo, draft]) => `${servo} (${words(draft)})`).join(", ");
+    const question = "Write the calibration?";
+    const agreed = await confirmed(question, `It is in force at once, for everybody: servo ${named}.`, "Write it", "Not yet");
+    if (agreed) this.#ask("write");
+  }
+
+  async #landing() {
+    const agreed = await confirmed(
+      "Record the landing pose?",
+      "The running servos' angles, as they are commanded now, become the pose in which the robot lands.",
+      "Record it",
+      "Leave it",
+    );
+    if (agreed) this.#ask("landing");
+  }
+
+  async #accept() {
+    const agreed = await confirmed(
+      "Go on without any trim?",
+      "The file that cannot be used is replaced by the default: on a robot that is built otherwise, servos go where " +
+        "nobody wants them.",
+      "Take the default",
+      "Leave it",
+    );
+    if (agreed) this.#ask("accept_default");
+  }
+
+  /** @param {string} step @param {object} [more] */
+  #ask(step, more = {}) {
+    const id = this.link.nextId();
+    this.asked.set(id, step);
+    if (this.link.sendNow({ type: "calibrate", id, do: step, ...more })) return;
+    this.asked.delete(id);
+    if (step !== "leave") this.told.say("Not connected.");
+  }
+
+  /** @param {string} why "" where nothing is amiss */
+  #stopIf(why) {
+    if (why) this.stop(why);
+  }
+
+  /** @param {number} nowMs */
+  #obstacle(nowMs) {
+    const { model } = this;
+    return obstacle({
+      open: this.link.open,
+      linkStatus: model.linkStatus,
+      visible: document.visibilityState === "visible",
+      focused: document.hasFocus(),
+      stateAgeMs: model.ageMs(nowMs),
+      sinceTickMs: nowMs - this.lastTickMs,
+      mode: model.state?.mode ?? "unknown",
+      mine: this.told.mine(),
+      role: model.hello?.role ?? "observer",
+    });
+  }
+
+  #table() {
+    /** @type {Map<number, HTMLElement>} */
+    const cells = new Map();
+    for (const leg of LEGS) {
+      const row = element("tr", {}, element("th", { scope: "row" }, String(leg)));
+      for (const joint of JOINTS) {
+        const cell = element("td", {});
+        cells.set(10 * leg + joint, cell);
+        row.append(cell);
+      }
+      byId("cal-rows").append(row);
+    }
+    return cells;
+  }
+}
+
+/** @param {string} id */
+function button(id) {
+  return /** @type {HTMLButtonElement} */ (byId(id));
+}
+
+/** @param {number} deg */
+function degrees(deg) {
+  return `${Number(deg.toFixed(2))}°`;
+}
+
+/** @param {import("./types.js").Draft} draft */
+function words(draft) {
+  const trim = draft.trim_deg ? `${draft.trim_deg > 0 ? "+" : "−"}${Number(Math.abs(draft.trim_deg).toFixed(2))}°` : "";
+  const limited = draft.min_deg !== 0 || draft.max_deg !== 180;
+  const range = limited ? `${Number(draft.min_deg)}–${Number(draft.max_deg)}°` : "";
+  const said = [trim, draft.inverted ? "inverted" : "", range].filter(Boolean).join(" ") || "as drawn";
+  return draft.changed ? `* ${said}` : said;
+}

@@ -1,0 +1,141 @@
+"""The calibration on the console's page, on a real gateway with a simulated controller."""
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+
+from gateway.client import Client
+from schemas.calibration import ServoChange
+from tests.console.browser import HIDE, Opened, Visitor
+from tests.support.gateway_process import Gateway
+
+pytestmark = pytest.mark.browser
+
+PHONE: Final = {"width": 390, "height": 844}
+
+
+@pytest.fixture(autouse=True)
+def as_drawn(gateway: Gateway) -> Iterator[None]:
+    """Whatever a test wrote is taken back."""
+    yield
+    with gateway.client() as robot, robot.lease(take=True):
+        assert robot.calibrate({32: ServoChange(trim_deg=0, inverted=False, min_deg=0, max_deg=180)}).accepted
+
+
+def running(robot: Client) -> dict[int, float | None]:
+    return {servo.id: servo.angle_deg for leg in robot.state().legs for servo in leg.servos if servo.running}
+
+
+def start_32(page: Opened, begin: str = "90") -> None:
+    """Open the calibration and start servo 32, after its question."""
+    page["lease-acquire"].click()
+    expect(page["driver"]).to_have_text("you")
+    page["cal-title"].click()
+    expect(page["cal-revision"]).to_have_text(re.compile("revision"))
+    page["cal-servo"].select_option("32")
+    page["cal-begin"].fill(begin)
+    page["cal-start"].click()
+    page["question-yes"].click()
+    expect(page["cal-now"]).to_contain_text("Servo 32 runs at")
+
+
+def expect_rest(page: Opened) -> None:
+    page.expect_status(3, "rests")
+
+
+def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open(viewport=PHONE)
+    with gateway.client() as robot:
+        before = robot.calibration().revision
+        start_32(page)
+        for _ in range(3):
+            page["cal-up"].click()
+        expect(page["cal-now"]).to_have_text("Servo 32 runs at 93°")
+        expect(page["leg-row-3"]).to_contain_text("93.0°")
+        assert running(robot) == {32: 93}
+        page["cal-measured"].fill("90")
+        page["cal-measured"].press("Enter")
+        expect(page["cal-now"]).to_have_text("Servo 32 runs at 90°, 93° by what is in force")
+        page["cal-highest_here"].click()
+        page["cal-wrong_way"].click()
+        expect(page["cal-rows"]).to_contain_text("* +3° inverted 90–180°")
+        page["cal-undo"].click()
+        expect(page["cal-rows"]).to_contain_text("* +3° 0–90°")
+        expect(page["cal-write"]).to_be_disabled()
+
+        page["cal-stop"].click()
+        expect_rest(page)
+        page["cal-write"].click()
+        assert robot.calibration().revision == before, "nothing is written before it is confirmed"
+        page["question-yes"].click()
+        expect(page.said).to_contain_text(f"written: revision {before + 1}")
+        written = robot.calibration().servos["32"]
+        assert (written.trim_deg, written.inverted, written.min_deg, written.max_deg) == (3, False, 0, 90)
+
+
+def test_it_is_within_reach_of_everybody(visitor: Visitor) -> None:
+    page = visitor.open(viewport=PHONE)
+    start_32(page)
+    violations = Axe().run(page.page).response["violations"]  # which takes long enough for the page to stop the servo
+    assert not [each for each in violations if each["impact"] in ("serious", "critical")]
+    wide = page.page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
+    assert not wide, "nothing is to be scrolled sideways"
+
+
+def hide(page: Opened) -> None:
+    page.page.evaluate(HIDE)
+
+
+def close(page: Opened) -> None:
+    page.page.close()
+
+
+def fold(page: Opened) -> None:
+    page["cal-title"].click()
+
+
+def stop_all(page: Opened) -> None:
+    page["stop-all"].click()
+
+
+@pytest.mark.parametrize("leave", [hide, close, fold, stop_all, Opened.lose_focus])
+def test_leaving_in_any_way_stops_the_servo(visitor: Visitor, leave: Callable[[Opened], None]) -> None:
+    page, other = visitor.open(), visitor.open()
+    start_32(page)
+    other.expect_status(3, "runs")
+    leave(page)
+    other.expect_status(3, re.compile("rests|stopped by the watchdog"))
+
+
+def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open()
+    start_32(page)
+    with gateway.client(source="a program") as robot:
+        assert robot.stop(3).accepted
+        expect(page.said).to_contain_text("servo_stopped")
+        page["cal-start"].click()
+        page["question-yes"].click()
+        expect(page["cal-now"]).to_be_visible()
+        page.expect_status(3, "runs")
+        with robot.lease(take=True):
+            expect(page["cal-start"]).to_be_disabled()
+            expect_rest(page)
+
+
+def test_an_angle_that_the_calibration_forbids_starts_nothing(visitor: Visitor, gateway: Gateway) -> None:
+    with gateway.client() as robot:
+        assert robot.calibrate({32: ServoChange(max_deg=100)}).accepted
+        page = visitor.open()
+        page["lease-acquire"].click()
+        expect(page["driver"]).to_have_text("you")
+        page["cal-title"].click()
+        page["cal-servo"].select_option("32")
+        page["cal-begin"].fill("120")
+        page["cal-start"].click()
+        page["question-yes"].click()
+        expect(page.said).to_contain_text("calibrated to go from 0 to 100")
+        assert running(robot) == {}
