@@ -191,7 +191,9 @@ def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, mom
     check_black_box(config.parent / "box" / RING, of_gateway)
     replay = Replay(framing)
     replay.play(of_gateway)
-    assert replay.controller.energised
+    first_move = next(place for place, each in enumerate(of_gateway) if moves(each))
+    stopped_again = any(each.data.hex() in STOPS for each in of_gateway[first_move:])  # see check_black_box
+    assert replay.controller.energised or stopped_again
     check_stops(framing, replay, transfers[len(of_gateway) :])
     return len(of_gateway[-1].data) == 1
 
