@@ -9,11 +9,19 @@ LEGS = Subject(
         "tests/unit/test_supervisor_stops.py",
         "tests/unit/test_supervisor_faults.py",
         "tests/unit/test_legs.py",
+        "tests/unit/test_supervisor_speed.py",
+        "tests/unit/test_supervisor_landing.py",
+        "tests/unit/test_supervisor_calibration.py",
         "tests/unit/test_conductor.py",
         "tests/unit/test_preamble.py",
         "tests/unit/test_supervisor_machine.py",
     ),
     mutants=(
+        Mutant(
+            "Transmit(frame if wire is None else wire.frame(frame), cause)",
+            "Transmit(frame, cause)",
+            "a trimmed servo goes where it would without its trim",
+        ),
         Mutant(
             "            if servo.waiting is not None or servo.target_cdeg is not None:\n",
             "            if servo.waiting is not None and servo is not leg.servos[2]:\n",

@@ -11,6 +11,7 @@ from tests.mutants.intake import INTAKE
 from tests.mutants.lease import DESK, LEASE, NONCES, PROOF
 from tests.mutants.leg import LEG
 from tests.mutants.legs import LEGS
+from tests.mutants.motion import LANDING, SPEED
 from tests.mutants.mutant import Subject
 from tests.mutants.ownership import OWNERSHIP, RECEIVER
 from tests.mutants.pacing import PACING
@@ -47,6 +48,8 @@ SUBJECTS: tuple[Subject, ...] = (
     LEG,
     LEGS,
     PACING,
+    SPEED,
+    LANDING,
     BUS,
     GUARD,
 )
