@@ -25,6 +25,7 @@ WHOLE_ROBOT = BY_NAME["two legs, one silent leg stops both"]
 STAGGERED = BY_NAME["two legs, started one after the other"]
 SPEED = BY_NAME["one leg, a limited speed"]
 LANDING = BY_NAME["two legs, landing"]
+CALIBRATED = BY_NAME["one leg, a servo of which is calibrated"]
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
@@ -36,7 +37,9 @@ def test_every_reachable_state_keeps_every_promise(
     assert report.states > 500, "so few states: the events do not reach what they should"
 
 
-@pytest.mark.parametrize("configuration", [ONE_SERVO, INSTANTS, TWO_SLOW_LEGS, STAGGERED], ids=lambda each: each.name)
+@pytest.mark.parametrize(
+    "configuration", [ONE_SERVO, INSTANTS, TWO_SLOW_LEGS, STAGGERED, CALIBRATED], ids=lambda each: each.name
+)
 def test_states_that_count_as_one_have_one_future(configuration: Configuration) -> None:
     """What tells states apart leaves nothing out that matters: of two that look alike, the same follows."""
     futures: dict[Key, list[Key]] = {}

@@ -10,11 +10,15 @@ angles = st.integers(0, 180_00)
 speeds = st.integers(1, 1000_00)
 
 
-@given(angles, angles, speeds, st.lists(st.integers(0, 200 * NS_PER_MS), min_size=1, max_size=50))
-@example(0, 352, 18981, [158053, 18386807])
-def test_never_more_than_speed_times_time(start: int, target: int, speed: int, waits_ns: list[int]) -> None:
+waits = st.integers(0, 200 * NS_PER_MS)
+
+
+@given(angles, speeds, st.lists(st.tuples(angles, waits), min_size=1, max_size=50))
+@example(0, 18981, [(352, 158053), (352, 18386807)])
+@example(0, 100_00, [(1_00, 100 * NS_PER_MS), (180_00, 10 * NS_PER_MS)])  # there early, and then on
+def test_never_more_than_speed_times_time(start: int, speed: int, targets: list[tuple[int, int]]) -> None:
     angle, since_ns, now_ns = start, 0, 0
-    for wait_ns in waits_ns:
+    for target, wait_ns in targets:
         before = angle
         now_ns += wait_ns
         angle, since_ns = step(angle, target, speed, since_ns, now_ns)
@@ -22,6 +26,10 @@ def test_never_more_than_speed_times_time(start: int, target: int, speed: int, w
         assert abs(angle - before) * NS_PER_S <= speed * wait_ns + NS_PER_S  # and rounding: a hundredth of a degree
         assert abs(angle - start) * NS_PER_S <= speed * now_ns  # which never adds up
         assert since_ns <= now_ns
+
+
+def test_who_has_arrived_has_no_time_left_over() -> None:
+    assert step(0, 1_00, 100_00, 0, 10 * NS_PER_MS + 1) == (1_00, 10 * NS_PER_MS + 1)
 
 
 @given(angles, angles, speeds, st.integers(1, 1000))

@@ -180,8 +180,10 @@ def test_only_who_may_drive_may_change_it() -> None:
     steps = Steps()
     steps.lease(0, "acquire anna", fresh="a" * 32)
     assert steps.calibrate(1, TURN_32) == ["rejected 1 not_holder"]
-    assert steps.calibrate(500, TURN_32, lease="a" * 32) == ["keep 2"]
-    assert steps.due_ms == 1500, "an accepted change renews the lease"
+    assert steps.calibrate(500, TURN_32, revision=8, lease="a" * 32) == ["rejected 2 stale"]
+    assert steps.due_ms == 1000
+    assert steps.calibrate(600, TURN_32, lease="a" * 32) == ["keep 3"]
+    assert steps.due_ms == 1600, "an accepted change renews the lease, and no other"
 
 
 def test_a_required_lease_is_required() -> None:
