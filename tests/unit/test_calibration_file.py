@@ -10,7 +10,18 @@ from hypothesis import given
 from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.errors import ConfigError
 from gateway.host import calibration_file
-from gateway.host.calibration_file import KEPT, from_toml, previous, read, to_toml, write
+from gateway.host.calibration_file import (
+    KEPT,
+    from_toml,
+    load,
+    path_of,
+    path_to_read,
+    previous,
+    read,
+    to_toml,
+    write,
+)
+from gateway.settings import Settings
 from tests.unit.test_calibration import calibrations
 
 OWN = Calibration(3, {32: ServoCalibration(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
@@ -102,3 +113,72 @@ def test_a_full_disk_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.undo()
     assert read(path) == OWN
     assert not list(tmp_path.glob(".*"))
+
+
+# ---- what a gateway starts with
+
+
+def test_a_gateway_starts_with_the_default_where_there_never_was_another(tmp_path: Path) -> None:
+    assert load(tmp_path / "calibration.toml") == (Calibration(), None)
+
+
+def test_a_gateway_starts_with_what_was_kept(tmp_path: Path) -> None:
+    write(tmp_path / "calibration.toml", OWN)
+    assert load(tmp_path / "calibration.toml") == (OWN, None)
+
+
+@pytest.mark.parametrize("text", ["", "trim = 7\n", "\0" * 2000, to_toml(OWN)[:-30], None])
+def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_than_all(
+    tmp_path: Path, text: str | None
+) -> None:
+    path = tmp_path / "calibration.toml"
+    for revision in range(1, 16):
+        write(path, Calibration(revision))
+    path.unlink()
+    if text is not None:
+        path.write_text(text)
+    found, fault = load(path)
+    assert found == Calibration(15)
+    assert str(path) in str(fault)
+    write(path, Calibration(16))
+    write(path, Calibration(17))
+    assert [each.name for each in previous(path)][:2] == ["calibration.16.toml", "calibration.14.toml"]
+
+
+def test_what_is_no_file_is_a_fault_and_nobody_waits_for_it(tmp_path: Path) -> None:
+    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for path in (pipe, folder, Path("/dev/zero")):
+        found, fault = load(path)
+        assert found == Calibration()
+        assert "is no file" in str(fault) or "Is a directory" in str(fault)
+
+
+def test_names_that_are_no_revisions_are_not_taken_for_earlier_ones(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    write(path, OWN)
+    for name in ("calibration.broken.toml", "calibration.٣.toml", f"calibration.{'9' * 200}.toml", "calibration..toml"):
+        (tmp_path / name).write_text("")
+    assert previous(path) == []
+
+
+# ---- where it is
+
+
+def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    named = Settings.model_validate({"calibration": {"path": "/mnt/own.toml"}})
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    assert path_of(Settings()) is None
+    assert path_of(named) == Path("/mnt/own.toml")
+    monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/var/lib/other")
+    assert path_of(Settings()) == path_to_read(Settings()) == tmp_path / "calibration.toml"
+    assert path_of(named) == Path("/mnt/own.toml")
+
+
+def test_where_it_is_looked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path)
+    assert path_to_read(Settings()) == tmp_path / "calibration.toml"
+    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    assert path_to_read(Settings()) is None

@@ -1,0 +1,181 @@
+"""What may go wrong with a calibration's file: a full, read-only or stuck disk, a broken file, and SIGKILL."""
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client
+from gateway.core.calibration import Calibration, ServoCalibration
+from gateway.errors import DisconnectedError
+from gateway.host import calibration_file
+from schemas.calibration import ServoChange
+from schemas.telemetry import Ack, Mode, Reason
+from tests.support.child import without_file_privileges
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events
+
+TRIM = {31: ServoChange(trim_deg=7.5)}
+OWN = Calibration(4, {32: ServoCalibration(7_50, inverted=True)})
+
+
+def settings(path: Path, **more: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {"calibration": {"path": str(path)}, **more}
+
+
+def staged(path: Path) -> Path:
+    """The file that is written before it takes the other's place."""
+    return path.with_name(f".{path.name}.new")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Iterator[Path]:
+    folder = tmp_path / "state"
+    folder.mkdir()
+    yield folder / "calibration.toml"
+    folder.chmod(0o755)
+
+
+def unchanged_while_leg_1_drives(client: Client, path: Path, reason: str) -> None:
+    """A change is rejected with a sentence, the old calibration stays, and a leg that runs goes on."""
+    before = path.read_bytes()
+    assert client.start_leg(1, 90, 90, 90).accepted
+    ack = client.calibrate(TRIM)
+    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+    assert reason in str(ack.detail)
+    assert "the old calibration stays" in str(ack.detail)
+    assert client.set_leg(1, 91, 90, 90).accepted
+    state = client.state()
+    assert (state.mode, state.calibration.revision, state.calibration.fault) == (Mode.ACTIVE, 4, None)
+    assert client.calibration().servos["31"].trim_deg == 0
+    assert path.read_bytes() == before
+
+
+def test_a_full_disk_and_a_read_only_folder_leave_the_old_one_and_the_robot_drives_on(
+    tmp_path: Path, path: Path
+) -> None:
+    calibration_file.write(path, OWN)
+    prefix = without_file_privileges([])  # root may write anywhere
+    with (
+        Gateway(tmp_path, settings(path, watchdog={"timeout_ms": 5000}), prefix=prefix) as gateway,
+        gateway.client() as client,
+    ):
+        staged(path).symlink_to("/dev/full")  # the kernel's disk without any space
+        unchanged_while_leg_1_drives(client, path, "No space left on device")
+        path.parent.chmod(0o555)
+        unchanged_while_leg_1_drives(client, path, "Permission denied")
+        path.parent.chmod(0o755)
+        assert client.calibrate(TRIM).accepted
+        kept = calibration_file.read(path)
+        assert kept is not None
+        assert kept.revision == 5
+
+
+def until_it_is_being_kept(client: Client) -> Ack:
+    """A Set for a servo that stands still is rejected in any case; the sentence says whether the change has come."""
+    while "being calibrated" not in str((rejected := client.set_leg(3, 90, 90, 90)).detail):
+        assert not rejected.accepted
+    return rejected
+
+
+def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None:
+    """A pipe that nobody reads holds the write for as long as the test wants."""
+    os.mkfifo(staged(path))
+    answers: list[Ack] = []
+    with (
+        Gateway(tmp_path, settings(path)) as gateway,
+        gateway.client() as client,
+        Client(gateway.endpoint, timeout_s=60) as patient,
+    ):
+        told = events(client)
+        asking = threading.Thread(target=lambda: answers.append(patient.calibrate(TRIM)))
+        asking.start()
+        rejected = until_it_is_being_kept(client)
+        assert rejected.reason == Reason.SERVO_STOPPED
+        assert client.start_leg(1, 90, 90, 90).accepted
+        told.wait(lambda event: event.kind == "watchdog_expired" and event.detail.startswith("leg 1"))
+        assert client.start_leg(1, 90, 90, 90).accepted
+        assert client.estop().stop_frames == 6
+        assert client.reset().accepted
+        assert client.calibrate({61: ServoChange(trim_deg=1)}).reason == Reason.STALE, "one after the other"
+        assert asking.is_alive()
+        assert not answers
+        with staged(path).open("rb") as reader:  # the write goes on, and a pipe cannot be synced
+            reader.read()
+        asking.join(10)
+        (ack,) = answers
+        assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+        assert client.calibrate(TRIM).accepted
+        os.mkfifo(staged(path))  # and nobody ever reads this one
+        asking = threading.Thread(target=unanswered, args=(patient,))
+        asking.start()
+        until_it_is_being_kept(client)
+        gateway.child.terminate()
+        assert gateway.child.wait(10) == 0, str(gateway.child)
+        asking.join(10)
+    kept = calibration_file.read(path)
+    assert kept is not None
+    assert kept.of(31).trim_cdeg == 7_50
+
+
+def unanswered(client: Client) -> None:
+    """Nobody knows what became of it."""
+    with pytest.raises(DisconnectedError):
+        client.calibrate({31: ServoChange(trim_deg=8)})
+
+
+def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path, path: Path) -> None:
+    text = calibration_file.to_toml(OWN)[:700]
+    calibration_file.write(path, Calibration(3))
+    calibration_file.write(path, OWN)
+    path.write_text(text)
+    with Gateway(tmp_path, settings(path)) as gateway, gateway.client() as client:
+        logged = gateway.child.wait_for_output("nothing is started until")
+        assert "hexapod-gateway calibrate --accept-default" in logged
+        state = client.state()
+        assert (state.mode, state.calibration.revision) == (Mode.IDLE, 4)
+        assert str(state.calibration.fault).startswith(f"{path}: the file has no end;")
+        rejected = client.start_leg(1, 90, 90, 90)
+        assert rejected.reason == Reason.SERVO_STOPPED
+        assert "calibrate --accept-default" in str(rejected.detail)
+        assert client.calibrate(TRIM).reason == Reason.SERVO_STOPPED
+        assert path.read_text() == text, "a person may want to look at it"
+        assert client.calibrate(accept_default=True).accepted
+        assert client.state().calibration.fault is None
+        assert client.start_leg(1, 90, 90, 90).accepted
+        kept = calibration_file.read(path)
+        assert kept is not None
+        assert (kept.revision, kept.servos) == (5, {})
+        assert path.with_name("calibration.broken.toml").read_text() == text
+
+
+ROUNDS = 4
+"""Each starts a gateway."""
+
+
+def test_what_was_acknowledged_is_in_force_after_sigkill(tmp_path: Path, path: Path) -> None:
+    acknowledged = 0
+    for _ in range(ROUNDS):
+        with Gateway(tmp_path, settings(path)) as gateway, gateway.client() as client:
+            assert client.state().calibration.revision == acknowledged
+            assert client.calibration().servos["31"].trim_deg == acknowledged
+            assert client.calibrate({31: ServoChange(trim_deg=acknowledged + 1)}).accepted
+            gateway.child.kill()
+            acknowledged += 1
+
+
+def test_whoever_is_killed_at_any_moment_leaves_the_old_one_or_the_new(path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.support.killed_writer", str(path), "60"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "60 times killed" in done.stdout
