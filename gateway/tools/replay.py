@@ -1,18 +1,19 @@
 """`replay`: the frames of a recording as commands again, in their time; and whether the gateway writes the same."""
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from gateway.core.calibration import Calibration
+from gateway.core.calibration_report import calibration_of
 from gateway.errors import ConfigError
 from gateway.recordings import read
 from gateway.recordings.replaying import NS_PER_MS, Plan, compare, plan
+from gateway.recordings.user_angles import UserAngles, user_bytes
 from gateway.tools.driving import drives
 from gateway.tools.player import Player, without_pauses
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say
-from schemas.keys import FRAME, STATE
 from schemas.telemetry import GatewayState, Mode
 
 SOURCE: Final = "hexapod-gateway replay"
@@ -25,11 +26,14 @@ def replay(
     """Replay `path` and return the exit code. Raises ConfigError, RejectedError, StoppedError, ZenohError."""
     if check and speed != 1:
         raise ConfigError("--check compares times, so it goes with --speed 1")
-    recorded = plan(_frames(path), watchdog_too=speed != 1)
+    angles = UserAngles()
+    recorded = plan(angles.frames(read(path)), watchdog_too=speed != 1)
     _look_at(path, recorded)
     with connect() as client:
         state = client.state()
         _fit(state, recorded, speed)
+        target = calibration_of(client.calibration()) if state.calibration.revision else Calibration()
+        _same_angles(path, angles, target)
         if check and not state.simulated:
             hint("This is a real controller; what it writes is compared all the same.")
         if not state.simulated:
@@ -41,18 +45,22 @@ def replay(
     if not check:
         say(f"replayed: {said}")
         return 0
+    player.written = [frame._replace(data=user_bytes(target, frame.data)) for frame in player.written]
     return _report(recorded, player, said, tolerance_ms)
 
 
-def _frames(path: Path) -> Iterator[dict[str, Any]]:
-    """The recorded frames. Raises ConfigError where their angles are not those that commands count in."""
-    for message in read(path):
-        if message.topic == FRAME:
-            yield message.content
-        elif message.topic == STATE and message.content.get("calibration", {}).get("revision"):
-            raise ConfigError(
-                f"{path}: this robot was calibrated, so its frames carry other angles than commands; nothing is sent"
-            )
+def _same_angles(path: Path, angles: UserAngles, target: Calibration) -> None:
+    """Raises ConfigError where what is sent could be other angles than those that were meant.
+
+    A servo that is trimmed by 20 degrees would be sent 40 away from where it stood. Without any calibration here, what
+    is sent is what is written, and each servo goes to where it went.
+    """
+    if angles.known or not (angles.translated or target.servos):
+        return
+    raise ConfigError(
+        f"{path}: does not say by which calibration its frames were written, so their angles are not known here; "
+        "nothing is sent"
+    )
 
 
 def _look_at(path: Path, recorded: Plan) -> None:

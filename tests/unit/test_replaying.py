@@ -2,18 +2,15 @@
 
 import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
 from gateway.errors import ConfigError
 from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
-from gateway.recordings import Recording
 from gateway.recordings.replaying import APART_NS, NS_PER_MS, Sent, Written, compare, plan
-from gateway.tools.replay import _ask, _fit, _frames
+from gateway.tools.replay import _ask, _fit
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
-from schemas.keys import FRAME, STATE
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, GatewayState, Mode, WatchdogReport
 
@@ -207,15 +204,6 @@ def test_what_is_sent_apart_from_what_it_was_written_with_is_expected_apart() ->
     sent = [Sent(step.at_ns, step.at_ns) for step in expected.steps]
     written = [expected.expected[0], expected.expected[1]._replace(at_ns=APART_NS)]
     assert compare(expected, sent, written, 0).passes
-
-
-def test_frames_of_a_calibrated_robot_are_not_sent(tmp_path: Path) -> None:
-    path = tmp_path / "ride.mcap"
-    with Recording(path, time_ns=BEGUN_NS) as recording:
-        recording.add_report(FRAME, record(0, leg(1, Op.START)), BEGUN_NS)
-        recording.add(STATE, {"calibration": {"revision": 2}}, BEGUN_NS)
-    with pytest.raises(ConfigError, match="calibrated"):
-        list(_frames(path))
 
 
 def test_a_gap_that_the_watchdog_does_not_wait_for_is_told_beforehand(capsys: pytest.CaptureFixture[str]) -> None:

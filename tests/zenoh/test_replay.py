@@ -15,6 +15,7 @@ from examples import tripod_gait
 from gateway.client import Client
 from gateway.protocol.frames import stop_leg
 from gateway.recordings import Recording
+from schemas.calibration import ServoChange
 from schemas.keys import FRAME
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child
@@ -129,3 +130,30 @@ def test_a_robot_that_moves_already_and_a_file_without_frames_are_told(gateway: 
     nothing = gateway.run("replay", str(empty))
     assert nothing.returncode == 2
     assert "telemetry.frames" in nothing.stderr
+
+
+def test_on_another_calibration_it_makes_the_same_motion(tmp_path: Path, recorded: Path) -> None:
+    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}}
+    path = tmp_path / "calibrated.mcap"
+    with Gateway(tmp_path, settings) as other, other.client() as robot:
+        assert robot.calibrate({11: ServoChange(trim_deg=20), 12: ServoChange(inverted=True)}).accepted
+        with closing(Child([*COMMAND, "record", str(path), "--connect", other.endpoint], os.environ)) as recorder:
+            recorder.wait_for_output("Ctrl-C ends it")
+            heard = frames(robot)
+            with robot.stream(50) as stream:
+                for step in range(10):
+                    stream.set({1: (90 + step, 45, 120)})
+            stop = stop_leg(1).to_bytes().hex()
+            heard.wait(lambda record: record.cause == "command" and record.bytes == stop)
+            recorder.send_signal(signal.SIGINT)
+            assert recorder.wait() == 0, str(recorder)
+        was = [record.bytes for record in heard.all if record.cause == "command"]
+        assert was[0].startswith("0e010b016e000c0187")  # 110 and 135 degrees
+        assert robot.calibrate({11: ServoChange(trim_deg=-20), 12: ServoChange(inverted=False)}).accepted
+        again = other.run("replay", str(path), "--check", "--tolerance", str(TOLERANCE_MS))
+        assert again.returncode == 0, str(again)
+        now = [record.bytes for record in heard.all if record.cause == "command"][len(was) :]
+        assert now[0].startswith("0e010b0146000c012d")  # 70 and 45
+        unknown = other.run("replay", str(recorded))
+        assert unknown.returncode == 2, str(unknown)
+        assert "does not say by which calibration" in unknown.stderr

@@ -1,0 +1,62 @@
+"""The frames of a recording in users' angles. On the wire they have the servos' own, and commands have users'."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from gateway.core.calibration import Calibration
+from gateway.core.calibration_report import calibration_of
+from gateway.protocol.frames import FrameError, decode
+from gateway.recordings.reading import Message
+from schemas import calibration as wire
+from schemas.keys import CALIBRATION, FRAME, STATE
+
+
+class UserAngles:
+    """Reads each frame by the calibration that the recording says was in force when it was written."""
+
+    def __init__(self) -> None:
+        self.translated = False
+        """Whether any frame has other angles on the wire than its users have."""
+        self._calibration = Calibration()
+        self._said = self._contradicted = False
+
+    @property
+    def known(self) -> bool:
+        """Whether the recording says what was in force. One of the black box, or of frames alone, does not."""
+        return self._said and not self._contradicted
+
+    def frames(self, messages: Iterable[Message]) -> Iterator[Mapping[str, Any]]:
+        """The FrameRecords in users' angles, as far as the recording says which these are, else as on the wire."""
+        for message in messages:
+            if message.topic == FRAME:
+                yield self._frame(message.content)
+            elif message.topic == STATE:
+                self._said = True
+                # An older gateway says nothing of a calibration, and had none.
+                if message.content.get("calibration", {}).get("revision", 0) != self._calibration.revision:
+                    self._contradicted = True
+            elif message.topic == CALIBRATION:
+                self._change(message.content)
+
+    def _change(self, content: Mapping[str, Any]) -> None:
+        self._said = True
+        try:
+            self._calibration = calibration_of(wire.Calibration.model_validate(content))
+        except ValueError:  # none that a gateway says
+            self._contradicted = True
+
+    def _frame(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
+        if not self._calibration.servos:
+            return record
+        self.translated = True
+        return {**record, "bytes": user_bytes(self._calibration, bytes.fromhex(record["bytes"])).hex()}
+
+
+def user_bytes(calibration: Calibration, data: bytes) -> bytes:
+    """A frame's bytes in users' angles; as they are where no user could have meant them."""
+    if not calibration.servos:
+        return data
+    try:
+        return calibration.user_frame(decode(data)).to_bytes()
+    except FrameError:
+        return data
