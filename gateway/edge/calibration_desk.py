@@ -14,7 +14,7 @@ from gateway.edge.desk import Deal, payload_of
 class Calibrations(Protocol):
     """Who decides; to be called by an owner of the state."""
 
-    def change(self, intent: CalibrationIntent, source: str | None, received_ns: int, reply: Reply) -> None:
+    def change(self, intent: CalibrationIntent, source: str | None, reply: Reply) -> None:
         """Decide, and answer once that is kept."""
 
     def reject(self, source: str | None, rejection: Rejection, reply: Reply) -> None:
@@ -27,17 +27,17 @@ class CalibrationDesk:
     def __init__(self, calibrations: Calibrations) -> None:
         self._calibrations = calibrations
 
-    def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> Deal:
+    def note(self, query: zenoh.Query, _now_ns: int, reply: Reply) -> Deal:
         """Read one query; what is then to be done with it."""
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
         payload = payload_of(query)
         if isinstance(payload, Rejection):
             return partial(self._calibrations.reject, source, payload, reply)
-        return self.read(payload, now_ns, reply, source)
+        return self.read(payload, reply, source)
 
-    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None) -> Deal:
+    def read(self, payload: bytes, reply: Reply, source: str | None = None) -> Deal:
         """Read one payload; what is then to be done with it."""
         intent = read(payload)
         if isinstance(intent, Rejection):
             return partial(self._calibrations.reject, source, intent, reply)
-        return partial(self._calibrations.change, intent, intent.source or source, now_ns, reply)
+        return partial(self._calibrations.change, intent, intent.source or source, reply)

@@ -11,6 +11,7 @@ import stat
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -67,8 +68,11 @@ def load(path: Path) -> tuple[Calibration, str | None]:
     except ConfigError as error:
         fault = str(error)
     else:
-        if found is not None or not earlier:
-            return found or Calibration(), None
+        if found is not None:  # one of the earlier, put back by hand, is newer than all of them
+            newest = 1 + _number(path, earlier[0]) if earlier else 0
+            return replace(found, revision=max(found.revision, newest)), None
+        if not earlier:
+            return Calibration(), None
         fault = f"{path}: is missing, and {earlier[0].name} stands beside it"
     return Calibration(1 + _number(path, earlier[0]) if earlier else 0), fault
 

@@ -8,8 +8,8 @@ from gateway.core.calibration import Calibration
 from gateway.core.calibration_intake import CalibrationIntent
 from gateway.core.calibration_report import report_of
 from gateway.core.events import Announce, Calibrate, Keep, Kept
-from gateway.core.intake import Intent, Rejection
-from gateway.core.message import Reply, Verb
+from gateway.core.intake import Rejection
+from gateway.core.message import Reply
 from gateway.runtime.conductor import Conductor
 from schemas import keys
 from schemas.telemetry import Kind, Reason
@@ -44,17 +44,15 @@ class Calibrations:
         """Answer a `get` on what is in force."""
         reply(report_of(self._in_force).model_dump_json().encode())
 
-    def change(self, intent: CalibrationIntent, source: str | None, received_ns: int, reply: Reply) -> None:
+    def change(self, intent: CalibrationIntent, source: str | None, reply: Reply) -> None:
         """Decide about a change, and answer once it is on the disk, or rejected."""
         conductor, answers, key = self._conductor, self._conductor.answers, keys.CALIBRATION_CMD
         now_ns = conductor.turned()
         too_old = conductor.too_old(intent, source, now_ns, now_ns)
-        number = 0 if too_old is not None else answers.expect(key, source, reply)
-        asked = Intent((), source, intent.sent_ms)
-        conductor.recorder.command(number, Verb.GET, key, source, asked, received_ns)
         if too_old is not None:
             answers.reject(key, source, reply, Reason.STALE, too_old)
             return
+        number = answers.expect(key, source, reply)
         event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, key, intent.lease)
         for effect in conductor.ask(event):
             if isinstance(effect, Keep):

@@ -165,9 +165,7 @@ class Robot:
         self._instants += 1
         answers: list[Ack] = []
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        deal = self.calibration_desk.read(
-            data, self.now_ns(), lambda answer: answers.append(Ack.model_validate_json(answer))
-        )
+        deal = self.calibration_desk.read(data, lambda answer: answers.append(Ack.model_validate_json(answer)))
         deal()
         return answers
 

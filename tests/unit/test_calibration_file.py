@@ -2,6 +2,7 @@
 
 import errno
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -161,6 +162,14 @@ def test_names_that_are_no_revisions_are_not_taken_for_earlier_ones(tmp_path: Pa
     for name in ("calibration.broken.toml", "calibration.٣.toml", f"calibration.{'9' * 200}.toml", "calibration..toml"):
         (tmp_path / name).write_text("")
     assert previous(path) == []
+
+
+def test_an_earlier_one_that_was_put_back_by_hand_is_newer_than_all(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    for revision in range(1, 6):
+        write(path, replace(OWN, revision=revision))
+    (tmp_path / "calibration.2.toml").replace(path)
+    assert load(path) == (replace(OWN, revision=5), None)
 
 
 # ---- where it is

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from gateway.tools.watch.model import NS_PER_MS, Model
 from gateway.tools.watch.view import bar, picture
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import CalibrationReport, Kind, Mode
 from tests.support.watch_reports import WALL, event, model_with_state, rejected, screen, state
 
 
@@ -63,6 +63,15 @@ def test_who_commands_each_leg_and_who_stopped_the_robot_is_shown() -> None:
     assert lines[0].startswith(" ESTOPPED  by ben�[2J ")
     assert next(line for line in lines if line.startswith("leg ")).endswith("commanded by")
     assert next(line for line in lines if line.startswith(" 1 ")).endswith("  anna's tripod…")
+
+
+def test_a_calibration_that_cannot_be_used_is_shown() -> None:
+    model = Model()
+    fault = "/var/lib/hexapod-gateway/calibration.toml: is not TOML:\x1b[2J Invalid statement (at line 1, column 1)"
+    model.heard_state(state().model_copy(update={"calibration": CalibrationReport(revision=3, fault=fault)}), 0, WALL)
+    shown = " ".join(line.strip() for line in screen(model).splitlines()[1:3])
+    assert shown.startswith("Nothing can be started (calibrate --accept-default): /var/lib/hexapod-gateway/calibration")
+    assert "is not TOML:�[2J Invalid statement" in shown
 
 
 @pytest.mark.parametrize("mode", list(Mode))

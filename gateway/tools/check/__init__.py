@@ -16,7 +16,7 @@ from gateway import settings as settings_file
 from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
 from gateway.settings import FramingNotSetError, Settings
-from gateway.tools.check import device, laptop, machine, network, service_user
+from gateway.tools.check import calibration, device, laptop, machine, network, service_user
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -112,6 +112,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     yield spi_device
     yield device.speed(settings.spi)
     yield device.framing(settings.spi)
+    yield calibration.kept(settings)
     certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
     yield from certificates
     zenoh_config, told = network.zenoh_configuration(settings.zenoh)

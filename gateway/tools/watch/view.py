@@ -105,6 +105,8 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
         messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
     if model.remark is not None:
         messages.append((model.remark.text, _TONES[model.remark.tone]))
+    if model.state is not None and (fault := model.state.calibration.fault) is not None:
+        messages.append((f"Nothing can be started (calibrate --accept-default): {visible(fault)}", "bold yellow"))
     if model.presence(now_ns) is Presence.WAITING:
         messages.append(("no connection; trying again" if model.trouble else "connecting …", "yellow"))
     rows = _BANNER_ROWS if len(messages) == 1 else 1

@@ -1,0 +1,28 @@
+"""The calibration that the service would start with."""
+
+import os
+from typing import Final
+
+from gateway.core.calibrating import ACCEPT_DEFAULT
+from gateway.host.calibration_file import load, path_to_read
+from gateway.settings import Settings
+from gateway.tools.check.result import Result, failure, ok, warning
+
+_NAME: Final = "calibration"
+
+
+def kept(settings: Settings) -> Result:
+    """Whether it can be used; without one that can, the service starts, and moves nothing."""
+    path = path_to_read(settings)
+    if path is None:
+        return ok(_NAME, "is kept in memory only, until the gateway ends (calibration.path)")
+    if path.parent.exists() and not os.access(path.parent, os.X_OK):
+        return warning(_NAME, f"{path} is not for you to read", "sudo hexapod-gateway check")
+    found, fault = load(path)
+    if fault is not None:
+        fix = f"put a good one in its place and restart, or, if the robot is as drawn: {ACCEPT_DEFAULT}"
+        return failure(_NAME, f"{fault}; nothing can be started", fix)
+    if not (found.servos or found.landing_cdeg):
+        return ok(_NAME, f"none: every servo is as drawn ({path})")
+    count = len(found.servos)
+    return ok(_NAME, f"revision {found.revision}, {count} servo{'' if count == 1 else 's'} ({path})")

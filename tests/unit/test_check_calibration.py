@@ -1,0 +1,45 @@
+"""What `check` says of the calibration: which one it is, or why nothing could be started with it."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from gateway.core.calibration import Calibration, ServoCalibration
+from gateway.host import calibration_file
+from gateway.settings import Settings
+from gateway.tools.check.calibration import kept
+from gateway.tools.check.result import Verdict
+
+
+def checked(path: Path) -> tuple[Verdict, str, str]:
+    result = kept(Settings.model_validate({"calibration": {"path": str(path)}}))
+    return result.verdict, result.sentence, result.fix
+
+
+def test_which_one_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    assert checked(path) == (Verdict.OK, f"none: every servo is as drawn ({path})", "")
+    calibration_file.write(path, Calibration(3, {11: ServoCalibration(5_00)}))
+    assert checked(path) == (Verdict.OK, f"revision 3, 1 servo ({path})", "")
+
+
+def test_one_that_cannot_be_used_is_a_failure_with_its_fix(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text("trim = 7\n")
+    verdict, sentence, fix = checked(path)
+    assert verdict is Verdict.FAILURE
+    assert sentence == f"{path}: version is None; this gateway reads 1; nothing can be started"
+    assert "hexapod-gateway calibrate --accept-default" in fix
+
+
+def test_what_only_the_service_may_read_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda path, _mode: path != tmp_path)  # root may enter any folder
+    verdict, _, fix = checked(tmp_path / "calibration.toml")
+    assert (verdict, fix) == (Verdict.WARNING, "sudo hexapod-gateway check")
+
+
+def test_in_memory_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    assert "in memory only" in kept(Settings()).sentence
