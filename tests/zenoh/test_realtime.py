@@ -141,7 +141,7 @@ def test_the_loop_of_a_running_gateway_has_priority_and_zenohs_threads_have_not(
         assert priorities[pid] == LOOP_PRIORITY
         found = Counter(priorities.values())
         assert found[LOOP_PRIORITY] == 1 + 2, "those of the emergency stop, too"
-        assert found[RECEIVER_PRIORITY] == 4, "two for commands, one for the state, one for the lease"
+        assert found[RECEIVER_PRIORITY] == 6, "two each for commands and calibration, one each for state and lease"
         assert found[PAGE_PRIORITY] >= 2, "those that write stdout and stderr among them"
         others = [task for task, priority in priorities.items() if priority == 0]
         assert len(others) >= 3

@@ -37,7 +37,7 @@ def test_check_notices_a_changed_model_and_writing_mends_it(copied: Path) -> Non
     assert ran.returncode == 1
     assert ran.stderr.splitlines() == [
         f"schemas/json/{name}.json is out of date; run `python -m schemas`"
-        for name in ("LegCommand", "LegsCommand", "ServoCommand")
+        for name in ("CalibrationCommand", "LegCommand", "LegsCommand", "ServoCommand")
     ]
     assert check(copied).returncode == 0
     assert check(copied, "--check").returncode == 0
