@@ -13,7 +13,8 @@ from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, Fr
 from gateway.recorder.reader import Records
 from gateway.recordings import REPORTS, Recording
 from gateway.recordings.plain_schema import Schema, plain_schema
-from schemas.keys import FRAME
+from schemas.keys import EVENT, FRAME
+from schemas.telemetry import Event
 
 MAX_FILES: Final = 100
 MAX_BYTES: Final = 200_000_000
@@ -54,10 +55,12 @@ def kept(folder: Path) -> list[Kept]:
 
 def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> None:
     """Write an incident to a file. Raises OSError; FileExistsError unless `overwrite`."""
-    with Recording(path, overwrite=overwrite, time_ns=incident.wall_ns(incident.begin_ns)) as recording:
-        for topic, model in _CHANNELS.items():
-            recording.declare(topic, model.__name__, _schema(model))
+    begin_ns = incident.wall_ns(incident.begin_ns)
+    with Recording(path, overwrite=overwrite, time_ns=begin_ns, reports={EVENT: Event}) as recording:
+        undeclared = dict(_CHANNELS)
         for message in messages(incident, records):
+            if model := undeclared.pop(message.topic, None):  # viewers list a channel even if it is empty
+                recording.declare(message.topic, model.__name__, _schema(model))
             if message.topic in REPORTS:
                 recording.add_report(message.topic, message.content, message.time_ns)
             else:

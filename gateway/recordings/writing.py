@@ -51,8 +51,16 @@ class Recording:
     Times are nanoseconds since 1970. Raises OSError, also from `close`, where the disk does not take it.
     """
 
-    def __init__(self, path: Path, geometry: Geometry | None = None, *, overwrite: bool = False, time_ns: int) -> None:
-        """Begin the file. Raises FileExistsError unless `overwrite`."""
+    def __init__(
+        self,
+        path: Path,
+        geometry: Geometry | None = None,
+        *,
+        overwrite: bool = False,
+        time_ns: int,
+        reports: Mapping[str, type[BaseModel]] = REPORTS,
+    ) -> None:
+        """Begin the file, with a channel for each of `reports`. Raises FileExistsError unless `overwrite`."""
         geometry = geometry or load()
         self.path = path
         self._file = _Unbuffered(path, overwrite=overwrite)
@@ -65,7 +73,7 @@ class Recording:
         self._writer.add_attachment(time_ns, time_ns, URDF_NAME, "application/xml", urdf(geometry).encode())
         for topic, schema in DRAWN_SCHEMAS.items():
             self.declare(topic, schema["title"], schema)
-        for topic, model in REPORTS.items():
+        for topic, model in reports.items():
             self.declare(topic, model.__name__, plain_schema(TypeAdapter(model), model.__name__))
         self.add(*self._drawing.description(), time_ns)
         for topic, message in self._drawing.picture(time_ns):
@@ -86,7 +94,12 @@ class Recording:
         return self._file.tell()
 
     def declare(self, topic: str, name: str, schema: Schema) -> None:
-        """A further channel of JSON messages; `plain_schema` makes a schema that viewers read."""
+        """A further channel of JSON messages; `plain_schema` makes a schema that viewers read.
+
+        Raises ValueError where the topic has a channel: viewers show the schema and count of its first.
+        """
+        if topic in self._channels:
+            raise ValueError(f"{topic} has a channel already")
         schema_id = self._writer.register_schema(name, SCHEMA_ENCODING, json.dumps(schema).encode())
         self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
 

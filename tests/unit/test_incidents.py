@@ -220,6 +220,11 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
             assert schema is not None
             jsonschema.validate(json.loads(message.data), json.loads(schema.data))
             seen[channel.topic] = seen.get(channel.topic, 0) + 1
+        file.seek(0)
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = sorted(channel.topic for channel in summary.channels.values())
+    assert topics == sorted(seen), "viewers show a topic as its first channel, and list channels that are empty"
     assert {keys.FRAME, keys.EVENT, LEG_3, "hexapod/recorder", "/joint_states", "/tf"} <= seen.keys()
     frames = [message.content["bytes"] for message in read(path) if message.topic == keys.FRAME]
     assert frames == [data.hex() for _, data in robot.controller.transfers]

@@ -113,6 +113,13 @@ def test_viewers_read_every_schema(schema: dict[str, Any]) -> None:
     assert_viewers_read(schema, schema["title"])
 
 
+def test_a_topic_has_one_channel_since_viewers_show_no_other(path: Path) -> None:
+    with Recording(path, time_ns=START_NS, reports={}) as recording:
+        recording.declare(keys.FRAME, "FrameRecord", {"type": "object"})
+        with pytest.raises(ValueError, match="hexapod/frame has a channel already"):
+            recording.declare(keys.FRAME, "FrameInBox", {"type": "object"})
+
+
 def test_a_choice_that_viewers_cannot_be_told_is_a_mistake() -> None:
     with pytest.raises(ValueError, match="choice"):
         plain_schema(TypeAdapter(dict[str, int] | str), "X")
