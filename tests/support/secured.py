@@ -25,13 +25,14 @@ class Secured:
         settings: Mapping[str, Mapping[str, Any]] | None = None,
         *,
         address: str = HOST,
+        hosts: Sequence[str] = (HOST,),
         bed: SpiTestbed | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
-        """It listens on `address`; its certificate names this machine."""
+        """It listens on `address`; its certificate names `hosts`."""
         self.folder = folder / "D"
         self.port = free_port()
-        certs.init(self.folder, [HOST], port=self.port)
+        certs.init(self.folder, hosts, port=self.port)
         certs.issue(self.folder, "anna", "operator")
         certs.issue(self.folder, "otto", "observer")
         listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}

@@ -19,6 +19,7 @@ from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import frames
 from tests.support.planted_gateway import MISTAKES
+from tests.support.secured import Secured
 
 LATE_MS: Final = 70
 """For a machine that is busy with other tests; what is planted is later."""
@@ -93,6 +94,15 @@ def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path) -> None:
         )
     assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [(step, "FAIL")], found.outcomes
     assert not found.passed
+
+
+def test_a_link_with_certificates_is_cut_too(tmp_path: Path) -> None:
+    """The robot's certificate is good for the robot's own address, and not for where the drill cuts the link."""
+    with Secured(tmp_path, FRAMES, address="127.0.0.2", hosts=["127.0.0.2"]) as robot:
+        operator = str(robot.folder / "anna.json5")
+        done = robot.gateway.run("drill", "--zenoh-config", operator, "--only", "cut-link", "--late", str(LATE_MS))
+        assert done.returncode == 0, str(done)
+        assert "PASS    cut-link" in done.stdout
 
 
 def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway) -> None:

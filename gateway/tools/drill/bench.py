@@ -70,8 +70,6 @@ class Bench:
     """1 or 3."""
     start_deg: float
     end_deg: float
-    endpoint: str | None
-    """Where the gateway listens in plain TCP, so that a link to it can be cut; None: not known, or encrypted."""
     reaches: dict[str, Any]
     """How `Client` reaches the gateway."""
     late_ms: float

@@ -86,7 +86,6 @@ def drill(
             servos=3 if whole_leg else 1,
             start_deg=angle_deg,
             end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
-            endpoint=endpoint if zenoh_config is None else None,
             reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
             late_ms=late_ms,
             restart=restart,
