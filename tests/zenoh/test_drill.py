@@ -134,21 +134,27 @@ SYSTEMCTL = """#!/bin/sh
 echo "$@" >> {folder}/asked
 case $1 in
 kill) kill -9 {pid} ;;
-show) echo "ExecStopPost={{ path=/opt/stop-servos ; status={status} }}" ;;
+show) echo "InvocationID=$(grep -c kill {folder}/asked)"
+    echo "ExecStopPost={{ path=/opt/x ; argv[]=/opt/x stop-servos ; pid=7 ; {ended} }}"
+    echo "ExecStopPost={{ path=/bin/cat ; argv[]=/bin/cat ; pid=8 ; code=exited ; status=0 }}" ;;
 esac
 """
 
 
-@pytest.mark.parametrize(("status", "word"), [(0, "PASS"), (3, "FAIL")])
+SHOWN: Final = {"code=exited ; status=0": "PASS", "code=exited ; status=3": "FAIL", "code=(null) ; status=0/0": "FAIL"}
+"""What systemd shows of stop-servos, from systemd 252: it ended well, it failed, and it has not run."""
+
+
+@pytest.mark.parametrize("ended", SHOWN)
 def test_a_service_that_is_killed_comes_back_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int, word: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: str
 ) -> None:
     """With a systemctl of the test's own, and the test in the place of systemd."""
     settings = {**FRAMES, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
     with ExitStack() as stack:
         first = stack.enter_context(Gateway(tmp_path, settings))
         systemctl = tmp_path / "systemctl"
-        systemctl.write_text(SYSTEMCTL.format(folder=tmp_path, pid=first.child.pid, status=status))
+        systemctl.write_text(SYSTEMCTL.format(folder=tmp_path, pid=first.child.pid, ended=ended))
         systemctl.chmod(0o755)
         monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
 
@@ -169,5 +175,7 @@ def test_a_service_that_is_killed_comes_back_stopped(
             endpoint=first.endpoint,
         )
         systemd.join()
-        assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [("restart", word)], found.outcomes
+        assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [("restart", SHOWN[ended])], (
+            found.outcomes
+        )
     assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()

@@ -26,6 +26,8 @@ POLL_S: Final = 0.01
 ANSWER_S: Final = 5.0
 
 R = TypeVar("R", bound=BaseModel)
+Figures = dict[str, float | int | str]
+"""What a step has measured."""
 
 
 class FailedError(Exception):

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.tools.drill.bench import LATE_MS, Bench, FailedError, Seen, Skipped
-from gateway.tools.drill.steps import STEPS, Figures, Step
+from gateway.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
+from gateway.tools.drill.steps import STEPS, Step
 from gateway.tools.driving import drives
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection

@@ -4,21 +4,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
 from gateway.client import Client
 from gateway.edge.session import client_config
-from gateway.errors import GatewayError
 from gateway.protocol.frames import Frame, Op
-from gateway.tools.drill.bench import ANSWER_S, QUIET_S, Bench, FailedError, Seen, Skipped, caused, demand
+from gateway.tools.drill.bench import ANSWER_S, QUIET_S, Bench, FailedError, Figures, Seen, Skipped, caused, demand
 from gateway.tools.drill.cut_link import CutLink
+from gateway.tools.drill.service import killed
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
-
-Figures = dict[str, float | int | str]
 
 ANSWER_MS: Final = 100.0
 """How long the answer to an emergency stop may take, beyond that of any other question."""
@@ -30,8 +28,6 @@ HELD_S: Final = 1.5
 KEPT_MS: Final = 30_000
 """How long the gateway keeps the link of a client that it does not hear."""
 STOP_SERVOS_S: Final = 20.0
-UNIT: Final = "hexapod-gateway.service"
-BACK_S: Final = 20.0
 
 
 class Step(NamedTuple):
@@ -296,46 +292,6 @@ def stop_servos(bench: Bench) -> Figures:
         demand(after or not bench.frames_published, "the gateway wrote no Stops of its own")
         bench.demand_no_motion(bench.mark(), "after stop-servos")
     return {"took_ms": took_ms}
-
-
-def killed(bench: Bench) -> Figures:
-    """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
-    if not bench.restart:
-        raise Skipped("only with --restart, on the robot itself")
-    bench.start()
-    with bench.streaming():
-        time.sleep(STREAM_S)
-        begun_s = time.monotonic()
-        _systemctl("kill", "--signal=KILL", UNIT)
-        back = bench.wait(lambda: _started_since(bench, begun_s), BACK_S)
-        took_s = time.monotonic() - begun_s
-        demand(back, f"no new gateway has answered for {BACK_S:g} s; stop the robot by the switch of its supply")
-        state = bench.client.state()
-        demand(
-            state.spi.frames >= len(LEGS), f"the new gateway wrote {state.spi.frames} frames, not a Stop for each leg"
-        )
-        bench.demand_no_motion(bench.mark(), "after the new start")
-        ended = _systemctl("show", "--property=ExecStopPost", UNIT)
-        demand("status=0" in ended, f"stop-servos did not run after the end: {ended.strip() or 'no ExecStopPost'}")
-    return {"answers_again_after_s": took_s, "stops_of_the_new_start": len(LEGS)}
-
-
-def _started_since(bench: Bench, begun_s: float) -> bool:
-    with suppress(GatewayError):
-        state = bench.client.state(1.0)
-        return state.uptime_s < time.monotonic() - begun_s and state.mode == Mode.IDLE
-    return False
-
-
-def _systemctl(*arguments: str) -> str:
-    try:
-        done = subprocess.run(
-            ["systemctl", *arguments], capture_output=True, text=True, timeout=STOP_SERVOS_S, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise FailedError(f"systemctl: {error}") from error
-    demand(done.returncode == 0, f"systemctl {arguments[0]}: {done.stderr.strip()}")
-    return done.stdout
 
 
 STEPS: Final = (
