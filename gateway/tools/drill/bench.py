@@ -11,9 +11,10 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.client import Client
-from gateway.errors import GatewayError
+from gateway.errors import GatewayError, UnansweredError
 from gateway.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from schemas import keys
+from schemas.calibration import ServoCalibration
 from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
 
@@ -80,6 +81,8 @@ class Bench:
     """Whether the service may be killed."""
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
+    calibration: dict[str, ServoCalibration] = field(default_factory=dict)
+    """Of the servos that have one."""
     frames_published: bool = False
     answer_ms: float = 0.0
     """How long the gateway takes to answer at rest."""
@@ -108,11 +111,17 @@ class Bench:
         return {**({"servos": [servo] * self.servos} if self.servos > 1 else servo), **self.lease}
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
-        """The frame that such a command is to cause."""
-        command = ServoOp(op, centidegrees(angle_deg))
+        """The frame that such a command is to cause, in the servos' own angles."""
+        commands = [ServoOp(op, centidegrees(self._wire_deg(servo_id, angle_deg))) for servo_id in self.servo_ids]
         if self.servos > 1:
-            return OneLeg(self.leg, (command, command, command))
-        return OneServo(self.servo_ids[0], command)
+            return OneLeg(self.leg, (commands[0], commands[1], commands[2]))
+        return OneServo(self.servo_ids[0], commands[0])
+
+    def _wire_deg(self, servo_id: int, angle_deg: float) -> float:
+        servo = self.calibration.get(str(servo_id))
+        if servo is None:
+            return angle_deg
+        return (180 - angle_deg if servo.inverted else angle_deg) + servo.trim_deg
 
     def ask(self, op: str, angle_deg: float) -> Ack:
         """An acknowledged start or set."""
@@ -200,7 +209,7 @@ class Bench:
                     subscriber.undeclare()
 
     def measure(self) -> None:
-        """How soon the gateway answers, and whether it publishes frames (a Stop for all legs shows it)."""
+        """How soon the gateway answers, its calibration, and whether it publishes frames (a Stop shows it)."""
         took_ms = []
         for _ in range(5):
             begun_s = time.monotonic()
@@ -209,6 +218,8 @@ class Bench:
         self.answer_ms = sorted(took_ms)[2]
         self.stop()
         self.frames_published = self.wait(lambda: self.frames, 1.0)
+        with suppress(UnansweredError):  # a gateway that knows of no calibration
+            self.calibration = self.client.calibration().servos
 
     def _take_frame(self, sample: zenoh.Sample) -> None:
         record = _read(FrameRecord, sample)
