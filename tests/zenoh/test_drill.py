@@ -15,6 +15,7 @@ import pytest
 from gateway.tools import reach
 from gateway.tools.drill.run import drill
 from gateway.tools.drill.steps import STEPS
+from schemas.calibration import ServoChange
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import frames
@@ -72,6 +73,7 @@ def test_where_the_robot_lands_its_stop_is_expected_at_the_end_of_the_landing(tm
         done = running.run("drill", "--late", str(LATE_MS), "--only", "silence")
         assert done.returncode == 0, str(done)
         assert "landing_ms 300" in done.stdout
+        assert "must land the robot, then stop it" in done.stderr
         sent = running.run("send", "servo", "11", "start", "90")
         assert "stops it 100 ms after a command, once the robot has landed in 300 ms; " in sent.stderr
 
@@ -105,19 +107,70 @@ def test_a_link_with_certificates_is_cut_too(tmp_path: Path) -> None:
         assert "PASS    cut-link" in done.stdout
 
 
-def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway) -> None:
+ENDS: Final = {
+    "command": signal.SIGINT,
+    "silence": signal.SIGINT,
+    "estop": signal.SIGTERM,
+    "after-reset": signal.SIGHUP,
+    "cut-link": signal.SIGINT,
+    "lease": signal.SIGTERM,
+}
+"""Of the steps that start a servo: Ctrl-C, a request to end, and the end of the terminal."""
+STARTED: Final = "06020b015a00"
+
+
+@pytest.mark.parametrize("step", ENDS)
+def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, step: str) -> None:
+    """Also whoever is impatient, and ends it twice."""
     with gateway.client() as client:
         heard = frames(client)
-        with closing(Child([*COMMAND, "drill", "--connect", gateway.endpoint], os.environ)) as child:
-            child.wait_for_output("silence: starts", timeout_s=20)
-            before = len(heard.all)
-            heard.wait(lambda record: record.bytes == "06020b015a00", count=2)
-            child.send_signal(signal.SIGINT)
+        options = ("--only", step, "--only", "silence", "--connect", gateway.endpoint)
+        with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
+            heard.wait(lambda record: record.bytes == STARTED)
+            child.send_signal(ENDS[step])
+            child.send_signal(ENDS[step])
             assert child.wait() == 1, str(child)
-        assert "All legs are stopped." in child.stderr
-        assert "NOT passed: not finished" in child.stdout
-        assert len(heard.all) > before
+        assert "All legs are stopped." in child.stderr, str(child)
+        assert "NOT passed" in child.stdout
         assert client.state().mode == "idle"
+
+
+def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: Path) -> None:
+    with Gateway(tmp_path, FRAMES) as running, running.client() as client:
+        heard = frames(client)
+        options = ("--only", "silence", "--timeout", "0.3", "--connect", running.endpoint)
+        with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
+            heard.wait(lambda record: record.bytes == STARTED)
+            running.child.kill()
+            assert child.wait() == 4, str(child)
+        assert "FAIL    silence" in child.stdout
+        assert "Nobody has confirmed that all legs are stopped" in child.stderr
+
+
+def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        options = ("--only", "estop", "--only", "command", "--connect", gateway.endpoint)
+        with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
+            child.wait_for_output("estop: engages", timeout_s=20)
+            heard.wait(lambda record: record.bytes == STARTED)
+            with client.lease(take=True):
+                assert child.wait() == 1, str(child)
+        assert "FAIL    estop" in child.stdout, str(child)
+        assert "All legs are stopped." in child.stderr
+        state = client.state()
+        assert not any(servo.running for leg in state.legs for servo in leg.servos)
+        if state.mode == "estopped":
+            assert client.reset().accepted
+
+
+def test_a_calibrated_servo_with_a_greatest_speed_passes(tmp_path: Path) -> None:
+    with Gateway(tmp_path, {**FRAMES, "limits.servos.11": {"max_speed_deg_s": 20.0}}) as running:
+        with running.client() as client:
+            assert client.calibrate({11: ServoChange(trim_deg=3, inverted=True)}).accepted
+        done = running.run("drill", "--late", str(LATE_MS), "--only", "command")
+        assert done.returncode == 0, str(done)
+        assert "frame 06020b015d00" in done.stdout, "180 - 90 + 3 = 93 degrees"
 
 
 def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:

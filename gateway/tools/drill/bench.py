@@ -77,6 +77,8 @@ class Bench:
     """How `Client` reaches the gateway."""
     late_ms: float
     """How late a Stop may be."""
+    lands: bool = False
+    """Whether silence lands the robot before it stops it."""
     restart: bool = False
     """Whether the service may be killed."""
     config: Sequence[str] = ()

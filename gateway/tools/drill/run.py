@@ -88,6 +88,7 @@ def drill(
             end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
             reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
             late_ms=late_ms,
+            lands=bool(state.watchdog.landing_ms),
             restart=restart,
             config=() if config is None else ("--config", str(config)),
         )
@@ -106,7 +107,8 @@ def drill(
 
 def _do(bench: Bench, step: Step, place: str) -> Outcome:
     which = f"servo {bench.servo_ids[0]}" if bench.servos == 1 else f"leg {bench.leg}"
-    does = step.does.format(servos=which, start=bench.start_deg, end=bench.end_deg)
+    end_of_silence = "land the robot, then stop it" if bench.lands else "stop it"
+    does = step.does.format(servos=which, start=bench.start_deg, end=bench.end_deg, end_of_silence=end_of_silence)
     hint(f"{place} {step.name}: {does} …")
     mark, begun_s = bench.mark(), time.monotonic()
     passed: bool | None = True
@@ -143,15 +145,28 @@ def _rest(bench: Bench, *, keep_estop: bool = False) -> None:
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
     """However it ends, also by a signal, all legs are stopped, and somebody says so."""
+    stopping = False
 
     def end() -> None:
-        raise KeyboardInterrupt
+        nonlocal stopping
+        if not stopping:  # a second Ctrl-C must not cost the Stop that the first one asks for
+            stopping = True
+            raise KeyboardInterrupt
 
-    try:
-        with on_end_signals(end):
+    with on_end_signals(end), _stopped(bench):
+        try:
             yield
-    except KeyboardInterrupt:
-        hint("The drill was ended.")
+        except KeyboardInterrupt:
+            hint("The drill was ended.")
+        finally:
+            stopping = True
+
+
+@contextmanager
+def _stopped(bench: Bench) -> Iterator[None]:
+    """All legs are stopped at the end, and somebody says so."""
+    try:
+        yield
     finally:
         try:
             _rest(bench)

@@ -107,12 +107,14 @@ def _demand_frames(bench: Bench, mark: int, wanted: list[Frame], *, on_the_way: 
 
 
 def _never_back(frames: list[Frame]) -> bool:
-    """Whether each servo's angles go one way only."""
-    for servo in zip(*(frame.servos for frame in frames), strict=True):
-        angles = [command.angle_cdeg for _, command in servo]
-        if angles != sorted(angles) and angles != sorted(angles, reverse=True):
-            return False
-    return True
+    """Whether these are one start and then sets of the same servos, whose angles go one way only."""
+    if len({tuple(servo_id for servo_id, _ in frame.servos) for frame in frames}) != 1:
+        return False
+    if any(command.op is not Op.SET for frame in frames[1:] for _, command in frame.servos):
+        return False
+    angles = [[command.angle_cdeg for _, command in frame.servos] for frame in frames]
+    ways = [list(way) for way in zip(*angles, strict=True)]
+    return all(way in (sorted(way), sorted(way, reverse=True)) for way in ways)
 
 
 def set_while_stopped(bench: Bench) -> Figures:
@@ -340,7 +342,7 @@ def stop_servos(bench: Bench) -> Figures:
 STEPS: Final = (
     Step("command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command),
     Step("set-while-stopped", "sets {servos}, which is stopped: must be rejected", set_while_stopped),
-    Step("silence", "starts {servos} and falls silent: the watchdog must stop it", silence),
+    Step("silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence),
     Step("estop", "engages the emergency stop while setpoints stream: six Stops, and nothing after", estop_in_stream),
     Step("until-reset", "starts {servos} in the emergency stop: must be rejected until a reset", rejected_until_reset),
     Step("after-reset", "goes on streaming after the reset: nothing may move", nothing_after_reset),
