@@ -24,6 +24,12 @@ pytestmark = pytest.mark.systemd
 
 UNIT = REPOSITORY / "deploy/systemd/hexapod-gateway.service"
 MOVE_LEG_3 = ("send", "leg", "3", "start", "90", "45", "120")
+CALIBRATE = """
+from gateway.client import Client
+from schemas.calibration import ServoChange
+with Client() as robot:
+    assert robot.calibrate({61: ServoChange(trim_deg=5)}).accepted
+"""
 
 
 def has_started(transfer: Transfer) -> bool:
@@ -104,8 +110,9 @@ def test_sandbox(robot: InstalledGateway) -> None:
 
 
 def test_killed(robot: InstalledGateway) -> None:
-    """SIGKILL with a leg in motion: Stops from outside, then a new start, which moves nothing."""
+    """SIGKILL with a leg in motion: Stops from outside, then a new start, which moves nothing and is calibrated."""
     robot.unit.systemctl("start")
+    robot.box.run(f"/opt/{NAME}/venv/bin/python", "-c", CALIBRATE)
     client, opening = start_moving(robot)
     with robot.journal() as journal:
         killed_ns = time.monotonic_ns()
@@ -122,6 +129,10 @@ def test_killed(robot: InstalledGateway) -> None:
     # stop-servos opens the device for each of its rounds, and the service once more.
     assert {transfer.opening for transfer in restarted} == set(range(opening + 1, opening + 1 + 4 + 1))
     assert {transfer.data for transfer in restarted} == STOPS
+    shown = robot.gateway("calibrate", "--show")
+    robot.box.run("sh", "-c", f"rm /var/lib/{NAME}/calibration*")  # it is the service's own folder that keeps it
+    assert "revision 1" in shown
+    assert "+5" in shown
 
 
 def test_an_incident_of_each_kind(robot: InstalledGateway) -> None:
