@@ -70,8 +70,10 @@ def test_without_frames_it_measures_by_the_state(tmp_path: Path) -> None:
 def test_where_the_robot_lands_its_stop_is_expected_at_the_end_of_the_landing(tmp_path: Path) -> None:
     watchdog = {"timeout_ms": 100, "landing_ms": 300}
     with Gateway(tmp_path, {**FRAMES, "watchdog": watchdog, "watchdog.landing": {"11": 60.0}}) as running:
-        done = running.run("drill", "--late", str(LATE_MS), "--only", "silence")
+        report = tmp_path / "drill.html"
+        done = running.run("drill", "--late", str(LATE_MS), "--only", "silence", "--report", str(report))
         assert done.returncode == 0, str(done)
+        assert "watchdog 100 ms, then a landing of 300 ms" in report.read_text()
         assert "landing_ms 300" in done.stdout
         assert "must land the robot, then stop it" in done.stderr
         sent = running.run("send", "servo", "11", "start", "90")

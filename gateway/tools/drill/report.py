@@ -40,6 +40,7 @@ def as_json(drill: Drill, now: datetime) -> dict[str, Any]:
             "device": state.spi.device,
             "framing": state.spi.framing,
             "watchdog_timeout_ms": state.watchdog.timeout_ms,
+            "watchdog_landing_ms": state.watchdog.landing_ms,
         },
         "leg": drill.leg,
         "frames_published": drill.frames_published,
@@ -83,6 +84,8 @@ def _html(drill: Drill, found: dict[str, Any], now: datetime) -> str:
         f"{now:%Y-%m-%d %H:%M:%S %Z} · gateway {gateway['version']} · {device} · leg {drill.leg} · "
         f"watchdog {gateway['watchdog_timeout_ms']:g} ms"
     )
+    if gateway["watchdog_landing_ms"]:
+        head += f", then a landing of {gateway['watchdog_landing_ms']:g} ms"
     steps = "\n".join(map(_section, drill.outcomes))
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Drill: {verdict}</title>
