@@ -1,0 +1,22 @@
+"""The drill kills the real service under a real systemd: Stops from outside and at the new start, and nothing moves."""
+
+import pytest
+
+from tests.box.installed import STOPS, InstalledGateway
+from tests.box.test_systemd import has_started
+
+pytestmark = pytest.mark.systemd
+
+
+def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway) -> None:
+    robot.unit.systemctl("start")
+    before = robot.bed.transfers[-1].opening
+    said = robot.gateway("drill", "--restart", "--yes", "--only", "restart", "--late", "70")
+    assert "PASS    restart" in said
+    assert "stops_of_stop_servos 24" in said, said
+    assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
+    assert any(has_started(transfer) for transfer in robot.bed.transfers if transfer.opening == before)
+    outside = [t.data for t in robot.bed.transfers if before < t.opening <= before + 4]  # stop-servos' four rounds
+    assert len(outside) == 24
+    assert set(outside) == STOPS
+    assert {t.data for t in robot.bed.transfers if t.opening > before + 4} == STOPS, "and of the new start"
