@@ -3,7 +3,7 @@
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,16 +63,27 @@ def attacked(folder: Path, said: bytes) -> Iterator[tuple[Gateway, str, Crowd]]:
 @pytest.mark.parametrize("said", [b"", b"GET /metrics HTTP/1.1\r\nHost: rob"])
 def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Path, said: bytes) -> None:
     with attacked(tmp_path, said) as (gateway, address, crowd), gateway.client() as client:
-        before = len(os.listdir(f"/proc/{gateway.child.pid}/task"))
+        before = threads(gateway)
         crowd.connect(SILENT)
         let_expire(client, 5)
         samples = read(address)
         assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5
-        assert len(os.listdir(f"/proc/{gateway.child.pid}/task")) <= min(before + MOST_REQUESTS + 1, THREADS)
+        assert threads(gateway) <= before + MOST_REQUESTS + 1
+        assert len(os.listdir(f"/proc/{gateway.child.pid}/task")) <= THREADS
         assert len(os.listdir(f"/proc/{gateway.child.pid}/fd")) < DESCRIPTORS - 50
         latency = client.state().watchdog.stop_latency_us
         assert latency.max is not None
         assert latency.max < LATE_MS * 1000
+
+
+def threads(gateway: Gateway) -> int:
+    """How many threads are Python's: those of Zenoh have names of their own, and more come on a busy machine."""
+    tasks = Path(f"/proc/{gateway.child.pid}/task")
+    names = []
+    for task in tasks.iterdir():
+        with suppress(OSError):  # it has ended
+            names.append((task / "comm").read_text())
+    return names.count((tasks / str(gateway.child.pid) / "comm").read_text())
 
 
 def let_expire(client: Client, times: int) -> None:
