@@ -102,8 +102,8 @@ def test_stop_all_and_reset(page: Page, console: Console, cookie: str) -> None:
     assert stopped["stop_frames"] == len(LEGS)
     assert stopped["latency_us"] > 0
     with console.page(cookie) as other:
-        state = other.state()
-        assert (state["mode"], state["estop"]) == ("estopped", stopped["estop"])
+        other.wait("state", lambda message: message["state"]["estop"] == stopped["estop"])
+        assert other.state()["mode"] == "estopped"
         assert other.wait("event", lambda message: message["event"]["kind"] == "estop_engaged")
         again = other.stop_all()
         assert again["estop"] == stopped["estop"] + 1
