@@ -1,14 +1,18 @@
 """What comes in on the calibration's key: read on the thread that hears it, before anybody owns the robot's state."""
 
 from functools import partial
-from typing import Protocol
+from typing import Final, Protocol
 
 import zenoh
 
 from gateway.core.calibration_intake import CalibrationIntent, read
 from gateway.core.intake import Rejection
 from gateway.core.message import Reply
-from gateway.edge.desk import Deal, payload_of
+from gateway.edge.desk import payload_of
+from gateway.edge.receiver import Deal
+
+PAUSE_S: Final = 0.05
+"""Between two changes: twenty a second, of which each may take a millisecond and a file. A person writes one."""
 
 
 class Calibrations(Protocol):
@@ -28,7 +32,16 @@ class CalibrationDesk:
         self._calibrations = calibrations
 
     def note(self, query: zenoh.Query, _now_ns: int, reply: Reply) -> Deal:
-        """Read one query; what is then to be done with it."""
+        """Read one query; what is then to be done with it, with a pause after it."""
+        deal = self._note(query, reply)
+
+        def paced() -> float:
+            deal()
+            return PAUSE_S
+
+        return paced
+
+    def _note(self, query: zenoh.Query, reply: Reply) -> Deal:
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
         payload = payload_of(query)
         if isinstance(payload, Rejection):

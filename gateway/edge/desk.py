@@ -7,11 +7,10 @@ import zenoh
 
 from gateway.core.intake import ENCODINGS, Rejection, too_large
 from gateway.core.message import Reply
+from gateway.edge.receiver import Deal
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.telemetry import Reason
 
-Deal = Callable[[], None]
-"""What an owner of the state is to do with a question."""
 Reader = Callable[[zenoh.Query, int, Reply], Deal]
 """Reads one question, which came at this time (ns), on a thread that owns nothing."""
 

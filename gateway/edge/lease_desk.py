@@ -20,7 +20,8 @@ from gateway.core.intake import Rejection
 from gateway.core.message import Reply
 from gateway.core.nonces import Nonces
 from gateway.edge.config_file import get
-from gateway.edge.desk import Deal, payload_of
+from gateway.edge.desk import payload_of
+from gateway.edge.receiver import Deal
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
 

@@ -29,6 +29,8 @@ class Calibrations:
         self._conductor = conductor
         self._keep = keep
         conductor.calibration_kept = keep is not None
+        self._written = b""
+        self._written_of: Calibration | None = None
 
     def announce_start(self) -> None:
         """Publish what is in force from the start on, and log that it will be forgotten, if so."""
@@ -42,7 +44,10 @@ class Calibrations:
 
     def answer(self, reply: Reply) -> None:
         """Answer a `get` on what is in force."""
-        reply(report_of(self._in_force).model_dump_json().encode())
+        if self._written_of is not self._in_force:  # anybody may ask as often as they like
+            self._written_of = self._in_force
+            self._written = report_of(self._in_force).model_dump_json().encode()
+        reply(self._written)
 
     def change(self, intent: CalibrationIntent, source: str | None, reply: Reply) -> None:
         """Decide about a change, and answer once it is on the disk, or rejected."""

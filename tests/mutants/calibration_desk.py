@@ -23,6 +23,19 @@ DESKS = Subject(
     ),
 )
 
+CALIBRATION_DESK = Subject(
+    "gateway/edge/calibration_desk.py",
+    tests=(*TESTS, *ON_ZENOH),
+    mutants=(
+        Mutant("            return PAUSE_S\n", "            return 0.0\n", "a flood of changes delays Stops"),
+        Mutant(
+            "intent.source or source, reply)",
+            "source, reply)",
+            "nobody learns from the event who has calibrated the robot",
+        ),
+    ),
+)
+
 CALIBRATIONS = Subject(
     "gateway/runtime/calibrations.py",
     tests=TESTS,
@@ -43,6 +56,11 @@ CALIBRATIONS = Subject(
             "what the disk did not take is in force until the next restart",
         ),
         Mutant("            self.tell()\n", "", "a page shows the old calibration for ever"),
+        Mutant(
+            "        if self._written_of is not self._in_force:",
+            "        if self._written_of is None:",
+            "whoever asks after a change is told the old calibration",
+        ),
         Mutant(
             "intent.accept_default, source, key, intent.lease)",
             "intent.accept_default, source, key)",

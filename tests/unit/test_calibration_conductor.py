@@ -3,11 +3,12 @@
 import asyncio
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from gateway.core.calibration import Calibration
+from gateway.edge.calibration_desk import PAUSE_S
 from gateway.protocol.frames import OneLeg, Op
 from schemas import calibration, keys
 from schemas.telemetry import Kind, Mode, Reason
@@ -230,6 +231,27 @@ async def test_what_is_no_command_is_answered_and_told() -> None:
     robot.put(keys.CALIBRATION_CMD, OWN, target=None)
     assert "takes get only" in robot.events()[-1].detail
     assert told(robot).revision == 0
+
+
+class Question:
+    """A query, as far as a desk looks at it."""
+
+    def __init__(self, payload: bytes) -> None:
+        self.key_expr, self.payload, self.encoding, self.source_info = keys.CALIBRATION_CMD, Bytes(payload), None, None
+
+
+class Bytes(bytes):
+    def to_bytes(self, *_: object) -> bytes:
+        return self
+
+
+async def test_after_each_question_there_is_a_pause_so_that_a_flood_of_them_delays_no_stop() -> None:
+    robot = await started_and_quiet()
+    for payload in (json.dumps(OWN).encode(), b"{"):
+        answers: list[bytes] = []
+        deal = robot.calibration_desk.note(cast(Any, Question(payload)), 0, answers.append)
+        assert deal() == PAUSE_S > 0
+        assert len(answers) == 1
 
 
 async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_settings() -> None:

@@ -91,6 +91,7 @@ def test_prometheus_reads_everything(tmp_path: Path) -> None:
         assert value(samples, "hexapod_watchdog_expirations_total") == 1
         assert value(samples, "hexapod_mode", mode="estopped") == 1
         assert value(samples, "hexapod_mode", mode="idle") == 0
+        assert value(samples, "hexapod_calibration_revision") == value(samples, "hexapod_calibration_fault") == 0
         assert value(samples, "hexapod_watchdog_stop_latency_seconds_count") == 1
         assert value(samples, "hexapod_emergency_stop_latency_seconds_count") == 1
         assert value(samples, "hexapod_emergency_stop_latency_seconds_sum") > 0
