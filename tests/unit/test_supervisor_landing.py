@@ -1,5 +1,6 @@
 """Landing: when a leg falls silent, the whole robot goes to its pose, and then gets its Stops. Each step is judged."""
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -53,6 +54,15 @@ def test_silence_lands_the_whole_robot_and_then_stops_it() -> None:
     assert steps.supervisor.mode is Mode.IDLE
     watchdogs = [leg.watchdog for leg in steps.supervisor.legs]
     assert watchdogs == [WatchdogState.EXPIRED if leg in (3, 4) else WatchdogState.IDLE for leg in range(1, 7)]
+
+
+def test_what_else_is_due_meanwhile_makes_no_frames_sooner() -> None:
+    steps = landing_steps(repeats=80, repeat_interval_ns=NS_PER_MS)
+    steps.time(10 + TIMEOUT_MS)
+    steps.command(300, leg_to(5, "stop"))
+    times_ms = [at_ms for at_ms, _ in until(steps, 400)[31]]
+    assert len(times_ms) >= 4
+    assert min(later - earlier for earlier, later in pairwise(times_ms)) >= 20
 
 
 def test_each_leg_gets_one_frame_in_a_period() -> None:
