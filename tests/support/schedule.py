@@ -8,9 +8,10 @@ import pytest
 ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "mutants", "unit", "fuzz")
 """Longest chains first; last what is short, and what waits for the searches."""
 ALONE: Final = ("net", "console", "hil/test_death.py", "hil/test_load.py", "hil/test_landing.py")
-"""What measures time or fills the machine, and pages: one that drives has a second to renew its lease. `make test` runs
-these
-after all others, one at a time."""
+"""What measures time or fills the machine, and pages: one that drives has a second to renew its lease.
+
+`make test` runs these after all others, one at a time.
+"""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "console", "net")
