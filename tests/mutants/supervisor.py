@@ -325,6 +325,7 @@ SUPERVISOR = Subject(
             "        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs\n",
             "",
             "an emergency stop leaves a landing that rejects every start",
+            equivalent="after its Stops all legs are at rest, and a fault of the bus ends it, too",
         ),
         Mutant(
             "        self.legs.landing = None  # the bus that opens again stops everything, and lands nothing\n",

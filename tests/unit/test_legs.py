@@ -140,3 +140,13 @@ def test_a_start_does_not_undo_the_watchdogs_stop_of_its_instant() -> None:
         "rejected 2 servo_stopped",
     ]
     assert robot.command(352, leg_to(1, "start 90"), "put leg/1") == ["rejected 3 servo_stopped"]
+
+
+def test_a_stop_of_all_legs_is_seen_on_those_that_the_command_before_it_did_not_move() -> None:
+    robot = Steps()
+    robot.command(100, legs_to("12", "start 90"))
+    robot.command(130, servo_to(11, "set 91"))
+    robot.estop(140)
+    robot.reset(141)
+    assert robot.supervisor.mode is Mode.IDLE
+    assert robot.due_ms is None
