@@ -164,7 +164,7 @@ def test_an_incident_of_each_kind(robot: InstalledGateway) -> None:
         service.wait_for_output("Stop written to all six legs, 4 times each")
         robot.unit.systemctl("stop")
         told = robot.gateway("incidents", "show", "last")
-        kept.wait_for_output("-crash is kept: /var/lib/hexapod-gateway/incidents/", timeout_s=20)
+        kept.wait_for_output("-crash is kept: /var/lib/hexapod-gateway/incidents/", timeout_s=60)
     assert "-crash: the gateway ended without a word" in told
     assert "last command of leg 3" in told
     assert robot.box.run("stat", "--format=%U %a", f"/var/lib/{NAME}/incidents").stdout == f"{NAME} 700\n"

@@ -7,8 +7,17 @@ import pytest
 
 ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "mutants", "unit", "fuzz")
 """Longest chains first; last what is short, and what waits for the searches."""
-ALONE: Final = ("net", "console", "hil/test_death.py", "hil/test_load.py", "hil/test_landing.py")
-"""What measures time or fills the machine, and pages: one that drives has a second to renew its lease.
+ALONE: Final = (
+    "net",
+    "console",
+    "hil/test_death.py",
+    "hil/test_load.py",
+    "hil/test_landing.py",
+    "zenoh/test_calibrate.py",
+    "zenoh/test_calibrate_terminal.py",
+    "zenoh/test_watch_terminal.py",
+)
+"""What measures time or fills the machine, and pages and terminals with a person at them.
 
 `make test` runs these after all others, one at a time.
 """

@@ -318,13 +318,14 @@ MOST_CALLS = {"setpoint with its frame": 15, "command": 17, "decision": 18, "fra
 def test_a_record_takes_few_calls(folder: Path, record: str) -> None:
     call = writers(folder)[record]
     call()
-    calls = 0
+    counted: list[int] = []  # once a second a record is preceded by one of the time, but not three times in a row
 
     def count(_frame: object, event: str, _argument: object) -> None:
-        nonlocal calls
-        calls += event in ("call", "c_call")
+        counted[-1] += event in ("call", "c_call")
 
-    sys.setprofile(count)
-    call()
-    sys.setprofile(None)
-    assert calls <= MOST_CALLS[record]
+    for _ in range(3):
+        counted.append(0)
+        sys.setprofile(count)
+        call()
+        sys.setprofile(None)
+    assert min(counted) <= MOST_CALLS[record]
