@@ -48,8 +48,8 @@ HEAD_BYTES: Final = _HEAD.size
 pack_head: Final = _HEAD.pack
 pack_slot_into: Final = _SLOT.pack_into
 """The two halves of `put`: a head before a record's content, and both with their checksum into a slot."""
-_NEWEST_INCIDENT: Final = struct.Struct("<Q")
-_NEWEST_INCIDENT_AT: Final = 64
+_ANNOUNCED: Final = struct.Struct("<Q")
+_ANNOUNCED_AT: Final = 64
 
 # ---- types
 
@@ -203,16 +203,16 @@ def slots_of(head: bytes, size: int) -> int:
     return int(slots)
 
 
-def note_incident(buffer: Any, sequence: int) -> None:
-    """Put the sequence number of the newest incident into the header, where it costs a watcher little to look."""
-    _NEWEST_INCIDENT.pack_into(buffer, _NEWEST_INCIDENT_AT, sequence)
+def announce(buffer: Any, sequence: int) -> None:
+    """Put the sequence number of the newest start or incident into the header, where a watcher looks at little cost."""
+    _ANNOUNCED.pack_into(buffer, _ANNOUNCED_AT, sequence)
 
 
-def newest_incident(head: bytes) -> int:
-    """What `note_incident` has put there; 0 in a header that is cut off."""
+def announced(head: bytes) -> int:
+    """What `announce` has put there; 0 in a header that is cut off."""
     if len(head) < HEADER_BYTES:
         return 0
-    return int(_NEWEST_INCIDENT.unpack_from(head, _NEWEST_INCIDENT_AT)[0])
+    return int(_ANNOUNCED.unpack_from(head, _ANNOUNCED_AT)[0])
 
 
 # ---- a slot

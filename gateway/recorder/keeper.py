@@ -55,6 +55,7 @@ class Keeper:
     def _keep(self, incident: Incident, content: reader.Content) -> Path | None:
         if kept.is_kept(self._folder, incident):
             return None
+        again = (self._folder / f"{incident.name}{kept.SUFFIX}").exists()
         try:
             path = kept.keep(self._folder, incident, content.records)
             kept.prune(self._folder)
@@ -63,18 +64,19 @@ class Keeper:
                 self._failed.add(incident.name)
                 logger.warning("incident %s cannot be kept: %s", incident.name, error.strerror or error)
             return None
-        logger.info("incident %s is kept: %s", incident.name, path)
+        if not again:  # else with what came later, such as the next start
+            logger.info("incident %s is kept: %s", incident.name, path)
         return path
 
 
 def _glance(ring: Path) -> tuple[int, int, bool] | None:
-    """What changes when something happened: which file it is, its newest incident, whether a gateway runs."""
+    """What changes when something happened: which file it is, its newest start or incident, whether a gateway runs."""
     try:
         fd = os.open(ring, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:
         return None
     try:
-        return os.fstat(fd).st_ino, form.newest_incident(os.pread(fd, form.HEADER_BYTES, 0)), written_by_anyone(fd)
+        return os.fstat(fd).st_ino, form.announced(os.pread(fd, form.HEADER_BYTES, 0)), written_by_anyone(fd)
     except OSError:
         return None
     finally:

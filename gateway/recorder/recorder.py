@@ -160,6 +160,7 @@ class RingRecorder(Recorder):
         self._append = self._ring.append
         for kind, ns, rest in waiting:
             self._append(kind, ns, rest)
+        self._ring.announce()  # a gateway that is killed between two looks of the watcher is not missed
 
     def close(self) -> None:
         self._append = _forget
@@ -248,7 +249,7 @@ class RingRecorder(Recorder):
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
             if self._ring is not None:
-                self._ring.note_incident()
+                self._ring.announce()
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident
 

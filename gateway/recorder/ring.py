@@ -74,9 +74,9 @@ class Ring:
         pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
         self.sequence = sequence + 1
 
-    def note_incident(self) -> None:
-        """Whoever watches the file shall look: the record written last is an incident."""
-        form.note_incident(self._map, self.sequence - 1)
+    def announce(self) -> None:
+        """Whoever watches the file shall look: the record written last is a start or an incident."""
+        form.announce(self._map, self.sequence - 1)
 
     def close(self) -> None:
         """Release the file; its content stays."""

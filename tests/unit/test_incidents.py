@@ -271,6 +271,26 @@ async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(fol
 
 
 @pytest.mark.virtual_time
+async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_looks(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "gateway.recorder.keeper")
+    first = recorded(folder)
+    first.conductor.recorder.ended("a restart")
+    first.conductor.recorder.close()
+    keeper = Keeper(folder, clock=first.now_ns)
+    assert keeper.look() == []
+    recorded(folder).conductor.recorder.close()  # it ends without a word
+    assert keeper.look() == [], "its incident is not whole"
+    await asyncio.sleep(6)
+    (path,) = keeper.look()
+    assert path.stem.endswith("-crash")
+    os.utime(path, ns=(0, WALL_NS))
+    assert Keeper(folder, clock=first.now_ns).look() == [path]
+    assert len([entry for entry in caplog.records if "is kept" in entry.message]) == 1, "the log names it once"
+
+
+@pytest.mark.virtual_time
 async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
     robot = recorded(folder)
     await silence(robot)
