@@ -76,6 +76,7 @@ class RobotHost(AbstractContextManager["RobotHost"]):
             self.client = opened.enter_context(Client(observer, source="observer", timeout_s=5))
             self.frames = frames(self.client)
             self.events = events(self.client)
+            self._before = self.client.state().spi.frames - len(self.frames.all)
             self.port = port
             self._close = opened.pop_all()
         self.forget()
@@ -113,8 +114,9 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         return {leg.leg for leg in self.client.state().legs if any(servo.running for servo in leg.servos)}
 
     def seen(self, condition: Callable[[FrameRecord], bool]) -> list[FrameRecord]:
-        """Such frames, all that were heard up to now: after a wait for a frame, all that were written before it."""
-        self.client.state()
+        """Such frames, all that were written up to now."""
+        written = self.client.state().spi.frames - self._before
+        self.frames.wait(lambda _: True, count=written)
         return [frame for frame in self.frames.all if self._is_new(frame) and condition(frame)]
 
     def wait_for_commands(self, *legs: int, count: int = 5) -> None:

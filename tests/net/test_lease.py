@@ -152,6 +152,7 @@ def test_bert_takes_it_by_force_and_nothing_that_anna_queued_moves_a_leg(scene: 
     assert "anna" in taken.detail
     bert.start(*LEGS)
     bert.stream(*LEGS)
+    robot.wait_for_frames(is_from(bert), 1)
     stops, begun = robot.seen(is_stop), robot.seen(is_from(bert))
     assert max(stop.monotonic_ns for stop in stops) < begun[0].monotonic_ns
     rejected = robot.rejected
@@ -161,7 +162,7 @@ def test_bert_takes_it_by_force_and_nothing_that_anna_queued_moves_a_leg(scene: 
     assert (lost["rejected"], lost["holder"]) == (Reason.NOT_HOLDER, "bert")
     anna.ask("state")  # comes by the same way, behind them
     print(f"{robot.rejected - rejected} of {QUEUED * len(LEGS)} queued Sets were read, and rejected")
-    assert robot.rejected >= rejected + len(LEGS)
+    scene.states.wait(lambda state: state.commands.rejected >= rejected + len(LEGS))
     assert not robot.seen(is_from(anna))
     assert robot.running == {*LEGS}
     assert anna.ask("try 1")["rejected"] == Reason.NOT_HOLDER
