@@ -241,7 +241,8 @@ def check_lateness(what: str, late_ms: list[float]) -> None:
     median = statistics.median(late_ms)
     print(f"{what}: {len(late_ms)} Stops, late by p50 {median:.2f}, max {max(late_ms):.2f}, min {min(late_ms):.2f} ms")
     assert min(late_ms) > -5
-    assert median <= 5
+    if len(late_ms) > len(LEGS):  # Stops of one moment are one measurement, and a machine may be away for 20 ms
+        assert median <= 5
     assert max(late_ms) <= 50
 
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -183,10 +183,10 @@ def wait_for_stuck_writer(pid: int) -> None:
     deadline = time.monotonic() + LATE_S
     while time.monotonic() < deadline:
         for task in Path(f"/proc/{pid}/task").iterdir():
-            with open(task / "syscall", encoding="ascii") as file:
-                number, descriptor = [*file.read().split(), "", ""][:2]
-            if number == str(_WRITE) and int(descriptor, 16) == 1:
-                return
+            with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
+                number, descriptor = [*(task / "syscall").read_text(encoding="ascii").split(), "", ""][:2]
+                if number == str(_WRITE) and int(descriptor, 16) == 1:
+                    return
         time.sleep(0.05)
     raise TimeoutError("its drawing never blocked")
 
