@@ -2,7 +2,6 @@
 model check, which begins early."""
 
 import asyncio
-import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import get_context
@@ -47,19 +46,20 @@ def pytest_asyncio_loop_factories(
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """pytest's hook."""
-    schedule.arrange(items, on_a_worker=hasattr(config, "workerinput"))
+    del config
+    schedule.arrange(items)
 
 
 @pytest.fixture(scope="session")
 def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
-    """The model check's searches by configuration, on all processors; the last have most states, and so begin first."""
-    with get_context("spawn").Pool(initializer=os.nice, initargs=(19,)) as pool:
+    """The model check's searches by configuration; the last have most states, and so begin first."""
+    with get_context("spawn").Pool(initializer=schedule.give_way) as pool:
         yield {each.name: pool.apply_async(check, (each,)) for each in reversed(CONFIGURATIONS)}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _search_ahead(request: pytest.FixtureRequest) -> None:
-    """Begin the searches, where they are wanted and there is one worker: most tests leave a processor idle."""
+    """Begin the searches, where they are wanted: most tests that run alone leave a processor idle."""
     wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
     if wanted and not hasattr(request.config, "workerinput"):
         request.getfixturevalue("searches")

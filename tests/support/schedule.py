@@ -1,5 +1,6 @@
 """Which test runs when, on which worker of `pytest -n`, and which ones alone: decided here for all of them."""
 
+import os
 from collections.abc import Sequence
 from typing import Final
 
@@ -26,22 +27,27 @@ APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 TOGETHER: Final = ("box", "console", "net")
 """Folders that share a machine or a browser; files of other folders share a gateway."""
 SEARCHES: Final = "test_every_reachable_state"
-"""The model check's: it waits for processes of its own."""
+"""The model check's: it waits for processes of its own, which search while others run alone."""
 
 
-def arrange(items: list[pytest.Item], *, on_a_worker: bool) -> None:
+def arrange(items: list[pytest.Item]) -> None:
     """Sort the tests, and mark those that run alone."""
     for item in items:
-        if _is_among(_file(item.nodeid), ALONE):
+        if SEARCHES in item.nodeid or _is_among(_file(item.nodeid), ALONE):
             item.add_marker(pytest.mark.alone)
 
     def place(item: pytest.Item) -> int:
-        if on_a_worker and SEARCHES in item.nodeid:
-            return -1  # one worker waits for them, while they take what the others leave of the processors
+        if SEARCHES in item.nodeid:
+            return len(ORDER)
         folder = _file(item.nodeid).partition("/")[0]
         return ORDER.index(folder) if folder in ORDER else -1
 
     items.sort(key=place)
+
+
+def give_way() -> None:
+    """Leave the processors to whoever else wants one, at once: a nice value only gives them more of the time."""
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def group(nodeid: str) -> str:
