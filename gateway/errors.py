@@ -22,6 +22,10 @@ class SpiError(GatewayError):
     exit_code = 3
 
 
+class UnheardError(SpiError):
+    """A frame was written, but the controller may not have heard it: it counts as failed."""
+
+
 class ZenohError(GatewayError):
     """Zenoh cannot be opened, or no gateway answers."""
 

@@ -66,6 +66,8 @@ class Written:
     ns: int
     transfer_ns: int
     deadline_ns: int | None = None
+    heard: bool = True
+    """False: it counts as failed, although it was written (UnheardError)."""
 
 
 class Recorder:

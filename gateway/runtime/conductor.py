@@ -45,7 +45,7 @@ from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
 from gateway.runtime.report import report
 from gateway.runtime.sources import Sources
-from gateway.runtime.teller import Teller
+from gateway.runtime.teller import Teller, unheard
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas import keys, telemetry
@@ -284,6 +284,8 @@ class Conductor:
                         self.bus.write(effect.frame, first_repeat=repeats and not before)
                     except SpiError as error:
                         fault = fault or error
+                        written += (on_wire := unheard(error, effect, self.bus))
+                        self.metrics.frames[effect.cause] += len(on_wire)
                         continue
                     now_ns = self.bus.ended_ns
                     data, took_ns = self.bus.last_transfer, self.bus.last_transfer_ns
@@ -394,4 +396,4 @@ class Conductor:
 
 
 def _count(written: list[Written], cause: Cause) -> int:
-    return sum(frame.cause is cause for frame in written)
+    return sum(frame.heard and frame.cause is cause for frame in written)

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from typing import Final
 
 from gateway.core.latency import Latency
-from gateway.errors import SpiError
+from gateway.errors import SpiError, UnheardError
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.settings import SpiSettings
@@ -101,7 +101,8 @@ class Bus:
     def write(self, frame: Frame, *, first_repeat: bool = False) -> None:
         """Write one frame. `first_repeat`: it is the first of a repeated run of Stops, so the preamble precedes it.
 
-        Raises SpiError; the device stays open, for the next frame may be a Stop.
+        Raises SpiError; the device stays open, for the next frame may be a Stop. Raises UnheardError if the frame was
+        written all the same.
         """
         try:
             if self.announces:
@@ -109,8 +110,9 @@ class Bus:
                     self._write_announced(frame, first_repeat=first_repeat)
             else:  # one transfer, which nothing can interrupt
                 self._transfer(frame.to_bytes())
-        except SpiError:
+        except SpiError as error:
             self.errors += 1
+            self.frames += isinstance(error, UnheardError)
             raise
         self.frames += 1
 
@@ -173,7 +175,9 @@ class Bus:
         self._announce_and_write(frame)
         if zeros_fault is not None:
             self._synchronised = False
-            raise zeros_fault
+            raise UnheardError(
+                f"{zeros_fault}; this was in the preamble: the Stop behind it was written, but perhaps not heard"
+            ) from zeros_fault
         self.resync_due = (
             self._resync_ns > 0
             and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
@@ -201,8 +205,9 @@ class Bus:
                 if self.ended_ns - announced_ns < LOST_BODY_NS:
                     self._synchronised = True
                     return
-            self._resynchronise()
-        raise SpiError(f"a frame's two transfers were too far apart, {TRIES} times; this machine stalls")
+            if attempt < TRIES:
+                self._resynchronise()
+        raise UnheardError(f"a frame's two transfers were too far apart, {TRIES} times; this machine stalls")
 
     def _fault_of_zeros(self) -> SpiError | None:
         """Write the preamble, again from the start when a zero fails; returns the first fault, if any."""

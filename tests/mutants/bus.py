@@ -65,8 +65,8 @@ BUS = Subject(
         ),
         Mutant("        self.frames += 1\n", "        self.frames += 2\n", "frames are counted wrongly"),
         Mutant(
-            "                self._transfer(frame.to_bytes())\n        except SpiError:\n            self.errors += 1\n",
-            "                self._transfer(frame.to_bytes())\n        except SpiError:\n",
+            "                self._transfer(frame.to_bytes())\n        except SpiError as error:\n            self.errors += 1\n",
+            "                self._transfer(frame.to_bytes())\n        except SpiError as error:\n",
             "failed frames are not counted",
         ),
         Mutant(
@@ -127,13 +127,13 @@ BUS = Subject(
             "a Stop is not even tried where a zero fails",
         ),
         Mutant(
-            "        if zeros_fault is not None:\n            self._synchronised = False\n            raise zeros_fault\n",
-            "",
+            "        if zeros_fault is not None:\n",
+            "        if False:\n",
             "a Stop that may not have been heard counts as written",
         ),
         Mutant(
-            "            self._synchronised = False\n            raise zeros_fault\n",
-            "            raise zeros_fault\n",
+            "            self._synchronised = False\n            raise Unheard",
+            "            raise Unheard",
             "after zeros that failed, the next frame comes without a preamble",
         ),
         Mutant(

@@ -13,6 +13,7 @@ CONDUCTOR = Subject(
         "tests/unit/test_setting_effects.py",
         "tests/unit/test_stop.py",
         "tests/unit/test_ownership.py",
+        "tests/unit/test_recorder.py",
     ),
     mutants=(
         Mutant("FIRST_REOPEN_S: Final = 0.02", "FIRST_REOPEN_S: Final = 0.2", "after a fault, no Stop for 200 ms"),
@@ -187,9 +188,16 @@ CONDUCTOR = Subject(
         ),
         Mutant("first_repeat=repeats and not before)", "first_repeat=not before)", "a first Stop waits for a preamble"),
         Mutant(
-            "                        fault = fault or error\n                        continue\n",
-            "                        fault = fault or error\n",
+            "len(on_wire)\n                        continue\n",
+            "len(on_wire)\n",
             "a Stop that failed counts as written",
+        ),
+        Mutant("frame.heard and ", "", "a Stop that may not have been heard counts as written"),
+        Mutant("+= len(on_wire)", "+= 0", "frames that may not have been heard are not counted"),
+        Mutant(
+            "written += (on_wire := unheard(error, effect, self.bus))",
+            "on_wire = unheard(error, effect, self.bus)",
+            "the black box lacks what was written",
         ),
         Mutant("                    self.metrics.frames[effect.cause] += 1\n", "", "frames are not counted"),
         Mutant(

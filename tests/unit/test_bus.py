@@ -116,6 +116,7 @@ def test_zeros_that_fail_are_begun_anew_for_a_stop_and_for_nothing_else(zero: in
         bus = opened(device, framing)
         assert write_all(bus, [START_11, frame]) == set()
         assert device.seen[17:] == [*[ZERO] * (zero + 1), *tried]
+        assert bus.frames == bool(tried), "what is on the wire is counted, even if it counts as failed"
         assert write_all(bus, [STOP_ALL[1]]) == {0}
         assert device.seen[17 + zero + 1 + len(tried) :][:16] == list(framing.preamble)
         assert bus.errors == 2

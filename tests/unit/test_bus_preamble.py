@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.errors import SpiError
+from gateway.errors import SpiError, UnheardError
 from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.protocol.framing import Framing
 from gateway.settings import SpiSettings
@@ -278,10 +278,11 @@ def test_it_is_not_tried_for_ever() -> None:
     assert [data for data in bed.written if data != b"\0"] == [announcement] * TRIES + [body]
     assert bed.controller.executed == 1
     bed.stalls_after_ns = dict.fromkeys(range(1000), 2000 * MS)
-    with pytest.raises(SpiError, match="this machine stalls"):
+    with pytest.raises(UnheardError, match="this machine stalls"):
         bed.bus.write(STOP)
+    assert bed.bus.last_transfer == body, "and not the zeros: it is told as written"
     assert bed.written.count(announcement) == TRIES
-    assert bed.bus.errors == 1
+    assert (bed.bus.errors, bed.bus.frames) == (1, 2)
 
 
 # ---- pauses

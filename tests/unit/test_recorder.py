@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 
 from gateway.errors import SpiError
-from gateway.protocol.frames import Op, ServoOp, decode
+from gateway.protocol.frames import Op, ServoOp, decode, stop_leg
 from gateway.protocol.framing import Framing
 from gateway.recorder import format as form
 from gateway.recorder import place, reader
 from gateway.recorder.recorder import RingRecorder, incident_id
 from gateway.settings import Settings
 from schemas import keys
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode
 from tests.support.one_record import writers
 from tests.support.robot import WALL_NS, Robot, leg
@@ -238,6 +239,26 @@ async def test_a_fault_of_the_bus_is_an_incident(folder: Path, monkeypatch: pyte
     (begun,) = contents(folder, form.IncidentBegun)
     assert begun.incident.endswith("-bus-fault")
     assert contents(folder, form.ModeChange)[-1] == form.ModeChange(Mode.BUS_FAULT)
+
+
+@pytest.mark.virtual_time
+async def test_a_stop_behind_a_preamble_that_failed_is_there_and_told_but_counts_as_failed(folder: Path) -> None:
+    robot = recorded(folder, spi={"framing": Framing.LENGTH_PREFIXED}, telemetry={"frames": True})
+    await asyncio.sleep(1)
+    robot.controller.transfers.clear()
+    robot.reports.clear()
+    told, counted = len(contents(folder)), robot.conductor.state().spi.frames
+    robot.controller.fail_next(2)  # leg 1's announcement, then the first zero ahead of leg 2's Stop
+    assert robot.ask(keys.ESTOP).stop_frames == 4
+    bodies = [data for _, data in robot.controller.transfers if len(data) > 1]
+    assert bodies == [stop_leg(number).to_bytes() for number in LEGS[1:]]
+    frames = [each for each in contents(folder)[told:] if isinstance(each, form.FrameWritten)]
+    assert [(frame.data, frame.cause) for frame in frames] == [(data, Cause.ESTOP) for data in bodies]
+    assert [(frame.bytes, frame.cause) for frame in robot.records] == [(data.hex(), Cause.ESTOP) for data in bodies]
+    assert robot.conductor.state().spi.frames - counted == robot.conductor.metrics.frames[Cause.ESTOP] == 5
+    await asyncio.sleep(0.1)
+    again = [frame.data for frame in contents(folder, form.FrameWritten) if frame.cause == Cause.STARTUP][-6:]
+    assert again == [stop_leg(number).to_bytes() for number in LEGS], "all six come again"
 
 
 def a_folder_in_its_place(folder: Path) -> None:
