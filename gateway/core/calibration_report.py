@@ -1,6 +1,6 @@
 """A calibration as `hexapod/calibration` tells it, and back. Degrees there, hundredths of a degree here."""
 
-from gateway.core.calibration import Calibration, ServoCalibration
+from gateway.core.calibration import Calibration, CalibrationError, ServoCalibration
 from gateway.protocol.frames import centidegrees
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
@@ -24,11 +24,14 @@ def report_of(calibration: Calibration) -> wire.Calibration:
 
 def calibration_of(report: wire.Calibration) -> Calibration:
     """What was told. Raises CalibrationError, or another ValueError, for what no gateway says."""
-    servos = {
-        int(name): ServoCalibration(
-            centidegrees(servo.trim_deg), servo.inverted, centidegrees(servo.min_deg), centidegrees(servo.max_deg)
-        )
-        for name, servo in report.servos.items()
-    }
-    landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
+    try:
+        servos = {
+            int(name): ServoCalibration(
+                centidegrees(servo.trim_deg), servo.inverted, centidegrees(servo.min_deg), centidegrees(servo.max_deg)
+            )
+            for name, servo in report.servos.items()
+        }
+        landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
+    except OverflowError as error:
+        raise CalibrationError("an angle is infinite") from error
     return Calibration(report.revision, servos, landing_cdeg)

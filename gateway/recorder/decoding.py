@@ -6,8 +6,10 @@ import struct
 from collections.abc import Callable
 from typing import Final
 
+from gateway.core.calibration_report import calibration_of
 from gateway.protocol.frames import Op, ServoOp
 from gateway.recorder import format as form
+from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
 
@@ -79,6 +81,12 @@ def _event(rest: bytes) -> form.EventTold:
     )
 
 
+def _calibrated(rest: bytes) -> form.Calibrated:
+    report = Calibration.model_validate_json(rest)
+    calibration_of(report)  # one that no gateway says would lead whoever draws with it astray
+    return form.Calibrated(report)
+
+
 def _op(value: int) -> ServoOp:
     """Raises FrameError, a ValueError, for what is no operation."""
     if value == form.STOP_CODE:
@@ -109,5 +117,6 @@ _READERS: Final[dict[int, Callable[[bytes], form.Content]]] = {
     form.EVENT: _event,
     form.CLOCK: lambda rest: form.Clock(_wall_ns(rest)),
     form.LAG: lambda rest: form.Lag(form.WALL.unpack(rest)[0]),
+    form.CALIBRATION: _calibrated,
     form.INCIDENT: lambda rest: form.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

@@ -24,12 +24,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from gateway.protocol.frames import ServoOp
+from schemas.calibration import Calibration
 from schemas.robot import JOINTS
 
-VERSION: Final = 2
-MAGIC: Final = b"hexapod black box\n"
 HEADER_BYTES: Final = 4096
-"""A page of its own, so that slots begin on a page."""
+"""A page of its own, so that slots begin on a page; `header` says what is in it."""
 SLOT: Final = 128
 """Room for a command of one leg with a source of 60 characters; one of all legs with a long name takes two slots."""
 ROOM: Final = SLOT - 24
@@ -40,7 +39,6 @@ MAX_SEQUENCE: Final = 2**63
 MAX_TEXT: Final = 4000
 """Bytes of a record's continued content: the longest sentence of an event has some 400."""
 
-_HEADER: Final = struct.Struct("<18sHII")  # magic, version, slot size, slots
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
 _CRC: Final = struct.Struct("<I")
@@ -48,12 +46,10 @@ HEAD_BYTES: Final = _HEAD.size
 pack_head: Final = _HEAD.pack
 pack_slot_into: Final = _SLOT.pack_into
 """The two halves of `put`: a head before a record's content, and both with their checksum into a slot."""
-_ANNOUNCED: Final = struct.Struct("<Q")
-_ANNOUNCED_AT: Final = 64
 
 # ---- types
 
-START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT = range(1, 13)
+START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +156,26 @@ class IncidentBegun:
     incident: str
 
 
-Content = Start | End | CommandRecord | Decision | FrameWritten | ModeChange | EventTold | Lag | Clock | IncidentBegun
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """What is in force from now on; where it changes, what was in force until now is recorded before it."""
+
+    calibration: Calibration
+
+
+Content = (
+    Start
+    | End
+    | CommandRecord
+    | Decision
+    | FrameWritten
+    | ModeChange
+    | EventTold
+    | Lag
+    | Clock
+    | IncidentBegun
+    | Calibrated
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,45 +189,6 @@ class Record:
 
 class DamagedError(ValueError):
     """Bytes that are no record of this format."""
-
-
-# ---- the file's header
-
-
-def header(slots: int) -> bytes:
-    """The header of a file with so many slots."""
-    return _HEADER.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
-
-
-def file_bytes(slots: int) -> int:
-    """The size of a file with so many slots."""
-    return HEADER_BYTES + slots * SLOT
-
-
-def slots_of(head: bytes, size: int) -> int:
-    """The slots of a file that begins with `head` and has `size` bytes. Raises DamagedError."""
-    if len(head) < _HEADER.size:
-        raise DamagedError("it has no header")
-    magic, version, slot, slots = _HEADER.unpack_from(head)
-    if magic != MAGIC:
-        raise DamagedError("it is no black box")
-    if version != VERSION or slot != SLOT:
-        raise DamagedError(f"it has version {version}, with records of {slot} bytes")
-    if not slots or size != file_bytes(slots):
-        raise DamagedError(f"it has {size} bytes, and its header says {slots} records")
-    return int(slots)
-
-
-def announce(buffer: Any, sequence: int) -> None:
-    """Put the sequence number of the newest start or incident into the header, where a watcher looks at little cost."""
-    _ANNOUNCED.pack_into(buffer, _ANNOUNCED_AT, sequence)
-
-
-def announced(head: bytes) -> int:
-    """What `announce` has put there; 0 in a header that is cut off."""
-    if len(head) < HEADER_BYTES:
-        return 0
-    return int(_ANNOUNCED.unpack_from(head, _ANNOUNCED_AT)[0])
 
 
 # ---- a slot
@@ -396,3 +372,8 @@ def number(value: int) -> bytes:
 def incident(wall_ns: int, name: str) -> bytes:
     """Of an IncidentBegun."""
     return WALL.pack(wall_ns) + name.encode()
+
+
+def calibration(report: Calibration) -> bytes:
+    """Of a Calibrated. With all that a calibration may say it has some 1800 bytes."""
+    return report.model_dump_json().encode()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.recorder import format as form
-from gateway.recorder import kept, place, reader
+from gateway.recorder import header, kept, place, reader
 from gateway.recorder.incidents import Incident, find
 from gateway.recorder.ring import written_by_anyone
 
@@ -76,7 +76,7 @@ def _glance(ring: Path) -> tuple[int, int, bool] | None:
     except OSError:
         return None
     try:
-        return os.fstat(fd).st_ino, form.announced(os.pread(fd, form.HEADER_BYTES, 0)), written_by_anyone(fd)
+        return os.fstat(fd).st_ino, header.announced(os.pread(fd, form.HEADER_BYTES, 0)), written_by_anyone(fd)
     except OSError:
         return None
     finally:

@@ -13,7 +13,8 @@ from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, Fr
 from gateway.recorder.reader import Records
 from gateway.recordings import REPORTS, Recording
 from gateway.recordings.plain_schema import Schema, plain_schema
-from schemas.keys import EVENT, FRAME
+from schemas.calibration import Calibration
+from schemas.keys import CALIBRATION, EVENT, FRAME
 from schemas.telemetry import Event
 
 MAX_FILES: Final = 100
@@ -26,6 +27,7 @@ _CHANNELS: Final[dict[str, type[BaseModel]]] = {
     **dict.fromkeys(COMMAND_TOPICS, CommandInBox),
     RECORDER: Note,
     FRAME: FrameInBox,
+    CALIBRATION: Calibration,
 }
 
 

@@ -77,6 +77,10 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
     zero_ns = incident.zero_wall_ns
     note = Note(time=_time(zero_ns), what=INCIDENT, detail=incident.name)
     yield Message(RECORDER, note.model_dump(mode="json"), zero_ns, zero_ns)
+    calibration = records.calibration_at(incident.begin_ns)
+    if calibration is not None:  # so that the frames can be read, which have the servos' own angles
+        begin_ns = incident.wall_ns(incident.begin_ns)
+        yield Message(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
     killed_ns = incident.killed_ns
     for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
         record = records[taken[place]]
@@ -157,6 +161,8 @@ def _message(
                 transfer_us=frame.transfer_ns / 1000,
                 late_us=frame.late_ns / 1000 if frame.late_ns else None,
             )
+        case form.Calibrated(calibration=calibration):
+            return keys.CALIBRATION, calibration
         case form.EventTold() as event:
             return keys.EVENT, Event(
                 time=time,

@@ -1,6 +1,6 @@
 """Reads a ring that may be written to meanwhile, cut off, damaged or made by somebody else: it trusts nothing.
 
-It holds a copy of the file, never more than `form.file_bytes(place.MAX_SLOTS)`: a mapping would end the reader with
+It holds a copy of the file, never more than `header.file_bytes(place.MAX_SLOTS)`: a mapping would end the reader with
 SIGBUS where somebody makes the file shorter. Besides, it holds some 26 bytes for each record: all of them as objects
 would take eight times the file's size, more than the recorder's service may have (docs/blackbox.md).
 """
@@ -8,18 +8,24 @@ would take eight times the file's size, more than the recorder's service may hav
 import os
 import stat
 from array import array
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final, overload
 
 from gateway.errors import GatewayError
 from gateway.recorder import format as form
+from gateway.recorder import header
 from gateway.recorder.decoding import decode
 from gateway.recorder.place import MAX_SLOTS
 from gateway.recorder.ring import written_by_anyone
+from schemas.calibration import Calibration
 
-MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
+MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
+MOST_CHANGES: Final = 100
+"""Of the calibration that a ring tells. A person makes one in half a minute."""
 _KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
 
 
@@ -30,11 +36,21 @@ class NoRingError(GatewayError):
 class Records(Sequence[form.Record]):
     """Records in the order in which they were written. Each is decoded when it is asked for."""
 
-    def __init__(self, times_ns: Sequence[int], kinds: Sequence[int], read: Callable[[int], form.Record]) -> None:
-        """`read` makes the record at a place from 0 on; their times and types are told without that."""
+    def __init__(
+        self,
+        times_ns: Sequence[int],
+        kinds: Sequence[int],
+        read: Callable[[int], form.Record],
+        calibration: Calibration | None = None,
+    ) -> None:
+        """`read` makes the record at a place from 0 on; their times and types are told without that.
+
+        `calibration` was in force when the newest was written, as far as known.
+        """
         self.times_ns = times_ns
         self.kinds = kinds
         self._read = read
+        self._calibration = calibration
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -47,6 +63,21 @@ class Records(Sequence[form.Record]):
         if isinstance(index, slice):
             return [self._read(each) for each in range(*index.indices(len(self)))]
         return self._read(range(len(self))[index])
+
+    def calibration_at(self, ns: int) -> Calibration | None:
+        """What was in force then, as far as known."""
+        found = None
+        for since_ns, calibration in self._calibrations:
+            if found is None or since_ns <= ns:
+                found = calibration  # if all are later, the first: what was in force until then
+        return found or self._calibration
+
+    @cached_property
+    def _calibrations(self) -> list[tuple[int, Calibration]]:
+        """The newest changes, oldest first, and since when each is in force."""
+        places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
+        changes = [self[index] for index in places]
+        return [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, form.Calibrated)]
 
     def __iter__(self) -> Iterator[form.Record]:
         return map(self._read, range(len(self)))
@@ -94,7 +125,7 @@ def parse(data: bytes) -> tuple[Records, int, int]:
 
     The bytes' length bounds its time and memory, whatever they say. Raises DamagedError.
     """
-    slots = form.slots_of(data[: form.HEADER_BYTES], len(data))
+    slots = header.slots_of(data[: form.HEADER_BYTES], len(data))
     sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
     damaged = 0
     for index in range(slots):
@@ -124,7 +155,17 @@ def parse(data: bytes) -> tuple[Records, int, int]:
             times_ns.append(record.ns)
             kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
     missing = newest - oldest + 1 - kept if kept else 0
-    return Records(times_ns, kinds, lambda index: ring.record(numbers[index], parts[index])), damaged, missing
+    in_force = _in_force(data[: form.HEADER_BYTES])
+    return Records(times_ns, kinds, lambda index: ring.record(numbers[index], parts[index]), in_force), damaged, missing
+
+
+def _in_force(head: bytes) -> Calibration | None:
+    """The calibration in a file's header; None: it says nothing, or what no gateway says."""
+    try:
+        content = decode(form.CALIBRATION, 0, header.calibration(head))
+    except form.DamagedError:
+        return None
+    return content.calibration if isinstance(content, form.Calibrated) else None
 
 
 class _Slots:

@@ -17,6 +17,8 @@ from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Final, Self
 
+from gateway.core.calibration import Calibration
+from gateway.core.calibration_report import report_of
 from gateway.core.intake import Intent
 from gateway.core.value import value
 from gateway.errors import GatewayError
@@ -115,6 +117,9 @@ class Recorder:
         self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
     ) -> str | None:
         """An event is published; returns the id of the incident that it belongs to, if it is one."""
+
+    def calibration(self, calibration: Calibration) -> None:
+        """What is in force from now on; to be called at the start, and at each change."""
 
     def beat(self, lag_ns: int) -> None:
         """The loop turns, ten times a second; its timer was so late."""
@@ -239,6 +244,18 @@ class RingRecorder(Recorder):
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
+
+    def calibration(self, calibration: Calibration) -> None:
+        if self._ring is None:
+            return
+        before, now = self._ring.calibration, form.calibration(report_of(calibration))
+        if before == now:
+            return
+        if before:
+            ns = self._clock()
+            self._append(form.CALIBRATION, ns, before)
+            self._append(form.CALIBRATION, ns, now)
+        self._ring.calibration = now  # last: who is killed before has it among the records
 
     def ended(self, why: str) -> None:
         self._append(form.END, self._clock(), form.mode(why))

@@ -17,6 +17,7 @@ from typing import Final
 from zlib import crc32
 
 from gateway.recorder import format as form
+from gateway.recorder import header
 from gateway.recorder.format import HEAD_BYTES, pack_head, pack_slot_into
 
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
@@ -39,7 +40,7 @@ class Ring:
         try:
             _check_owner(self._fd, path)
             _lock(self._fd)
-            size = form.file_bytes(slots)
+            size = header.file_bytes(slots)
             whole = self._is_whole(slots)
             if not whole:
                 os.ftruncate(self._fd, 0)
@@ -51,7 +52,7 @@ class Ring:
             raise
         self._slots = slots
         if not whole:
-            self._map[: form.HEADER_BYTES] = form.header(slots)
+            self._map[: form.HEADER_BYTES] = header.new(slots)
         self.sequence = self._newest() + 1
         """Of the next record."""
 
@@ -76,7 +77,16 @@ class Ring:
 
     def announce(self) -> None:
         """Whoever watches the file shall look: the record written last is a start or an incident."""
-        form.announce(self._map, self.sequence - 1)
+        header.announce(self._map, self.sequence - 1)
+
+    @property
+    def calibration(self) -> bytes:
+        """What the header says is in force, as `format.calibration` writes it; empty: nothing."""
+        return header.calibration(self._map[: form.HEADER_BYTES])
+
+    @calibration.setter
+    def calibration(self, data: bytes) -> None:
+        header.put_calibration(self._map, data)
 
     def close(self) -> None:
         """Release the file; its content stays."""
@@ -88,7 +98,7 @@ class Ring:
         if size == 0:
             return False
         try:
-            found = form.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
+            found = header.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
         except form.DamagedError as error:
             self.note = f"the black box is begun anew: {error}"
             return False

@@ -8,6 +8,7 @@ from gateway.protocol.frames import Frame, FrameError, Op, decode
 from gateway.recorder.incidents import kind_of
 from gateway.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER
 from gateway.recordings import Message
+from gateway.recordings.user_angles import UserAngles
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
@@ -259,13 +260,16 @@ def _landings(messages: list[Message], zero_ns: int) -> Iterator[Line]:
     """The first and the last frame of each way down, and where it left the legs: nobody commanded these frames."""
     stands: dict[int, int | None] = {}  # of each servo that ever had a frame: its angle, None: stopped
     way: _Way | None = None
+    angles = UserAngles()
     for message in messages:
+        angles.hear(message.topic, message.content)
         if message.topic == keys.EVENT and message.content.get("kind") == Kind.LANDING:
             yield from _told(way, zero_ns)
             way = None
         frame = _frame(message) if message.topic == keys.FRAME else None
         if frame is None:
             continue
+        frame = angles.frame(frame)
         stands |= {servo_id: None if op.op is Op.STOP else op.angle_cdeg for servo_id, op in frame.servos}
         if message.content.get("cause") == Cause.WATCHDOG and not frame.is_stop:
             way = way or _Way(message)

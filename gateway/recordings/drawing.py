@@ -10,6 +10,7 @@ from typing import Any, Final
 from gateway.geometry import Geometry, joint_name, transforms, urdf
 from gateway.protocol.frames import FrameError, Op
 from gateway.protocol.frames import decode as decode_frame
+from gateway.recordings.user_angles import UserAngles
 from schemas.keys import EVENT, FRAME, STATE
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
@@ -37,21 +38,20 @@ class Drawing:
         self._geometry = geometry
         self._commanded_rad: dict[int, float] = {}
         self._drawn_ns: int | None = None
-        self._frames_are_angles = True
+        self._angles = UserAngles()
 
     def take(self, topic: str, report: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
-        """What to draw after a report (as its JSON, on one of `STATE`, `EVENT`, `FRAME`) that came at `time_ns`."""
+        """What to draw after a report (as its JSON, on a key of ours) that came at `time_ns`."""
+        self._angles.hear(topic, report)
         if topic == EVENT:
             yield LOG, _log(report, time_ns)
         elif topic == STATE:
-            # Frames carry the servo's own angles, the state those that its user counts in.
-            self._frames_are_angles = not report.get("calibration", {}).get("revision")
             for leg in report["legs"]:
                 for servo in leg["servos"]:
                     self._commanded(servo["id"], servo.get("angle_deg"))
             yield from self.picture(time_ns)
-        elif topic == FRAME and self._frames_are_angles:
-            self._take_frame(report["bytes"])
+        elif topic == FRAME and self._angles.agree:  # else the state alone says where it is
+            self._take_frame(self._angles.of(report)["bytes"])
             if self._drawn_ns is None or time_ns - self._drawn_ns >= PICTURE_PERIOD_NS:
                 yield from self.picture(time_ns)
 

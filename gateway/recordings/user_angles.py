@@ -5,7 +5,7 @@ from typing import Any
 
 from gateway.core.calibration import Calibration
 from gateway.core.calibration_report import calibration_of
-from gateway.protocol.frames import FrameError, decode
+from gateway.protocol.frames import Frame, FrameError, decode
 from gateway.recordings.reading import Message
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, FRAME, STATE
@@ -17,35 +17,47 @@ class UserAngles:
     def __init__(self) -> None:
         self.translated = False
         """Whether any frame has other angles on the wire than its users have."""
+        self.agree = True
+        """Whether what was said last of the calibration in force is consistent."""
         self._calibration = Calibration()
         self._said = self._contradicted = False
 
     @property
     def known(self) -> bool:
-        """Whether the recording says what was in force. One of the black box, or of frames alone, does not."""
+        """Whether the recording says what was in force all along. One of frames alone does not."""
         return self._said and not self._contradicted
 
     def frames(self, messages: Iterable[Message]) -> Iterator[Mapping[str, Any]]:
         """The FrameRecords in users' angles, as far as the recording says which these are, else as on the wire."""
         for message in messages:
+            self.hear(message.topic, message.content)
             if message.topic == FRAME:
-                yield self._frame(message.content)
-            elif message.topic == STATE:
-                self._said = True
-                # An older gateway says nothing of a calibration, and had none.
-                if message.content.get("calibration", {}).get("revision", 0) != self._calibration.revision:
-                    self._contradicted = True
-            elif message.topic == CALIBRATION:
-                self._change(message.content)
+                yield self.of(message.content)
 
-    def _change(self, content: Mapping[str, Any]) -> None:
-        self._said = True
+    def hear(self, topic: str, content: Mapping[str, Any]) -> None:
+        """A message of the recording, in their order: what it says of the calibration holds for the frames after it."""
+        if topic == STATE:
+            self._said = True
+            # An older gateway says nothing of a calibration, and had none.
+            self.agree = content.get("calibration", {}).get("revision", 0) == self._calibration.revision
+        elif topic == CALIBRATION:
+            self._said = True
+            try:
+                self._calibration = calibration_of(wire.Calibration.model_validate(content))
+                self.agree = True
+            except ValueError:  # none that a gateway says
+                self.agree = False
+        self._contradicted |= not self.agree
+
+    def frame(self, frame: Frame) -> Frame:
+        """A frame in users' angles, as far as known; as it is where no user could have meant it."""
         try:
-            self._calibration = calibration_of(wire.Calibration.model_validate(content))
-        except ValueError:  # none that a gateway says
-            self._contradicted = True
+            return self._calibration.user_frame(frame)
+        except FrameError:
+            return frame
 
-    def _frame(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
+    def of(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A FrameRecord in users' angles, as far as known."""
         if not self._calibration.servos:
             return record
         self.translated = True

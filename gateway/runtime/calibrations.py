@@ -39,7 +39,8 @@ class Calibrations:
         self.tell()
 
     def tell(self) -> None:
-        """Publish what is in force."""
+        """Publish what is in force, and have the black box know it."""
+        self._conductor.recorder.calibration(self._in_force)
         self._conductor.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
 
     def answer(self, reply: Reply) -> None:

@@ -18,7 +18,7 @@ from zlib import crc32
 from mcap.reader import make_reader
 
 from gateway.recorder import format as form
-from gateway.recorder import kept, reader
+from gateway.recorder import header, kept, reader
 from gateway.recorder.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
 from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, messages
 from gateway.recorder.ring import Ring, written_by_anyone
@@ -269,7 +269,7 @@ def _check_same(image: bytes, seen: reader.Content | None) -> None:
 def _go_on(path: Path) -> str:
     """A gateway opens it and writes: what it wrote is the newest that is there. Returns what it says of the file."""
     try:
-        slots = form.slots_of(path.read_bytes()[: form.HEADER_BYTES], path.stat().st_size)
+        slots = header.slots_of(path.read_bytes()[: form.HEADER_BYTES], path.stat().st_size)
     except form.DamagedError:
         slots = 5
     ring = Ring(path, slots)
@@ -282,7 +282,7 @@ def _go_on(path: Path) -> str:
     finally:
         ring.close()
     content = reader.read(path)
-    assert path.stat().st_size == form.file_bytes(slots)
+    assert path.stat().st_size == header.file_bytes(slots)
     assert not content.written
     there = [(each.sequence, each.content) for each in content.records[-4:]]
     wanted: list[tuple[int, form.Content]] = [(first + number, form.ModeChange(str(number))) for number in range(3)]

@@ -8,6 +8,7 @@ from typing import Final
 from zlib import crc32
 
 from gateway.recorder import format as form
+from gateway.recorder import header
 from gateway.recorder.decoding import decode
 
 _Slot = tuple[int, int, bool, bytes]
@@ -17,7 +18,7 @@ _Slot = tuple[int, int, bool, bytes]
 def records(image: bytes) -> tuple[list[form.Record], int, int] | None:
     """The records, oldest first, how many slots are damaged, and how many missing; None: it is no ring."""
     magic, version, size, slots = struct.unpack("<18sHII", image[:28].ljust(28, b"\0"))
-    wanted = (form.MAGIC, form.VERSION, form.SLOT, form.HEADER_BYTES + slots * form.SLOT)
+    wanted = (header.MAGIC, header.VERSION, form.SLOT, form.HEADER_BYTES + slots * form.SLOT)
     if not slots or (magic, version, size, len(image)) != wanted:
         return None
     good, damaged = _good_slots(image, slots)
@@ -110,4 +111,6 @@ def encoded(content: form.Content) -> bytes:
             made = form.number(ns)
         case form.IncidentBegun(wall_ns, name):
             made = form.incident(wall_ns, name)
+        case form.Calibrated(report):
+            made = form.calibration(report)
     return made

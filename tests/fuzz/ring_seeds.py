@@ -14,7 +14,7 @@ import async_solipsism
 from gateway.errors import SpiError
 from gateway.protocol.frames import stop_leg
 from gateway.recorder import format as form
-from gateway.recorder import place
+from gateway.recorder import header, place
 from gateway.recorder.recorder import RingRecorder
 from gateway.recorder.ring import Ring
 from schemas import keys
@@ -95,7 +95,7 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
         if before is not None:
             os.environ["RUNTIME_DIRECTORY"] = before
     written: Written = []
-    for index in range(1, form.slots_of(image, len(image))):
+    for index in range(1, header.slots_of(image, len(image))):
         slot = form.read_slot(form.slot_bytes(image, index))
         if slot is None:
             break
@@ -129,6 +129,9 @@ HOSTILE: Final[Written] = [
     (form.INCIDENT, 7, form.incident(2**62 - 1, "20260921-141320-123-watchdog")),
     (form.INCIDENT, 2**62 - 1, form.incident(0, "20260921-141320-123-estop")),
     (form.CLOCK, 8, form.number(0)),
+    (form.CALIBRATION, 9, b'{"revision":1,"servos":{"31":{"trim_deg":7.5}},"landing":{"32":90}}'),
+    (form.CALIBRATION, 9, b'{"revision":-1,"servos":{"77":{"trim_deg":1e999,"min_deg":9}},"landing":{"":NaN}}'),
+    (form.FRAME, 10, form.frame(stop_leg(3).to_bytes(), "watchdog", 1)),
 ]
 """What no recorder writes in this way."""
 
@@ -151,6 +154,6 @@ def seeds() -> tuple[bytes, ...]:
                 found.append(input_of(_ring(part, slots), number))
     torn = bytearray(found[0])
     torn[-form.SLOT * 3 + 30] ^= 1
-    found += [bytes(torn), found[0][:-5], found[0] + b"\0" * 7, input_of(form.header(3), 0), b"\0"]
+    found += [bytes(torn), found[0][:-5], found[0] + b"\0" * 7, input_of(header.new(3), 0), b"\0"]
     assert all(len(each) <= BODY + MAX_SLOTS * form.SLOT for each in found)
     return tuple(found)

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.core.calibration import Calibration, Change, ServoChange
+from gateway.core.calibration import Calibration, CalibrationError, Change, ServoChange
 from gateway.core.calibration_intake import CalibrationIntent, read
 from gateway.core.calibration_report import calibration_of, report_of
 from gateway.core.intake import Rejection
+from schemas import calibration as wire
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
@@ -113,3 +114,9 @@ def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: Calibra
     assert intent.revision == calibration.revision
     assert intent.change.applied_to(Calibration()).servos == calibration.servos
     assert calibration_of(report_of(calibration)) == calibration
+
+
+def test_an_infinite_angle_is_none_that_a_gateway_tells() -> None:
+    report = wire.Calibration.model_validate_json('{"revision":1,"servos":{"31":{"trim_deg":1e999}},"landing":{}}')
+    with pytest.raises(CalibrationError, match="infinite"):
+        calibration_of(report)

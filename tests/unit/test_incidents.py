@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import logging
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,15 +10,19 @@ import jsonschema
 import pytest
 from mcap.reader import make_reader
 
+from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.errors import SpiError
+from gateway.geometry import load
+from gateway.protocol.frames import decode
 from gateway.recorder import format as form
 from gateway.recorder import kept, place, reader
-from gateway.recorder.incidents import Incident, find, is_id
-from gateway.recorder.keeper import Keeper
+from gateway.recorder.incidents import Incident, find
 from gateway.recorder.messages import messages
 from gateway.recorder.ring import Ring
 from gateway.recorder.story import story
 from gateway.recordings import read
+from gateway.recordings.user_angles import UserAngles
+from gateway.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.robot import WALL_NS, Robot, leg, servo
@@ -29,12 +31,6 @@ from tests.unit.test_recorder import recorded
 LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    return tmp_path / "state"
 
 
 def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], reader.Content]:
@@ -126,6 +122,35 @@ async def test_the_story_of_a_landing(folder: Path) -> None:
         "+0.500 s  Stop written to all six legs (watchdog), 0 µs after the deadline, the last at +0.500 s",
         "+0.500 s  mode idle",
     ]
+
+
+TRIMMED = Calibration(1, {32: ServoCalibration(10_00, inverted=True)}, {})
+
+
+@pytest.mark.virtual_time
+async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    robot.conductor.supervisor.calibrating.load(TRIMMED)
+    Calibrations(robot.conductor, None).tell()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(2)
+    robot.conductor.recorder.calibration(Calibration(2))  # of later frames
+    await asyncio.sleep(10)
+    (incident,), content = incidents(folder, robot.now_ns())
+    path = kept.keep(folder / place.INCIDENTS, incident, content.records)
+    told = list(read(path))
+    (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
+    assert way_down.endswith("leg 3 at 30 45 120")
+    angles = UserAngles()
+    frames = [decode(bytes.fromhex(record["bytes"])) for record in angles.frames(told)]
+    assert angles.known, "it can be replayed"
+    started = next(frame for frame in frames if not frame.is_stop)
+    assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
+    joints = [each.content["joints"] for each in told if each.topic == "/joint_states"]
+    positions = {joint["name"]: joint["position"] for joint in joints[-1]}
+    assert positions["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
+    revisions = [each.content["revision"] for each in told if each.topic == keys.CALIBRATION]
+    assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
 
 
 @pytest.mark.virtual_time
@@ -229,102 +254,6 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     frames = [message.content["bytes"] for message in read(path) if message.topic == keys.FRAME]
     assert frames == [data.hex() for _, data in robot.controller.transfers]
     assert story(list(read(path))) == story(list(messages(incident, content.records)))
-
-
-def filled(folder: Path, count: int, size: int = 10) -> None:
-    folder.mkdir(parents=True)
-    for number in range(count):
-        (folder / f"20260921-141320-{number:03d}-watchdog.mcap").write_bytes(b"x" * size)
-
-
-def test_the_newest_hundred_and_two_hundred_megabytes_are_kept(tmp_path: Path) -> None:
-    folder = tmp_path / "incidents"
-    filled(folder, 105)
-    (folder / "mine.mcap").write_text("not an incident's")
-    kept.prune(folder)
-    names = [each.name for each in kept.kept(folder)]
-    assert (len(names), names[0][-12:], names[-1][-12:]) == (100, "005-watchdog", "104-watchdog")
-    assert (folder / "mine.mcap").exists()
-    for number in range(100, 105):
-        os.truncate(folder / f"20260921-141320-{number}-watchdog.mcap", 60_000_000)  # no blocks, only the size
-    kept.prune(folder)
-    assert [each.name[-12:] for each in kept.kept(folder)] == ["102-watchdog", "103-watchdog", "104-watchdog"]
-
-
-@pytest.mark.virtual_time
-async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(folder: Path) -> None:
-    robot = recorded(folder)
-    keeper = Keeper(folder, clock=robot.now_ns)
-    assert keeper.look() == []
-    await silence(robot)
-    assert keeper.look() == []
-    await asyncio.sleep(4.5)
-    (path,) = keeper.look()
-    assert is_id(path.stem)
-    assert keeper.look() == []
-    assert Keeper(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
-    robot.put(keys.ESTOP)
-    robot.conductor.recorder.close()
-    await asyncio.sleep(0)
-    (path,) = keeper.look()
-    assert path.stem.endswith("-estop"), "a gateway that has ended adds nothing"
-
-
-@pytest.mark.virtual_time
-async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_looks(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO, "gateway.recorder.keeper")
-    first = recorded(folder)
-    first.conductor.recorder.ended("a restart")
-    first.conductor.recorder.close()
-    keeper = Keeper(folder, clock=first.now_ns)
-    assert keeper.look() == []
-    recorded(folder).conductor.recorder.close()  # it ends without a word
-    assert keeper.look() == [], "its incident is not whole"
-    await asyncio.sleep(6)
-    (path,) = keeper.look()
-    assert path.stem.endswith("-crash")
-    os.utime(path, ns=(0, WALL_NS))
-    assert Keeper(folder, clock=first.now_ns).look() == [path]
-    assert len([entry for entry in caplog.records if "is kept" in entry.message]) == 1, "the log names it once"
-
-
-@pytest.mark.virtual_time
-async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
-    robot = recorded(folder)
-    await silence(robot)
-    keeper = Keeper(folder, clock=robot.now_ns)
-    (path,) = keeper.keep(whole_only=False)
-    before = path.stat().st_size
-    os.utime(path, ns=(0, WALL_NS))
-    robot.put(LEG_3, START)
-    await asyncio.sleep(7)
-    (path,) = Keeper(folder, clock=robot.now_ns).look()
-    assert path.stat().st_size > before
-
-
-@pytest.mark.virtual_time
-async def test_a_full_disk_is_said_once_and_leaves_nothing_behind(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    robot = recorded(folder)
-    await silence(robot)
-    await asyncio.sleep(5)
-
-    def full(*_: object) -> int:
-        raise OSError(28, "No space left on device")
-
-    caplog.set_level(logging.WARNING, "gateway.recorder.keeper")
-    keeper = Keeper(folder, clock=robot.now_ns)
-    with monkeypatch.context() as patched:
-        patched.setattr("gateway.recordings.writing.os.write", full)
-        assert keeper.keep(whole_only=True) == keeper.keep(whole_only=True) == []
-    said = [entry.message for entry in caplog.records if "kept" in entry.message]
-    assert len(said) == 1
-    assert said[0].endswith("cannot be kept: No space left on device")
-    assert list((folder / place.INCIDENTS).iterdir()) == []
-    assert len(keeper.keep(whole_only=True)) == 1
 
 
 def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:

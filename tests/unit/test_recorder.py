@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.errors import SpiError
 from gateway.protocol.frames import Op, ServoOp, decode, stop_leg
 from gateway.protocol.framing import Framing
@@ -27,13 +28,6 @@ LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna", sent_ms=0)
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    return tmp_path / "state"
-
-
 def recorded(folder: Path, **sections: Any) -> Robot:
     """A gateway with a black box, as the service makes it; its start's repeats are still to come."""
     robot = Robot({"recorder": {"path": str(folder), "seconds": 10}, **sections}, RingRecorder)
@@ -46,6 +40,36 @@ def recorded(folder: Path, **sections: Any) -> Robot:
 def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
     records = reader.read(folder / place.RING).records
     return [record.content for record in records if not types or isinstance(record.content, types)]
+
+
+@pytest.mark.virtual_time
+async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder: Path) -> None:
+    robot = recorded(folder)
+    revisions = {}
+    for revision in (1, 2):
+        robot.conductor.recorder.calibration(Calibration(revision, {31: ServoCalibration(revision)}))
+        robot.conductor.recorder.calibration(Calibration(revision, {31: ServoCalibration(revision)}))
+        await asyncio.sleep(1)
+        revisions[robot.now_ns()] = revision
+        await asyncio.sleep(1)
+    for _ in range(20_000):  # the ring comes round
+        robot.conductor.recorder.mode(Mode.IDLE)
+    records = reader.read(folder / place.RING).records
+    assert form.CALIBRATION not in records.kinds
+    assert in_force(records, robot.now_ns()) == 2
+    robot.conductor.recorder.close()
+    after = recorded(folder)
+    before_ns = after.now_ns()
+    await asyncio.sleep(1)
+    after.conductor.recorder.calibration(Calibration())
+    records = reader.read(folder / place.RING).records
+    assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
+
+
+def in_force(records: reader.Records, ns: int) -> int | None:
+    """The revision of what was in force."""
+    found = records.calibration_at(ns)
+    return None if found is None else found.revision
 
 
 @pytest.mark.virtual_time

@@ -13,6 +13,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from gateway.errors import ConfigError
 from gateway.geometry import load, urdf
+from gateway.protocol.frames import OneServo, Op, ServoOp
 from gateway.recordings import REPORTS, Drawing, Recording, is_cut_off, read, repair
 from gateway.recordings.drawing import DRAWN_SCHEMAS, FRAMES, JOINT_STATES, LOG
 from gateway.recordings.plain_schema import plain_schema, without_nulls
@@ -151,6 +152,12 @@ def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> No
     state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
     list(drawing.take(keys.STATE, {**state, "calibration": {"revision": 3}}, START_NS))
     assert not list(drawing.take(keys.FRAME, {"bytes": "060220015a00"}, START_NS + 10**9))
+    told = {"revision": 3, "servos": {"32": {"trim_deg": 10}}, "landing": {}}
+    assert not list(drawing.take(keys.CALIBRATION, told, START_NS + 2 * 10**9))
+    its_own_110 = {"bytes": OneServo(32, ServoOp(Op.SET, 110_00)).to_bytes().hex()}
+    drawn = dict(drawing.take(keys.FRAME, its_own_110, START_NS + 3 * 10**9))
+    users_100 = {"name": "joint_32", "position": round(load().joint_rad(32, 100.0), 5)}
+    assert users_100 in drawn[JOINT_STATES]["joints"]
 
 
 # ---- cut off

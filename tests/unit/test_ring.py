@@ -8,7 +8,7 @@ import pytest
 
 from gateway.protocol.frames import STOP, Op, ServoOp, stop_leg
 from gateway.recorder import format as form
-from gateway.recorder import reader
+from gateway.recorder import header, reader
 from gateway.recorder.reader import NoRingError
 from gateway.recorder.ring import Ring
 from schemas.robot import SERVO_IDS
@@ -132,9 +132,9 @@ def test_every_byte_counts(path: Path) -> None:
     [
         (b"#!/bin/sh\n" * 1000, "it is no black box"),
         (b"short", "it has no header"),
-        (form.header(40).ljust(form.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
-        (form.header(50), "it has 4096 bytes, and its header says 50 records"),
-        (form.header(50).replace(b"\n\x02", b"\n\x01").ljust(form.file_bytes(50), b"\0"), "it has version 1"),
+        (header.new(40).ljust(header.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
+        (header.new(50), "it has 4096 bytes, and its header says 50 records"),
+        (header.new(50).replace(b"\n\x02", b"\n\x01").ljust(header.file_bytes(50), b"\0"), "it has version 1"),
     ],
 )
 def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str) -> None:
@@ -241,7 +241,7 @@ def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
     bad = [rest[:length] for length in range(len(rest))]
     bad += [rest[:8] + bytes((15,)) + rest[9:], rest[:-1] + b"\xff"]
     for each in bad:
-        image = bytearray(form.header(5).ljust(form.file_bytes(5), b"\0"))
+        image = bytearray(header.new(5).ljust(header.file_bytes(5), b"\0"))
         form.put(image, form.HEADER_BYTES + form.SLOT, form.CARRIED_OUT, 1, 0, each)
         records, damaged, missing = reader.parse(bytes(image))
         assert (len(records), damaged, missing) == (0, 1, 0)

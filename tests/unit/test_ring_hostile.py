@@ -8,7 +8,7 @@ import pytest
 
 from gateway.protocol.frames import Op, ServoOp
 from gateway.recorder import format as form
-from gateway.recorder import kept, reader
+from gateway.recorder import header, kept, reader
 from gateway.recorder.incidents import MOST, find, is_id
 from gateway.recorder.messages import RECORDER, messages
 from gateway.recorder.ring import Ring
@@ -20,7 +20,7 @@ SECOND = 1_000_000_000
 
 def ring_of(slots: int, record: Callable[[int], tuple[int, bytes]]) -> bytes:
     """A full ring's bytes; `record` says what has each sequence number. One a millisecond."""
-    image = bytearray(form.header(slots).ljust(form.file_bytes(slots), b"\0"))
+    image = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
     for number in range(1, slots + 1):
         kind, rest = record(number)
         form.put(image, form.HEADER_BYTES + number % slots * form.SLOT, kind, number, number * 1_000_000, rest)
@@ -113,10 +113,41 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence
 def image(*records: tuple[int, int, bytes]) -> bytes:
     """A ring of these types, times and contents, in their order."""
     slots = len(records) + 1
-    made = bytearray(form.header(slots).ljust(form.file_bytes(slots), b"\0"))
+    made = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
     for number, (kind, ns, rest) in enumerate(records, 1):
         form.put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
     return bytes(made)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        b"{",
+        b"[" * 1500,
+        b'{"revision":1,"servos":{"77":{}},"landing":{}}',
+        b'{"revision":1,"servos":{"31":{"trim_deg":1e999}},"landing":{}}',
+        b'{"revision":1,"servos":{},"landing":{"31":NaN}}',
+        b'{"revision":1,"servos":{},"landing":{"\xc2\xb2":1}}',
+        b"",
+    ],
+    ids=repr,
+)
+def test_a_calibration_that_no_gateway_told_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
+    ring = bytearray(image((form.CALIBRATION, 1, told[: form.ROOM])))
+    header.put_calibration(ring, told)
+    records, damaged, _ = reader.parse(bytes(ring))
+    assert (len(records), damaged) == (0, 1)
+    assert records.calibration_at(1) is None
+
+
+def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
+    ring = bytearray(image())
+    header.put_calibration(ring, b"{}" * 2000)
+    assert header.calibration(bytes(ring)) == b""
+    header.put_calibration(ring, b'{"revision":1,"servos":{},"landing":{}}')
+    assert reader.parse(bytes(ring))[0].calibration_at(1) is not None
+    ring[140] ^= 1
+    assert header.calibration(bytes(ring)) == b"", "half of it was written"
 
 
 @pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
