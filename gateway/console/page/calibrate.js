@@ -73,7 +73,7 @@ export class Calibrate {
       [window, "blur"],
       [document, "visibilitychange"],
     ])) {
-      target.addEventListener(name, () => this.servo !== null && this.#stopIf(this.#obstacle(performance.now())));
+      target.addEventListener(name, () => this.servo !== null && this.#stopIf(obstacle(this, performance.now())));
     }
     window.addEventListener("pagehide", () => this.stop("this page was closed or left"));
     document.addEventListener("freeze", () => this.stop("this page was frozen"));
@@ -181,7 +181,7 @@ export class Calibrate {
     const servo = this.view?.servo;
     if (servo == null || this.servo !== null) return;
     this.lastTickMs = performance.now();
-    const why = this.#obstacle(this.lastTickMs);
+    const why = obstacle(this, this.lastTickMs);
     this.servo = servo;
     if (why) {
       this.stop(`it was not started (${why})`);
@@ -197,7 +197,7 @@ export class Calibrate {
 
   #tick() {
     const nowMs = performance.now();
-    const why = this.told.holds() ? "legs are driven" : this.#obstacle(nowMs);
+    const why = this.told.holds() ? "legs are driven" : obstacle(this, nowMs);
     this.lastTickMs = nowMs;
     if (why) {
       this.stop(why);
@@ -271,22 +271,6 @@ export class Calibrate {
   /** @param {string} why "" where nothing is amiss */
   #stopIf(why) {
     if (why) this.stop(why);
-  }
-
-  /** @param {number} nowMs */
-  #obstacle(nowMs) {
-    const { model } = this;
-    return obstacle({
-      open: this.link.open,
-      linkStatus: model.linkStatus,
-      visible: document.visibilityState === "visible",
-      focused: document.hasFocus(),
-      stateAgeMs: model.ageMs(nowMs),
-      sinceTickMs: nowMs - this.lastTickMs,
-      mode: model.state?.mode ?? "unknown",
-      mine: this.told.mine(),
-      role: model.hello?.role ?? "observer",
-    });
   }
 
   #table() {

@@ -20,20 +20,23 @@ const FROZEN_MS = 250;
 
 /**
  * Why nothing may be sent, in words; "" where it may.
- * @param {{open: boolean, linkStatus: string, visible: boolean, focused: boolean, stateAgeMs: number,
- *          sinceTickMs: number, mode: string, mine: boolean, role: string}} now
+ * @param {{link: import("./link.js").Link, model: Model, told: {mine: () => boolean}, lastTickMs: number}} driver
+ * @param {number} nowMs
  */
-export function obstacle(now) {
-  if (now.sinceTickMs > FROZEN_MS) return `this page was frozen for ${(now.sinceTickMs / 1000).toFixed(1)} s`;
-  if (!now.visible) return "this page is hidden";
-  if (!now.focused) return "this window has lost the focus";
-  if (!now.open) return "the connection to the console is lost";
-  if (now.linkStatus === "gone") return "the console has lost the gateway";
-  if (now.stateAgeMs > FRESH_MS) return `the newest state is ${(now.stateAgeMs / 1000).toFixed(1)} s old`;
-  if (now.role === "observer") return "this page may only look";
-  if (now.mode === "estopped") return "STOP ALL is engaged; reset it first";
-  if (now.mode !== "idle" && now.mode !== "active") return `the gateway is not ready (${now.mode})`;
-  if (!now.mine) return "this page does not have the lease";
+export function obstacle({ link, model, told, lastTickMs }, nowMs) {
+  const sinceTickMs = nowMs - lastTickMs;
+  if (sinceTickMs > FROZEN_MS) return `this page was frozen for ${(sinceTickMs / 1000).toFixed(1)} s`;
+  if (document.visibilityState !== "visible") return "this page is hidden";
+  if (!document.hasFocus()) return "this window has lost the focus";
+  if (!link.open) return "the connection to the console is lost";
+  if (model.linkStatus === "gone") return "the console has lost the gateway";
+  const stateAgeMs = model.ageMs(nowMs);
+  if (stateAgeMs > FRESH_MS) return `the newest state is ${(stateAgeMs / 1000).toFixed(1)} s old`;
+  if ((model.hello?.role ?? "observer") === "observer") return "this page may only look";
+  const mode = model.state?.mode ?? "unknown";
+  if (mode === "estopped") return "STOP ALL is engaged; reset it first";
+  if (mode !== "idle" && mode !== "active") return `the gateway is not ready (${mode})`;
+  if (!told.mine()) return "this page does not have the lease";
   return "";
 }
 
@@ -71,7 +74,7 @@ export class Hold {
       [document, "visibilitychange"],
       [document, "freeze"],
     ])) {
-      target.addEventListener(name, () => this.active && this.#dropIf(this.#obstacle(performance.now())));
+      target.addEventListener(name, () => this.active && this.#dropIf(obstacle(this, performance.now())));
     }
     window.addEventListener("pagehide", () => this.drop("this page was closed or left"));
     document.addEventListener("freeze", () => this.drop("this page was frozen"));
@@ -89,7 +92,7 @@ export class Hold {
       return;
     }
     this.lastTickMs = performance.now();
-    const why = this.#obstacle(this.lastTickMs) || (this.told.chosen(new Set([what])).length ? "" : "choose a leg first");
+    const why = obstacle(this, this.lastTickMs) || (this.told.chosen(new Set([what])).length ? "" : "choose a leg first");
     if (why) {
       this.told.say(`Nothing runs: ${why}.`);
       return;
@@ -208,7 +211,7 @@ export class Hold {
 
   #tick() {
     const nowMs = performance.now();
-    const why = this.#obstacle(nowMs);
+    const why = obstacle(this, nowMs);
     const elapsedMs = nowMs - this.lastTickMs;
     this.lastTickMs = nowMs;
     if (why) {
@@ -254,21 +257,5 @@ export class Hold {
   /** @param {number} leg @param {"start" | "set"} op */
   #payload(leg, op) {
     return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.told.target(leg * 10 + joint) })) };
-  }
-
-  /** @param {number} nowMs */
-  #obstacle(nowMs) {
-    const { model } = this;
-    return obstacle({
-      open: this.link.open,
-      linkStatus: model.linkStatus,
-      visible: document.visibilityState === "visible",
-      focused: document.hasFocus(),
-      stateAgeMs: model.ageMs(nowMs),
-      sinceTickMs: nowMs - this.lastTickMs,
-      mode: model.state?.mode ?? "unknown",
-      mine: this.told.mine(),
-      role: model.hello?.role ?? "observer",
-    });
   }
 }
