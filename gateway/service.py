@@ -212,12 +212,12 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
     the Stops at the start, and those that follow, need none."""
     path = calibration_file.path_of(settings)
     if path is None:
-        return Calibrations(conductor, None)
+        return Calibrations(conductor, None, loop)
     calibration, fault = calibration_file.load(path)
     conductor.supervisor.calibrating.load(calibration, fault)
     if fault is not None:
         logger.warning("%s; nothing is started until `%s`", fault, ACCEPT_DEFAULT)
-    return Calibrations(conductor, CalibrationKeeper(path, loop, conductor.owner).keep)
+    return Calibrations(conductor, CalibrationKeeper(path, loop, conductor.owner).keep, loop)
 
 
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:

@@ -44,6 +44,8 @@ class Calibrating:
         self.guards = False
         """Whether `rejection` may have anything against a start; while it is false, nothing is asked."""
         self._on_its_way: _OnItsWay | None = None
+        self._delay = ""
+        """Why the change that is on its way takes so long; "": it does not."""
 
     @property
     def in_force(self) -> Calibration:
@@ -60,6 +62,11 @@ class Calibrating:
         """Whether the change with this number is on its way."""
         return self._on_its_way is not None and self._on_its_way.event.number == number
 
+    def note_delay(self, why: str) -> None:
+        """The disk takes long, for this reason: whoever is rejected because of that learns it."""
+        if self._on_its_way is not None:
+            self._delay = f"; {why}"
+
     def rejection(self, moves: Iterable[tuple[int, ServoOp]]) -> tuple[Reason, str] | None:
         """Why these starts and sets take no effect; None: they may."""
         if self.fault is not None:
@@ -67,7 +74,8 @@ class Calibrating:
         changing = frozenset() if self._on_its_way is None else self._on_its_way.servos
         for servo_id, _ in moves:
             if servo_id in changing:
-                return Reason.SERVO_STOPPED, f"servo {servo_id} is being calibrated; start it once that is kept"
+                detail = f"servo {servo_id} is being calibrated; start it once that is kept{self._delay}"
+                return Reason.SERVO_STOPPED, detail
         return None
 
     def change(self, event: Calibrate, servos: Mapping[int, Servo]) -> list[Effect]:
@@ -91,7 +99,8 @@ class Calibrating:
 
     def _why_not_now(self, event: Calibrate) -> tuple[Reason, str] | None:
         if self._on_its_way is not None:
-            return Reason.STALE, "another change of the calibration is being kept; look at it, then change it again"
+            hint = self._delay or "; look at it, then change it again"
+            return Reason.STALE, f"another change of the calibration is being kept{hint}"
         revision = self.in_force.revision
         if event.revision not in (None, revision):
             return Reason.STALE, f"revision {event.revision} is changed, and {revision} is in force; look at it first"
@@ -111,7 +120,7 @@ class Calibrating:
         if self._on_its_way is None:
             return []
         calibration, servos, asked = self._on_its_way
-        self._on_its_way = None
+        self._on_its_way, self._delay = None, ""
         landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
         if event.fault is None:
             self._reach.use(calibration)

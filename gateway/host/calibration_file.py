@@ -30,6 +30,9 @@ KEPT: Final = 10
 MAX_BYTES: Final = 64 * 1024
 """A whole calibration takes 2 kB; what is larger is no calibration, and is not read."""
 
+SLOW_S: Final = 5.0
+"""A write takes some milliseconds, on a worn card a second: one that takes longer hangs, and people are told."""
+
 MOST_DIGITS: Final = 18
 """Of a revision: more is none of ours, and takes long to read."""
 
@@ -102,7 +105,7 @@ def read(path: Path) -> Calibration | None:
 
 def write(path: Path, calibration: Calibration) -> None:
     """Keep it: on disk when this returns, or the old one stays. Raises ConfigError. Takes as long as the disk does."""
-    staged = path.with_name(f".{path.name}.new")
+    staged = staged_for(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with staged.open("wb") as file:
@@ -116,6 +119,11 @@ def write(path: Path, calibration: Calibration) -> None:
         with suppress(OSError):
             staged.unlink()
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); the old calibration stays") from error
+
+
+def staged_for(path: Path) -> Path:
+    """The file that is written, and then takes the other's place. It stays only while, or where, that did not end."""
+    return path.with_name(f".{path.name}.new")
 
 
 def previous(path: Path) -> list[Path]:

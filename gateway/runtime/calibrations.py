@@ -1,8 +1,10 @@
 """The calibration's two keys: what is in force is told, and a change is decided, kept, and only then acknowledged."""
 
+import asyncio
 import logging
 from collections.abc import Callable
 from functools import partial
+from typing import Final
 
 from gateway.core.calibration import Calibration
 from gateway.core.calibration_intake import CalibrationIntent
@@ -10,6 +12,8 @@ from gateway.core.calibration_report import report_of
 from gateway.core.events import Announce, Calibrate, Keep, Kept
 from gateway.core.intake import Rejection
 from gateway.core.message import Reply
+from gateway.host.calibration_file import SLOW_S
+from gateway.host.ownership import OwnersTimer
 from gateway.runtime.conductor import Conductor
 from schemas import keys
 from schemas.telemetry import Kind, Reason
@@ -18,14 +22,21 @@ WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
 """Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
 
 
+HANGS: Final = (
+    f"the disk has not answered for {SLOW_S:g} s; if it does not come back, restart the gateway, and look at the "
+    "calibration that is then in force"
+)
+
 logger = logging.getLogger(__name__)
 
 
 class Calibrations:
     """Asks the conductor. Everything here is called by the owner of the robot's state."""
 
-    def __init__(self, conductor: Conductor, keep: WriteAndThen | None) -> None:
+    def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
         """Without `keep`, a calibration lives as long as the process."""
+        self._loop = loop
+        self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
         self._conductor = conductor
         self._keep = keep
         conductor.calibration_kept = keep is not None
@@ -73,9 +84,16 @@ class Calibrations:
         if self._keep is None:
             kept(None)
         else:
+            self._slow.set(self._loop.time() + SLOW_S)
             self._keep(keep.calibration, kept)
 
+    def _note_delay(self) -> None:
+        """Not answered yet: nobody knows whether it is kept, and until that is known nothing else can be."""
+        self._conductor.supervisor.calibrating.note_delay(HANGS)
+        logger.warning("a change of the calibration is not kept yet: %s; what runs goes on", HANGS)
+
     def _kept(self, number: int, fault: str | None) -> None:
+        self._slow.cancel()
         effects = self._conductor.ask(Kept(number, fault))
         if any(isinstance(effect, Announce) and effect.kind is Kind.CALIBRATED for effect in effects):
             self.tell()

@@ -121,8 +121,8 @@ CALIBRATING = Subject(
             "revisions are used twice",
         ),
         Mutant(
-            "        if self._on_its_way is not None:\n            return Reason.STALE",
-            "        if False:\n            return Reason.STALE",
+            "        if self._on_its_way is not None:\n            hint",
+            "        if False:\n            hint",
             "of two changes in one instant, the first is kept but never answered",
         ),
         Mutant(
@@ -151,8 +151,8 @@ CALIBRATING = Subject(
             "a robot's good calibration is wiped by accepting the default",
         ),
         Mutant(
-            "        self._on_its_way = None\n        landing",
-            "        landing",
+            '        self._on_its_way, self._delay = None, ""\n',
+            '        self._delay = ""\n',
             "only one change can be made in the gateway's life",
         ),
         Mutant(

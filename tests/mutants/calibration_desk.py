@@ -55,6 +55,8 @@ CALIBRATIONS = Subject(
             "        effects = self._conductor.ask(Kept(number))\n",
             "what the disk did not take is in force until the next restart",
         ),
+        Mutant("        self._slow.cancel()\n", "", "a disk that is well is said to hang"),
+        Mutant("            self._slow.set(self._loop.time() + SLOW_S)\n", "", "nobody learns that the disk hangs"),
         Mutant("            self.tell()\n", "", "a page shows the old calibration for ever"),
         Mutant(
             "        if self._written_of is not self._in_force:",

@@ -74,7 +74,7 @@ class Robot:
         fresh = (f"{number:032x}" for number in itertools.count(1))
         answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
         self.desk = LeaseDesk(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
-        self.calibrations = Calibrations(self.conductor, keep)
+        self.calibrations = Calibrations(self.conductor, keep, self.loop)
         self.calibration_desk = CalibrationDesk(self.calibrations)
         self._beat()
 

@@ -9,7 +9,9 @@ import pytest
 
 from gateway.core.calibration import Calibration
 from gateway.edge.calibration_desk import PAUSE_S
+from gateway.host.calibration_file import SLOW_S
 from gateway.protocol.frames import OneLeg, Op
+from gateway.runtime.calibrations import HANGS
 from schemas import calibration, keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.robot import Robot, leg, servo, started_and_quiet
@@ -136,6 +138,33 @@ async def test_while_it_is_being_kept_stops_and_the_watchdog_are_in_time() -> No
     assert robot.get(keys.ESTOP)[0].stop_frames == 6
     disk.write()
     assert answers[0].accepted, "it was decided before"
+
+
+async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    robot = await on_disk(disk := Disk())
+    answers = robot.calibrate(OWN)
+    await asyncio.sleep(SLOW_S - 0.01)
+    (soon,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
+    assert HANGS not in caplog.text + str(soon.detail)
+    await asyncio.sleep(0.02)
+    assert caplog.text.count("is not kept yet") == 1
+    (late,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
+    assert (late.reason, late.detail) == (Reason.STALE, f"another change of the calibration is being kept; {HANGS}")
+    assert str(robot.ask(LEG_3, START).detail).endswith(HANGS)
+    assert robot.ask(keys.leg_command(1), START).accepted, "what it does not change goes on"
+    await asyncio.sleep(0.3)
+    assert robot.events(Kind.WATCHDOG_EXPIRED)
+    assert robot.ask(keys.ESTOP).stop_frames == 6
+    disk.write()
+    assert (answers[0].accepted, told(robot).revision) == (True, 1), "it came back"
+    assert robot.ask(keys.RESET, {"estop": 1}).accepted
+    robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
+    assert HANGS not in str(robot.calibrate(OWN)[0].detail), "this one has just begun"
+    disk.write()
+    await asyncio.sleep(SLOW_S + 1)
+    assert caplog.text.count("is not kept yet") == 1, "and ended in time"
 
 
 async def test_a_servo_that_runs_is_not_calibrated_and_others_are() -> None:

@@ -1,12 +1,14 @@
 """What `check` says of the calibration: which one it is, or why nothing could be started with it."""
 
 import os
+import time
 from pathlib import Path
 
 import pytest
 
 from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.host import calibration_file
+from gateway.host.calibration_file import SLOW_S
 from gateway.settings import Settings
 from gateway.tools.check.calibration import kept
 from gateway.tools.check.result import Verdict
@@ -31,6 +33,22 @@ def test_one_that_cannot_be_used_is_a_failure_with_its_fix(tmp_path: Path) -> No
     assert verdict is Verdict.FAILURE
     assert sentence == f"{path}: version is None; this gateway reads 1; nothing can be started"
     assert "hexapod-gateway calibrate --accept-default" in fix
+
+
+def test_a_change_that_is_not_on_the_disk_after_seconds_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    calibration_file.write(path, Calibration(3))
+    staged = calibration_file.staged_for(path)
+    staged.touch()
+    assert checked(path)[0] is Verdict.OK, "it may be written just now"
+    begun_s = time.time() - SLOW_S - 1
+    os.utime(staged, (begun_s, begun_s))
+    verdict, sentence, fix = checked(path)
+    assert verdict is Verdict.WARNING
+    assert "was not kept, and revision 3 is" in sentence
+    assert "restart it" in fix
+    calibration_file.write(path, Calibration(4))
+    assert checked(path)[0] is Verdict.OK
 
 
 def test_what_only_the_service_may_read_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from gateway.client import Client
 from gateway.core.calibration import Calibration, ServoCalibration
-from gateway.errors import DisconnectedError
 from gateway.host import calibration_file
+from gateway.tools.calibrate.robot import NotKeptYetError, once_kept
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, Mode, Reason
 from tests.support.child import without_file_privileges
@@ -112,21 +112,14 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None
         assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
         assert client.calibrate(TRIM).accepted
         os.mkfifo(staged(path))  # and nobody ever reads this one
-        asking = threading.Thread(target=unanswered, args=(patient,))
-        asking.start()
+        with Client(gateway.endpoint, timeout_s=0.5) as hasty, pytest.raises(NotKeptYetError, match="its disk"):
+            once_kept(hasty, lambda: hasty.calibrate({31: ServoChange(trim_deg=8)}))
         until_it_is_being_kept(client)
         gateway.child.terminate()
         assert gateway.child.wait(10) == 0, str(gateway.child)
-        asking.join(10)
     kept = calibration_file.read(path)
     assert kept is not None
     assert kept.of(31).trim_cdeg == 7_50
-
-
-def unanswered(client: Client) -> None:
-    """Nobody knows what became of it."""
-    with pytest.raises(DisconnectedError):
-        client.calibrate({31: ServoChange(trim_deg=8)})
 
 
 def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path, path: Path) -> None:

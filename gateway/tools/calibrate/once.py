@@ -9,6 +9,7 @@ from gateway.core.calibration import AS_DRAWN, Calibration, ServoCalibration
 from gateway.core.calibration_report import calibration_of
 from gateway.protocol.frames import centidegrees
 from gateway.tools import driving, kept_lease
+from gateway.tools.calibrate.robot import once_kept
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say, this_command, visible
 from schemas import keys
@@ -111,7 +112,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
     """
     try:
         with driving.drives(client, 0, moves=True) as kept:  # this user's own, from another terminal
-            ack = client.ask(keys.CALIBRATION_CMD, {**payload, **kept})
+            ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, {**payload, **kept}))
         if ack.reason in (Reason.NOT_HOLDER, Reason.NO_LEASE):
             ack = _when_free(client, payload)
     except LeaseError as error:
@@ -132,7 +133,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
         hint(f"{visible(holder)} drives, and is asked for the lease: it is written as soon as that is free, and the")
         hint(f"servos need not run any more then. Waiting for up to {WAIT_S:g} s.")
     with client.lease(wait_s=WAIT_S, source=kept_lease.me()):
-        return client.ask(keys.CALIBRATION_CMD, payload)
+        return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
 
 
 def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:

@@ -7,9 +7,10 @@ from typing import Final
 from gateway.client import Client, Lease, LeaseLostError
 from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.core.calibration_report import calibration_of
-from gateway.errors import GatewayError, RejectedError
+from gateway.errors import GatewayError, RejectedError, UnansweredError
 from gateway.tools import kept_lease
 from schemas import calibration as wire
+from schemas.telemetry import Ack
 
 _CDEG: Final = 100
 
@@ -20,6 +21,10 @@ class ChangedMeanwhileError(GatewayError):
     def __init__(self, newer: Calibration) -> None:
         super().__init__(f"somebody else has changed the calibration meanwhile: revision {newer.revision} is in force")
         self.newer = newer
+
+
+class NotKeptYetError(GatewayError):
+    """The gateway is there, and has not answered a change: its disk takes long, or hangs."""
 
 
 class Robot:
@@ -61,19 +66,30 @@ class Robot:
     ) -> Calibration:
         """Change these, if `revision` is in force; what is in force then.
 
-        Raises ChangedMeanwhileError, RejectedError, DisconnectedError.
+        Raises ChangedMeanwhileError, RejectedError, NotKeptYetError, DisconnectedError.
         """
         self.drive()
         landing = {servo_id: None if cdeg is None else cdeg / _CDEG for servo_id, cdeg in landing_cdeg.items()}
-        ack = self.client.calibrate(
-            {name: change_of(servo) for name, servo in servos.items()}, landing, revision=revision
-        )
+        changes = {name: change_of(servo) for name, servo in servos.items()}
+        ack = once_kept(self.client, lambda: self.client.calibrate(changes, landing, revision=revision))
         found = self.calibration()
         if ack.accepted:
             return found
         if found.revision != revision:
             raise ChangedMeanwhileError(found)
         raise RejectedError(str(ack.reason), ack.detail or "no reason was given")
+
+
+def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
+    """The answer to a change. Raises NotKeptYetError where only that is missing, and what `change` raises."""
+    try:
+        return change()
+    except UnansweredError as error:
+        client.state()  # raises where nobody answers at all
+        raise NotKeptYetError(
+            "the gateway runs, and its disk has not taken the change yet: look in some seconds whether it is in force "
+            "(calibrate --show); if the disk hangs, trying again says so"
+        ) from error
 
 
 def change_of(servo: ServoCalibration) -> wire.ServoChange:

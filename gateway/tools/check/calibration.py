@@ -1,10 +1,12 @@
 """The calibration that the service would start with."""
 
 import os
+import time
+from pathlib import Path
 from typing import Final
 
 from gateway.core.calibrating import ACCEPT_DEFAULT
-from gateway.host.calibration_file import load, path_to_read
+from gateway.host.calibration_file import SLOW_S, load, path_to_read, staged_for
 from gateway.settings import Settings
 from gateway.tools.check.result import Result, failure, ok, warning
 
@@ -22,7 +24,20 @@ def kept(settings: Settings) -> Result:
     if fault is not None:
         fix = f"put a good one in its place and restart, or, if the robot is as drawn: {ACCEPT_DEFAULT}"
         return failure(_NAME, f"{fault}; nothing can be started", fix)
+    begun_s = _begun_s(path)
+    if begun_s is not None and time.time() - begun_s > SLOW_S:
+        at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
+        fix = "if the gateway runs, its disk hangs (dmesg): restart it once that is mended; else nothing is wrong"
+        return warning(_NAME, f"a change of {at} was not kept, and revision {found.revision} is ({path})", fix)
     if not (found.servos or found.landing_cdeg):
         return ok(_NAME, f"none: every servo is as drawn ({path})")
     count = len(found.servos)
     return ok(_NAME, f"revision {found.revision}, {count} servo{'' if count == 1 else 's'} ({path})")
+
+
+def _begun_s(path: Path) -> float | None:
+    """When a change was begun to be written that was not ended, in seconds of the clock that people read."""
+    try:
+        return staged_for(path).lstat().st_mtime
+    except OSError:
+        return None
