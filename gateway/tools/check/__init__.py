@@ -16,7 +16,7 @@ from gateway import settings as settings_file
 from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
 from gateway.settings import FramingNotSetError, Settings
-from gateway.tools.check import calibration, device, laptop, machine, network, service_user
+from gateway.tools.check import access, calibration, device, laptop, machine, network, service_user
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -119,6 +119,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     yield from (result for result in told if result.sentence not in {known.sentence for known in certificates})
     gateway_runs = device.held(spi_device)
     if zenoh_config is not None:
+        yield from access.passes(zenoh_config, settings.zenoh.config)
         yield from network.ports(listen_endpoints(zenoh_config), gateway_runs=gateway_runs)
     if settings.telemetry.metrics:
         yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
