@@ -7,6 +7,7 @@ CONDUCTOR = Subject(
     tests=(
         "tests/unit/test_conductor.py",
         "tests/unit/test_conductor_safety.py",
+        "tests/unit/test_lease_conductor.py",
         "tests/zenoh/test_conductor_counts.py",
         "tests/unit/test_staleness_pauses.py",
         "tests/unit/test_preamble.py",

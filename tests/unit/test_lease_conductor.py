@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from gateway.core.message import Verb
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Kind, Mode, Reason
@@ -52,6 +53,14 @@ async def test_others_are_rejected_with_her_name_and_their_stops_are_taken() -> 
     robot.put(keys.ESTOP)
     assert robot.mode == Mode.ESTOPPED
     assert robot.ask(keys.RESET, with_token({"estop": 1}, ack)).accepted
+
+
+async def test_somebody_elses_start_undoes_no_stop_that_may_have_been_lost() -> None:
+    robot, _ = await driven_by_anna()
+    robot.put_later(LEG_3, verb=Verb.LOST)
+    robot.put(LEG_3, START)
+    assert robot.events(Kind.COMMAND_REJECTED)[0].reason == Reason.NOT_HOLDER
+    assert robot.controller.energised == set()
 
 
 async def test_takeover() -> None:

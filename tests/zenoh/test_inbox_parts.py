@@ -16,7 +16,7 @@ from gateway.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received, _wo
 from gateway.edge.rings import RING_DEPTH, Ring
 from gateway.host.ownership import Ownership
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
+from schemas.keys import COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from tests.zenoh.test_inbox_wakeups import Taker
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
@@ -38,6 +38,7 @@ class Held:
             on_wakeup=self.wake,
             on_estop=self._stop,
             on_state_query=lambda reply: reply(b"{}"),
+            readers={LEASE: lambda _query, _ns, _reply: lambda: None},
         )
 
     def wake(self) -> None:
@@ -115,7 +116,8 @@ async def test_several_questions_are_kept(session: zenoh.Session, held: Held) ->
 async def test_who_asks_for_an_emergency_stop_or_the_state_is_answered_however_many_ask(
     session: zenoh.Session, held: Held, key: str
 ) -> None:
-    asked = [session.get(key, timeout=PATIENCE_S) for _ in range(RING_DEPTH)]  # all before the loop turns again
+    with held.owner:  # so that what waits, waits in its ring
+        asked = [session.get(key, timeout=PATIENCE_S) for _ in range(RING_DEPTH)]
     waits = [asyncio.create_task(asyncio.to_thread(list, replies)) for replies in asked]
     while not all(wait.done() for wait in waits):
         await asyncio.sleep(0.001)
@@ -157,6 +159,16 @@ async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dea
     session.put(ESTOP, b"again")
     await held.until(lambda: bool(held.estops))
     assert [each.payload for each in held.estops] == [b"again"], "the other was taken, and once is enough"
+
+
+async def test_an_emergency_stop_that_waits_for_the_state_is_taken_without_any_command(
+    session: zenoh.Session, held: Held
+) -> None:
+    with held.owner:
+        session.put(ESTOP, b"")
+        await held.until(lambda: bool(held.inbox._estops))
+        assert [each.key for each in held.inbox.take()] == [ESTOP]
+    assert not held.estops
 
 
 async def test_an_emergency_stop_waits_for_no_wakeup(session: zenoh.Session, held: Held) -> None:
@@ -347,6 +359,19 @@ async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.S
         await held.woken()
         taken += [each.key for each in held.inbox.take()]
     assert taken == [leg_command(number) for number in range(1, 7)]
+
+
+async def test_a_question_by_wildcard_that_names_others_keys_alone_is_theirs_to_answer(
+    session: zenoh.Session, held: Held
+) -> None:
+    with held.owner:
+        asked = [session.get(key, timeout=PATIENCE_S) for key in ("hexapod/lea$*/cmd", "hexapod/nobod$*/cmd")]
+    taken: list[str] = []
+    while not taken:
+        await held.woken()
+        taken += [each.expression for each in held.inbox.take()]
+    assert taken == ["hexapod/nobod$*/cmd"]
+    del asked
 
 
 async def test_several_keys_of_one_instant_are_in_the_contracts_order(session: zenoh.Session, held: Held) -> None:

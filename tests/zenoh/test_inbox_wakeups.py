@@ -16,7 +16,7 @@ import zenoh
 from gateway.core.message import Received, Reply
 from gateway.edge.inbox import OTHER_DEPTH, Inbox
 from gateway.host.ownership import Ownership
-from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
 PATIENCE_S = 5.0
@@ -79,6 +79,16 @@ async def test_more_messages_than_a_bell_holds_are_all_taken(session: zenoh.Sess
         for key in order:
             session.put(key, b"{}")
         await taker.wait_for(*KEYS)
+
+
+async def test_a_message_whose_wakeup_was_lost_while_the_state_was_owned_is_taken(
+    session: zenoh.Session, taker: Taker
+) -> None:
+    """A leg's, among those of a servo of another one: for that servo nobody would look into the leg's ring."""
+    with taker.owner:  # the thread that hears of the first waits with it
+        for key in (servo_command(63), leg_command(1), *[servo_command(61)] * (OTHER_DEPTH + 2)):
+            session.put(key, b"{}")
+    await taker.wait_for(leg_command(1))
 
 
 @pytest.mark.parametrize("count", range(OTHER_DEPTH - 4, OTHER_DEPTH + 8))
