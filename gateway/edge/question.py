@@ -83,7 +83,8 @@ class Question(Generic[A]):
                     if not again:
                         break
                     ask_again_s = min(ask_again_s, now_s + AGAIN_S)
-                    other_way_s = min(other_way_s, now_s)
+                    if other_ways and search is None:
+                        other_way_s = now_s
             return self._elsewhere
         finally:
             if search is not None:

@@ -82,11 +82,19 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
         begin_ns = incident.wall_ns(incident.begin_ns)
         yield Message(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
     killed_ns = incident.killed_ns
+    last: int | None = None  # the place in `records` of what a gateway wrote that has not said that it ends
+    ended = False
     for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
         record = records[taken[place]]
         if killed_ns is not None and record.ns > killed_ns:
             yield _killed(incident.wall_ns(killed_ns))
-            killed_ns = None
+            killed_ns = last = None
+        if isinstance(record.content, form.Start):
+            if last is not None and last < taken[place]:  # the gateway before it, whose end is an incident of its own
+                yield _killed(incident.wall_ns(times_ns[last]))
+            ended = False
+        ended = ended or isinstance(record.content, form.End)
+        last = None if ended else taken[place]
         wall_ns = incident.wall_ns(record.ns)
         topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
         if topic_and_report is not None:

@@ -88,6 +88,6 @@ def _copy(path: Path, writer: Writer) -> Repaired:
             case Metadata():
                 writer.add_metadata(record.name, record.metadata)
     if count == 0:
-        raise ConfigError(f"{path}: was cut off before its first message; nothing can be read")
+        raise ConfigError(f"{path}: was cut off before its first message; there is nothing in it, and it can go")
     writer.finish()
     return Repaired(count, (last_ns - first_ns) / 1e9)

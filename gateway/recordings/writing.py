@@ -64,6 +64,14 @@ class Recording:
         geometry = geometry or load()
         self.path = path
         self._file = _Unbuffered(path, overwrite=overwrite)
+        try:
+            self._begin(geometry, time_ns, reports)
+        except BaseException:  # a full disk: nobody has a use for a file with nothing in it
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    def _begin(self, geometry: Geometry, time_ns: int, reports: Mapping[str, type[BaseModel]]) -> None:
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
         self._writer.start(profile="", library=LIBRARY)
         self._channels: dict[str, int] = {}

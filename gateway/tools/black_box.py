@@ -1,10 +1,12 @@
 """What `hexapod-gateway incidents` does: what the black box kept, and the story of each."""
 
 import logging
+import os
 import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -58,17 +60,25 @@ def export(settings: Settings, name: str, file: Path) -> int:
     """Write an incident's MCAP file."""
     found = _one(settings, name)
     try:
-        if found.incident is not None and found.content is not None:
-            kept.write(file, found.incident, found.content.records, overwrite=False)
-        elif found.path is not None:
-            with file.open("xb") as copy:
-                copy.write(found.path.read_bytes())
+        if os.path.lexists(file):
+            raise FileExistsError
+        _export(found, file)
     except FileExistsError as error:
         raise ConfigError(f"{file} exists; name another file") from error
     except OSError as error:
+        with suppress(OSError):  # half of it is of no use, and its name would be taken
+            file.unlink(missing_ok=True)
         raise ConfigError(f"{file}: {error.strerror}") from error
     print(f"{found.name} is in {file}")  # noqa: T201
     return 0
+
+
+def _export(found: _Found, file: Path) -> None:
+    if found.incident is not None and found.content is not None:
+        kept.write(file, found.incident, found.content.records, overwrite=False)
+    elif found.path is not None:
+        with file.open("xb") as copy:
+            copy.write(found.path.read_bytes())
 
 
 def keep(settings: Settings, *, once: bool) -> int:
@@ -100,7 +110,9 @@ def _find(folder: Path) -> list[_Found]:
     try:
         content = reader.read(folder / place.RING)
     except reader.NoRingError as error:
-        if not found and (folder / place.RING).exists():
+        if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
+            raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
+        if not found and not isinstance(error.__cause__, FileNotFoundError):
             sys.stderr.write(f"hexapod-gateway: {error}\n")
         return list(found.values())
     for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):

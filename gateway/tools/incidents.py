@@ -15,7 +15,8 @@ app = typer.Typer(
     help="What the black box kept of stops and faults, and the story of each.\n\n"
     "They are read from the files that hexapod-recorder.service keeps, and from the gateway's ring, also after it was "
     "killed. Where the service recorded them, use sudo.\n\n"
-    "Exit codes: 0 done, 1 no such incident, 2 the black box is off, or a file cannot be written.",
+    "Exit codes: 0 done, 1 no such incident, 2 the black box is off or may not be read, or a file cannot be "
+    "written.",
     invoke_without_command=True,
 )
 
@@ -42,7 +43,7 @@ def _settings(context: typer.Context, config: Path | None) -> "Settings":
 def list_incidents(context: typer.Context, config: ConfigOption = None) -> None:
     """List them, newest first.
 
-    Exit codes: 0 listed, 2 the black box is off.
+    Exit codes: 0 listed, 2 the black box is off, or may not be read.
     """
     from gateway.tools import black_box
 
@@ -51,7 +52,10 @@ def list_incidents(context: typer.Context, config: ConfigOption = None) -> None:
 
 @app.command()
 def show(context: typer.Context, incident: IncidentArgument, config: ConfigOption = None) -> None:
-    """Tell what happened: commands, decisions and frames, with times relative to the stop."""
+    """Tell what happened: commands, decisions and frames, with times relative to the stop.
+
+    Exit codes: 0 told, 1 no such incident, 2 the black box is off, or may not be read.
+    """
     from gateway.tools import black_box
 
     sys.exit(black_box.show(_settings(context, config), incident))
@@ -64,7 +68,11 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The MCAP file to make, such as stop.mcap")],
     config: ConfigOption = None,
 ) -> None:
-    """Write one as an MCAP file, for Foxglove, Lichtblick or a program of your own."""
+    """Write one as an MCAP file, for Foxglove, Lichtblick or a program of your own.
+
+    Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
+    be written.
+    """
     from gateway.tools import black_box
 
     sys.exit(black_box.export(_settings(context, config), incident, file))

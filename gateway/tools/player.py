@@ -34,6 +34,9 @@ LATE_NS: Final = 200 * NS_PER_MS
 """A replay that falls so far behind at once (a laptop that slept) ends: the watchdog's default is 250 ms."""
 AFTERWARDS_S: Final = 0.5
 """For the repeats of the last Stops, and for what is still on its way here."""
+LAST_NS: Final = 100 * NS_PER_MS
+"""From the last command to the Stops at the end. A command that is read together with a Stop is rejected, as if the
+replay had failed; it takes milliseconds to be read, and at the default rate 20 ms to its rate slot."""
 NO_FRAMES_NS: Final = 2000 * NS_PER_MS
 """A gateway that publishes frames has published one by then."""
 FREE_NS: Final = 2 * NS_PER_MS
@@ -94,7 +97,9 @@ class Player:
             if self._on_time:
                 prefer_thread(PRIORITY)
             slipped_ns = self._play(lease)
-            if slipped_ns is not None and self._needs_frames:
+            if slipped_ns is not None and not self._needs_frames:
+                self._wait_until(time.monotonic_ns() + LAST_NS)
+            elif slipped_ns is not None:
                 last_ns = self._plan.expected[-1].at_ns + slipped_ns
                 self._wait_until(self._begun_ns + last_ns + round(AFTERWARDS_S * 1e9))
                 while self._look_at_a_frame():

@@ -19,9 +19,10 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
 from gateway.recordings import REPORTS, Recording, is_cut_off, is_ours
 from gateway.recordings import repair as repair_recording
+from gateway.recordings.reading import records
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import hint, say
+from gateway.tools.terminal import hint, say, this_command
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
 PROGRESS_S: Final = 0.5
@@ -40,6 +41,7 @@ def repair_file(path: Path) -> int:
     """`record --repair`."""
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file")
+    next(records(path))  # raises ConfigError where it is none
     if is_cut_off(path):
         _repair(path)
     else:
@@ -106,7 +108,11 @@ class _Recorder:
         except OSError as error:
             self._recording.abandon()
             _clear_progress()
-            raise _DiskError(f"{self._recording.path}: cannot be written any more ({error.strerror})") from error
+            path = self._recording.path
+            raise _DiskError(
+                f"{path}: cannot be written any more ({error.strerror}). What came before is in it: make room, and "
+                f"`{this_command()} record --repair {path}` makes it whole"
+            ) from error
         _clear_progress()
         self._tell()
         return 0
@@ -160,6 +166,8 @@ class _Recorder:
 
     def _tell(self) -> None:
         say(f"{self._recording.path}: {self._summary()}")
+        if (silent_s := time.monotonic() - self._heard_s) > SILENT_S:
+            hint(f"Nothing was heard of the gateway in the last {silent_s:.0f} s.")
         if not self._counts[FRAME] and self._frames_written > self._frames_before:
             hint("The gateway publishes no frames (telemetry.frames = false), so there is nothing for `replay`.")
         if self._dropped:

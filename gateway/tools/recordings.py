@@ -91,7 +91,7 @@ def foxglove(
 ) -> None:
     """Show the robot live in Foxglove or Lichtblick, with the channels of a recording. Read only.
 
-    Exit codes: 0 ended on request, 2 the extra [foxglove] is missing or a file is faulty, 4 no gateway answers,
+    Exit codes: 0 ended on request, 2 the extra \\[foxglove] is missing or a file is faulty, 4 no gateway answers,
     5 the address is taken.
     """
     from gateway.tools import reach

@@ -6,15 +6,16 @@ from typing import Final
 
 from gateway.core.calibration import Calibration
 from gateway.core.calibration_report import calibration_of
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, LeaseError
 from gateway.recordings import read
 from gateway.recordings.replaying import NS_PER_MS, Plan, compare, plan
 from gateway.recordings.user_angles import UserAngles, user_bytes
-from gateway.tools.driving import drives
+from gateway.tools.driving import drives, rejected
 from gateway.tools.player import Player, without_pauses
 from gateway.tools.reach import Connection
+from gateway.tools.rest import why_not_at_rest
 from gateway.tools.terminal import hint, say
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import GatewayState
 
 SOURCE: Final = "hexapod-gateway replay"
 TOLERANCE_MS: Final = 5.0
@@ -39,8 +40,11 @@ def replay(
         if not state.simulated:
             _ask(recorded, speed, agreed=agreed)
         player = Player(client, recorded, speed, needs_frames=check, on_time=check and state.simulated)
-        with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
-            player.run(lease)
+        try:
+            with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
+                player.run(lease)
+        except LeaseError as error:
+            return rejected(error)
     said = f"{len(recorded.steps)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
     if not check:
         say(f"replayed: {said}")
@@ -76,8 +80,9 @@ def _look_at(path: Path, recorded: Plan) -> None:
 
 def _fit(state: GatewayState, recorded: Plan, speed: float) -> None:
     """Raises ConfigError where this gateway cannot follow."""
-    if state.mode is not Mode.IDLE:
-        raise ConfigError(f"the robot is not at rest (its mode is {state.mode}); nothing is sent")
+    trouble = why_not_at_rest(state)
+    if trouble is not None:
+        raise ConfigError(trouble)
     gap_ms = recorded.longest_gap_ns / NS_PER_MS / speed
     if speed == 1 and gap_ms > state.watchdog.timeout_ms:
         hint(

@@ -52,7 +52,7 @@ def run(gateway: Gateway) -> str:
             until(screen, lambda key=key: press(key))  # type: ignore[misc]
         with session.lock:
             session.turn()
-            drawn = svg(picture(session, SHOWN, ROWS), "calibrate", COLUMNS, ROWS)
+            drawn = svg(picture(session, SHOWN, ROWS, COLUMNS), "calibrate", COLUMNS, ROWS)
         screen.held.close(LATE_S)
         screen.robot.release()
     return drawn

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import pytest
+from rich.console import Console
 
 from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.errors import LeaseError, LeaseLostError, UnansweredError
@@ -31,7 +32,7 @@ class Person:
     def screen(self) -> str:
         with self.session.lock:
             self.session.turn()
-            return " ".join(picture(self.session, "here", 24).plain.split())
+            return " ".join(picture(self.session, "here", 24, 80).plain.split())
 
     def press(self, *keys: str) -> bool:
         return [self.session.press(key) for key in keys][-1]
@@ -347,6 +348,22 @@ def test_what_the_calibration_in_force_forbids_says_how_it_is_opened(person: Per
 @pytest.mark.parametrize("rows", [10, 24])
 def test_a_low_terminal_has_no_table(person: Person, rows: int) -> None:
     with person.session.lock:
-        shown = picture(person.session, "here", rows).plain
+        shown = picture(person.session, "here", rows, 80).plain
     assert ("joint 1" in shown) is (rows == 24)
     assert len(shown.splitlines()) <= rows + 1
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(60, 20), (40, 10)])
+def test_in_a_small_terminal_a_stop_that_nobody_confirms_is_not_pushed_off_the_screen(
+    person: Person, columns: int, rows: int
+) -> None:
+    person.tests(32)
+    person.servos.fails["stop"] = UnansweredError("no gateway answered")
+    person.press("i", "escape")
+    person.sees("NOBODY HAS CONFIRMED THE STOP")
+    with person.session.lock:
+        text = picture(person.session, "here", rows, columns)
+    shown = " ".join(" ".join(line.plain for line in text.wrap(Console(width=columns), columns)[:rows]).split())
+    assert "NOBODY HAS CONFIRMED THE STOP" in shown
+    assert "switch the servos' power off" in shown
+    assert "The table of all servos needs" in text.plain

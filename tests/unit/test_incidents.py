@@ -211,9 +211,19 @@ async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_no
     assert lines[-1].strip() == "0.000 s  the gateway's last record; its process ended without a word"
     after = recorded(folder)
     assert [each.name for each in incidents(folder)[0]] == [crash.name], "the next gateway continues the ring"
+    after.put(keys.ESTOP, {"source": "bert"})
+    await asyncio.sleep(0.1)
+    (_, later), content = incidents(folder)
+    lines = [line.split("  ")[1] for line in story(list(messages(later, content.records)))[2:]]
+    ends = [line for line in lines if line.startswith(("a gateway starts", "the gateway"))]
+    assert [line.split(" (")[0] for line in ends] == [
+        "a gateway starts",
+        "the gateway's last record; its process ended without a word",
+        "a gateway starts",
+    ], "told in the story of the next incident, too"
     after.conductor.recorder.ended("asked to")
     after.conductor.recorder.close()
-    assert [each.name for each in incidents(folder)[0]] == [crash.name]
+    assert [each.name for each in incidents(folder)[0]] == [crash.name, later.name]
 
 
 @pytest.mark.virtual_time

@@ -1,6 +1,8 @@
 """Recordings: what is in the file, that viewers understand its schemas, and what is left of one that was cut off."""
 
+import errno
 import json
+import os
 import random
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +20,7 @@ from gateway.recordings import REPORTS, Drawing, Recording, is_cut_off, read, re
 from gateway.recordings.drawing import DRAWN_SCHEMAS, FRAMES, JOINT_STATES, LOG
 from gateway.recordings.plain_schema import plain_schema, without_nulls
 from gateway.recordings.reading import records
+from gateway.tools.record import repair_file
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.telemetry import Ack
@@ -233,10 +236,23 @@ def test_damage_in_the_middle_ends_what_can_be_read(path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"x" * 100, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\0" * 50])
 def test_what_is_no_recording_is_told_and_left_as_it_is(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match=r"ride\.mcap: "):
-        repair(path)
+    for mend in (repair, repair_file):
+        with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP file|was cut off before its first message)"):
+            mend(path)
     assert path.read_bytes() == content
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_disk_that_is_full_from_the_beginning_is_left_without_an_empty_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_fd: int, _data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space"):
+        Recording(path, time_ns=START_NS)
+    assert not path.exists()
 
 
 def test_a_file_that_is_being_written_is_not_cut_off_and_no_second_program_writes_it(path: Path) -> None:

@@ -12,7 +12,10 @@ from typing import Any, Final
 
 import pytest
 
+from gateway.errors import ConfigError
 from gateway.tools import reach
+from gateway.tools.drill import report
+from gateway.tools.drill.command import STEP_NAMES
 from gateway.tools.drill.run import drill
 from gateway.tools.drill.steps import STEPS
 from schemas.calibration import ServoChange
@@ -140,13 +143,17 @@ def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, step: str) -> 
 def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: Path) -> None:
     with Gateway(tmp_path, FRAMES) as running, running.client() as client:
         heard = frames(client)
-        options = ("--only", "silence", "--timeout", "0.3", "--connect", running.endpoint)
+        file = tmp_path / "drill.json"
+        options = ("--only", "silence", "--timeout", "0.3", "--connect", running.endpoint, "--report", str(file))
         with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
             heard.wait(lambda record: record.bytes == STARTED)
             running.child.kill()
             assert child.wait() == 4, str(child)
         assert "FAIL    silence" in child.stdout
         assert "Nobody has confirmed that all legs are stopped" in child.stderr
+        found = json.loads(file.read_text())
+        assert not found["passed"]
+        assert [step["result"] for step in found["steps"]] == ["fail"]
 
 
 def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:
@@ -182,7 +189,26 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:
         assert done.returncode == 2
         assert "estopped" in done.stderr
         assert client.reset().accepted
+        with client.lease():
+            done = gateway.run("drill")
+        assert done.returncode == 2, str(done)
+        assert "drives, and nothing is moved" in done.stderr
     assert gateway.run("drill", "--only", "nonsense").returncode == 2
+
+
+def test_a_report_that_cannot_be_written_is_told_before_anything_moves(gateway: Gateway, tmp_path: Path) -> None:
+    done = gateway.run("drill", "--report", str(tmp_path / "none" / "drill.html"))
+    assert done.returncode == 2
+    assert "there is no folder" in done.stderr
+    assert done.stdout == ""
+    with pytest.raises(ConfigError, match="it is a folder"):
+        report.check(tmp_path)
+    report.check(tmp_path / "drill.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_each_step() -> None:
+    assert STEP_NAMES.rstrip(".").split(", ") == [step.name for step in STEPS]
 
 
 SYSTEMCTL = """#!/bin/sh

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,11 +14,11 @@ import pytest
 
 from examples import tripod_gait
 from gateway.client import Client
-from gateway.protocol.frames import stop_leg
+from gateway.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.recordings import Recording
 from schemas.calibration import ServoChange
 from schemas.keys import FRAME
-from schemas.telemetry import FrameRecord
+from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, frames
@@ -124,7 +125,7 @@ def test_a_robot_that_moves_already_and_a_file_without_frames_are_told(gateway: 
                     stream.set({1: (90, 90, 90)})
                 busy.wait()
                 assert busy.returncode == 2, str(busy)
-                assert "not at rest" in busy.stderr
+                assert "a servo runs; stop it first" in busy.stderr
     empty = recorded.with_name("empty.mcap")
     Recording(empty, time_ns=time.time_ns()).close()
     nothing = gateway.run("replay", str(empty))
@@ -157,3 +158,17 @@ def test_on_another_calibration_it_makes_the_same_motion(tmp_path: Path, recorde
         unknown = other.run("replay", str(recorded))
         assert unknown.returncode == 2, str(unknown)
         assert "does not say by which calibration" in unknown.stderr
+
+
+def test_the_last_setpoint_is_not_rejected_for_the_stops_at_the_end(gateway: Gateway, tmp_path: Path) -> None:
+    path = tmp_path / "short.mcap"
+    with Recording(path, time_ns=time.time_ns()) as recording:
+        for step, op in enumerate((Op.START, Op.SET)):
+            frame = OneServo(11, ServoOp(op, 9000 + step)).to_bytes().hex()
+            record = FrameRecord(time=datetime.now(UTC), monotonic_ns=step * 10**6, bytes=frame, cause=Cause.COMMAND)
+            recording.add_report(FRAME, record.model_dump(mode="json"), time.time_ns())
+    with gateway.client() as client:
+        heard = frames(client)
+        done = gateway.run("replay", str(path))
+        assert done.returncode == 0, str(done)
+        assert frame in [record.bytes for record in heard.all], "it is carried out, and not dropped for the Stops"

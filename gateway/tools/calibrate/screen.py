@@ -105,10 +105,10 @@ class Screen:
         with self._live:
             while not self._ended.is_set():
                 self._news.clear()
-                _, rows = self._console.size
+                columns, rows = self._console.size
                 with self.session.lock:
                     self.session.turn()
-                    text = picture(self.session, self._where, rows)
+                    text = picture(self.session, self._where, rows, columns)
                 self._live.update(text, refresh=True)  # waits for the terminal, and so without the lock
                 self._ended.wait(LEAST_FRAME_S)
                 self._news.wait(FRAME_S - LEAST_FRAME_S)

@@ -22,32 +22,40 @@ _TOP_ROWS: Final = 6
 _MESSAGE_ROWS: Final = 3
 """So that the table stays where it is."""
 _BAR: Final = 60
-"""Columns of the bar, three degrees each."""
+"""Columns of the bar, three degrees each; fewer in a narrow terminal."""
+_BESIDE_BAR: Final = 11
 _SLOW_S: Final = 0.3
 _LEAST_ROWS: Final = 20
-"""In a lower terminal the table is left out."""
+_LEAST_COLUMNS: Final = 79
+"""In a lower or narrower terminal the table is left out, and what has happened stands above the keys: lines that wrap
+would push it off the screen, with a Stop that nobody has confirmed."""
 _CELL: Final = 24
 
 
-def picture(session: Session, where: str, rows: int) -> Text:
+def picture(session: Session, where: str, rows: int, columns: int) -> Text:
     """The whole screen, with the session's lock held."""
     text = Text()
     driver = "you drive" if session.drives else "you do not drive"
     text.append(f" calibrate   {where}   revision {session.guide.in_force.revision}   {driver}\n\n", "bold")
-    for part, least in ((_top, _TOP_ROWS), (_message, _MESSAGE_ROWS)):
-        lines = Text()
-        part(lines, session)
+    top, message = Text(), Text()
+    _top(top, session, min(_BAR, max(columns - _BESIDE_BAR, 1)))
+    _message(message, session)
+    if rows < _LEAST_ROWS or columns < _LEAST_COLUMNS:
+        message.append("\n" * (not message.plain.endswith("\n")))
+        text.append_text(message).append("\n").append_text(top)
+        text.append(f"The table of all servos needs {_LEAST_COLUMNS} columns and {_LEAST_ROWS} rows.\n", "dim")
+        return text
+    for lines, least in ((top, _TOP_ROWS), (message, _MESSAGE_ROWS)):
         text.append_text(lines)
         text.append("\n" * (least - lines.plain.count("\n")))
-    if rows >= _LEAST_ROWS:
-        _table(text, session)
+    _table(text, session)
     return text
 
 
-def _top(text: Text, session: Session) -> None:
+def _top(text: Text, session: Session, bar: int) -> None:
     match session.asks:
         case Asks.KEYS | Asks.MEASURED:
-            _running(text, session)
+            _running(text, session, bar)
         case Asks.ANGLE:
             _ask(text, f"Servo {session.servo_id} goes there AT ONCE, wherever it stands now. Start it at: ", session)
             text.append("Enter: start it   another angle: type it   Esc: no\n", "dim")
@@ -69,7 +77,7 @@ def _ask(text: Text, question: str, session: Session) -> None:
     text.append(f"{session.typed}_\n", "bold")
 
 
-def _running(text: Text, session: Session) -> None:
+def _running(text: Text, session: Session, bar: int) -> None:
     guide, held = session.guide, session.held
     servo_id = guide.servo_id or 0
     runs = held.confirmed
@@ -77,7 +85,7 @@ def _running(text: Text, session: Session) -> None:
     if guide.in_force.of(servo_id) != guide.draft[servo_id]:
         text.append(f"  {guide.command_deg:g}° by revision {guide.in_force.revision}, which is in force", "dim")
     text.append("\n")
-    _bar(text, guide.draft[servo_id], round(guide.shown_deg * 100))
+    _bar(text, guide.draft[servo_id], round(guide.shown_deg * 100), bar)
     if session.asks is Asks.MEASURED:
         _ask(text, "Measured on the robot, it now stands at: ", session)
         text.append("Enter: this sets the trim   Esc: no\n", "dim")
@@ -85,13 +93,14 @@ def _running(text: Text, session: Session) -> None:
         text.append(_RUN_KEYS)
 
 
-def _bar(text: Text, servo: ServoCalibration, shown_cdeg: int) -> None:
+def _bar(text: Text, servo: ServoCalibration, shown_cdeg: int, columns: int) -> None:
     """0 to 180 degrees, the limits, and where it stands."""
     place, low, high = (
-        min(max(round(cdeg * _BAR / MAX_ANGLE_CDEG), 0), _BAR) for cdeg in (shown_cdeg, servo.min_cdeg, servo.max_cdeg)
+        min(max(round(cdeg * columns / MAX_ANGLE_CDEG), 0), columns)
+        for cdeg in (shown_cdeg, servo.min_cdeg, servo.max_cdeg)
     )
     text.append("   0 ")
-    for column in range(_BAR + 1):
+    for column in range(columns + 1):
         inside = low <= column <= high
         mark = "[" if column == low else "]" if column == high else "━" if inside else "·"
         text.append("●" if column == place else mark, "bold green" if column == place else "" if inside else "dim")

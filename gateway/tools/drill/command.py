@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -10,6 +10,11 @@ from gateway.errors import ConfigError
 from gateway.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
+
+STEP_NAMES: Final = (
+    "command, set-while-stopped, silence, estop, until-reset, after-reset, cut-link, lease, stop-servos, restart."
+)
+"""Their names, without loading them for every other command; a test compares them."""
 
 
 @app.command()
@@ -25,7 +30,8 @@ def drill(
         bool, typer.Option("--move", help="Move all three servos of the leg by 15°, not only the first by 5°.")
     ] = False,
     only: Annotated[
-        list[str] | None, typer.Option("--only", metavar="STEP", help="Only this step; may be given several times.")
+        list[str] | None,
+        typer.Option("--only", metavar="STEP", help=f"Only this step; may be given several times. {STEP_NAMES}"),
     ] = None,
     late: Annotated[float, typer.Option("--late", metavar="MS", min=1, help="How late a Stop may be.")] = 20.0,
     restart: Annotated[
@@ -44,8 +50,8 @@ def drill(
     It moves one servo by 5° (--move: one leg by 15°), asks before it moves a real robot, and ends with everything
     stopped, also on Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
 
-    Exit codes: 0 all passed, 1 not all, or not finished, 2 the robot is not at rest, or nobody agreed, 4 no gateway
-    answers.
+    Exit codes: 0 all passed, 1 not all, or not finished, 2 the robot is not at rest, somebody else drives, nobody
+    agreed, or the report cannot be written, 4 no gateway answers.
     """
     from gateway.client import DEFAULT_ENDPOINT
     from gateway.tools import reach
@@ -57,6 +63,8 @@ def drill(
     unknown = unknown_steps(only or [])
     if unknown:
         raise ConfigError(f"{unknown[0]} is no step; they are {', '.join(step.name for step in STEPS)}")
+    if report is not None:
+        reports.check(report)
     endpoint = connect or (DEFAULT_ENDPOINT if zenoh_config is None else None)
     found = drill(
         reach.connection(connect, zenoh_config, timeout, source=SOURCE),
@@ -74,6 +82,8 @@ def drill(
     if report is not None:
         reports.write(report, found)
         say(f"report: {report}")
+    if found.lost is not None:
+        raise found.lost
     failed = [outcome.name for outcome in found.outcomes if outcome.passed is False]
     say("all passed" if found.passed else f"NOT passed: {', '.join(failed) or 'not finished'}")
     sys.exit(0 if found.passed else 1)

@@ -1,6 +1,7 @@
 """The report of a drill: JSON for programs, and one HTML file with plots for a folder of reports."""
 
 import json
+import os
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
@@ -61,6 +62,22 @@ def as_json(drill: Drill, now: datetime) -> dict[str, Any]:
     }
 
 
+def check(path: Path) -> None:
+    """Whether the report can be written there, before anything moves for it. Raises ConfigError."""
+    there = path if path.exists() else path.parent
+    why = (
+        "it is a folder"
+        if path.is_dir()
+        else f"there is no folder {path.parent}"
+        if not there.exists()
+        else ""
+        if os.access(there, os.W_OK)
+        else "this user may not write there"
+    )
+    if why:
+        raise ConfigError(f"{path}: the report cannot be written ({why}); nothing was moved")
+
+
 def write(path: Path, drill: Drill) -> None:
     """Write the report, as HTML or, where the name ends in .json, as JSON. Raises ConfigError."""
     now = datetime.now(UTC).astimezone()
@@ -86,6 +103,8 @@ def _html(drill: Drill, found: dict[str, Any], now: datetime) -> str:
     )
     if gateway["watchdog_landing_ms"]:
         head += f", then a landing of {gateway['watchdog_landing_ms']:g} ms"
+    if drill.lost is not None:
+        head += " · the gateway was lost, and nobody has confirmed that all legs are stopped"
     steps = "\n".join(map(_section, drill.outcomes))
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Drill: {verdict}</title>

@@ -8,14 +8,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from gateway.client import Client
 from gateway.errors import ConfigError, GatewayError
+from gateway.tools import kept_lease
 from gateway.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
 from gateway.tools.drill.steps import STEPS, Step
 from gateway.tools.driving import drives
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.rest import why_not_at_rest
-from gateway.tools.terminal import hint, say
+from gateway.tools.terminal import hint, say, this_command, visible
 from schemas.telemetry import GatewayState, Mode
 
 SOURCE: Final = "hexapod-gateway drill"
@@ -53,11 +55,13 @@ class Drill:
     frames_published: bool = False
     outcomes: list[Outcome] = field(default_factory=list)
     complete: bool = False
+    lost: GatewayError | None = None
+    """Why nobody has confirmed at the end that all legs are stopped."""
 
     @property
     def passed(self) -> bool:
-        """Whether every step was done that could be, and none failed."""
-        return self.complete and all(outcome.passed is not False for outcome in self.outcomes)
+        """Whether every step was done that could be, none failed, and all legs are stopped."""
+        return self.complete and self.lost is None and all(outcome.passed is not False for outcome in self.outcomes)
 
 
 def drill(
@@ -74,34 +78,46 @@ def drill(
     restart: bool = False,
     config: Path | None = None,
 ) -> Drill:
-    """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers."""
+    """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers.
+
+    A gateway that is lost on the way is part of what was found: `Drill.lost`.
+    """
+    found: Drill | None = None
     steps = [step for step in STEPS if not only or step.name in only]
-    with connect() as client:
-        state = client.state()
-        _at_rest(state)
-        delta_deg = MOVE_DEG if whole_leg else STEP_DEG
-        bench = Bench(
-            client,
-            leg,
-            servos=3 if whole_leg else 1,
-            start_deg=angle_deg,
-            end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
-            reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
-            late_ms=late_ms,
-            lands=bool(state.watchdog.landing_ms),
-            restart=restart,
-            config=() if config is None else ("--config", str(config)),
-        )
-        _agree(bench, state, agreed=agreed)
-        found = Drill(state, leg)
-        with bench.hears(), _ended_stopped(bench):
-            bench.measure()
-            found.frames_published = bench.frames_published
-            if not bench.frames_published:
-                hint("The gateway publishes no frames (telemetry.frames), so what is measured comes from its state.")
-            for number, step in enumerate(steps, 1):
-                found.outcomes.append(_do(bench, step, f"{number}/{len(steps)}"))
-            found.complete = True
+    try:
+        with connect() as client:
+            state = client.state()
+            _at_rest(state)
+            _may_drive(client, state)
+            delta_deg = MOVE_DEG if whole_leg else STEP_DEG
+            bench = Bench(
+                client,
+                leg,
+                servos=3 if whole_leg else 1,
+                start_deg=angle_deg,
+                end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
+                reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
+                late_ms=late_ms,
+                lands=bool(state.watchdog.landing_ms),
+                restart=restart,
+                config=() if config is None else ("--config", str(config)),
+            )
+            _agree(bench, state, agreed=agreed)
+            with bench.hears():
+                bench.measure()  # stops and asks only: whoever may not command is told so, and nothing was moved
+                found = Drill(state, leg, bench.frames_published)
+                if not bench.frames_published:
+                    hint(
+                        "The gateway publishes no frames (telemetry.frames), so what is measured comes from its state."
+                    )
+                with _ended_stopped(bench):
+                    for number, step in enumerate(steps, 1):
+                        found.outcomes.append(_do(bench, step, f"{number}/{len(steps)}"))
+                    found.complete = True
+    except GatewayError as error:
+        if found is None:
+            raise
+        found.lost = error
     return found
 
 
@@ -184,6 +200,16 @@ def _at_rest(state: GatewayState) -> None:
     trouble = why_not_at_rest(state)
     if trouble is not None:
         raise ConfigError(trouble)
+
+
+def _may_drive(client: Client, state: GatewayState) -> None:
+    """Raises ConfigError while somebody else holds the lease: nothing would be proved."""
+    holder = state.lease.holder
+    if holder is not None and kept_lease.token_of(client) is None:
+        raise ConfigError(
+            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released, or ask for it "
+            f"({this_command()} lease ask)"
+        )
 
 
 def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
