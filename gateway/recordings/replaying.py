@@ -78,7 +78,7 @@ class Plan:
     longest_gap_ns: int = 0
     """Between two frames of a leg that runs."""
     left_out: int = 0
-    """Frames that are none of this protocol, or come after the gateway's machine was started again."""
+    """Frames that are incomplete, or none of this protocol, or come after the gateway's machine was started again."""
 
     @property
     def duration_ns(self) -> int:
@@ -97,6 +97,9 @@ def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) ->
     together_ns = 0
     steps: dict[int, int] = {}  # of each leg the last one
     for record in records:
+        if not _is_whole(record):
+            found.left_out += 1
+            continue
         if begun_ns is None:
             if record["cause"] != Cause.COMMAND:  # the Stops of the gateway's start, or of what was before
                 continue
@@ -125,6 +128,12 @@ def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) ->
         _add(found.steps, together_ns, together)
     found.begun_running, found.longest_gap_ns = legs.begun_running, legs.longest_gap_ns
     return found
+
+
+def _is_whole(record: Mapping[str, Any]) -> bool:
+    """Whether it has what is needed of a FrameRecord: anybody's recording may have the channel."""
+    at_ns = record.get("monotonic_ns")
+    return isinstance(at_ns, int) and isinstance(record.get("bytes"), str) and isinstance(record.get("cause"), str)
 
 
 def _decoded(hex_bytes: str) -> Frame | None:

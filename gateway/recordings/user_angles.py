@@ -39,7 +39,9 @@ class UserAngles:
         if topic == STATE:
             self._said = True
             # An older gateway says nothing of a calibration, and had none.
-            self.agree = content.get("calibration", {}).get("revision", 0) == self._calibration.revision
+            said = content.get("calibration")
+            revision = said.get("revision", 0) if isinstance(said, dict) else 0
+            self.agree = revision == self._calibration.revision
         elif topic == CALIBRATION:
             self._said = True
             try:
@@ -61,7 +63,11 @@ class UserAngles:
         if not self._calibration.servos:
             return record
         self.translated = True
-        return {**record, "bytes": user_bytes(self._calibration, bytes.fromhex(record["bytes"])).hex()}
+        try:
+            data = bytes.fromhex(record["bytes"])
+        except (KeyError, TypeError, ValueError):  # no frame; whoever reads it looks for himself
+            return record
+        return {**record, "bytes": user_bytes(self._calibration, data).hex()}
 
 
 def user_bytes(calibration: Calibration, data: bytes) -> bytes:

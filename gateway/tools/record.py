@@ -1,6 +1,7 @@
 """`record`: everything that the gateway says, into an MCAP file, until somebody ends it."""
 
 import json
+import shutil
 import sys
 import time
 from collections import Counter
@@ -159,9 +160,10 @@ class _Recorder:
 
     def _show_progress(self) -> None:
         silent_s = time.monotonic() - self._heard_s
-        silence = f"; nothing heard for {silent_s:.0f} s" if silent_s > SILENT_S else ""
+        silence = f"nothing heard for {silent_s:.0f} s; " if silent_s > SILENT_S else ""
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r\x1b[K{self._summary()}{silence}")
+            columns = shutil.get_terminal_size().columns  # a line that wraps would be written below itself each time
+            sys.stderr.write(f"\r\x1b[K{f'{silence}{self._summary()}'[: columns - 1]}")
             sys.stderr.flush()
 
     def _tell(self) -> None:

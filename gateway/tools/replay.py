@@ -75,7 +75,10 @@ def _look_at(path: Path, recorded: Plan) -> None:
     if recorded.begun_running:
         hint(f"The recording begins while servos run: {recorded.begun_running} first Sets are sent as Starts.")
     if recorded.left_out:
-        hint(f"{recorded.left_out} frames are left out: after a new start of the gateway's machine, or of no protocol.")
+        hint(
+            f"{recorded.left_out} frames are left out: incomplete, of no protocol, or after a new start of the "
+            "gateway's machine."
+        )
 
 
 def _fit(state: GatewayState, recorded: Plan, speed: float) -> None:

@@ -9,8 +9,10 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.recordings.replaying import APART_NS, NS_PER_MS, Sent, Written, compare, plan
+from gateway.recordings.user_angles import UserAngles
 from gateway.tools.replay import _ask, _fit
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
+from schemas.keys import CALIBRATION, STATE
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, GatewayState, Mode, WatchdogReport
 
@@ -106,6 +108,23 @@ def test_after_the_machine_was_started_again_nothing_is_sent(at_ms: float) -> No
 def test_frames_of_another_protocol_are_left_out() -> None:
     found = plan([record(0, leg(1, Op.START)), {**record(20, leg(1)), "bytes": "ff00"}, record(40, leg(1))])
     assert (len(found.steps), found.left_out) == (2, 1)
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+@pytest.mark.parametrize("field", ["monotonic_ns", "bytes", "cause"])
+@pytest.mark.parametrize("value", [None, [1], {}, "missing"], ids=repr)
+def test_frames_that_lack_something_are_left_out(field: str, value: object, calibrated: bool) -> None:
+    """Of a later version, or made by a program of somebody else's."""
+    broken = {**record(10, leg(1)), field: value}
+    if value == "missing":
+        del broken[field]
+    angles = UserAngles()
+    if calibrated:
+        angles.hear(CALIBRATION, {"revision": 1, "servos": {"11": {"trim_deg": 3}}})
+    angles.hear(STATE, {"calibration": value})
+    records = [broken, record(20, leg(1, Op.START)), broken, record(40, leg(1))]
+    found = plan(angles.of(each) for each in records)
+    assert (len(found.steps), found.left_out) == (2, 2)
 
 
 # ---- comparing
