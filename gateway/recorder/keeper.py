@@ -15,6 +15,9 @@ from gateway.recorder.ring import written_by_anyone
 LOOK_S: Final = 0.5
 """How often it looks whether something happened; a look takes some 50 µs."""
 
+NEWEST: Final = 20_000
+"""Slots in which the end of a gateway is: a minute at 300 commands a second, which all legs at 50 Hz make."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -27,6 +30,7 @@ class Keeper:
         self._clock = clock
         self._seen: tuple[int, int, bool] | None = None
         self._due_ns: int | None = None
+        self._from_ns = 0  # the oldest record that was read last
         self._failed: set[str] = set()
 
     def look(self) -> list[Path]:
@@ -38,22 +42,37 @@ class Keeper:
         self._seen = seen
         return self.keep(whole_only=True)
 
-    def keep(self, *, whole_only: bool) -> list[Path]:
-        """Read the ring and keep its incidents; `whole_only`: those that nothing can be added to any more."""
+    def keep_all(self) -> None:
+        """Keep all that is there now, the end first: whoever waits for that may not wait for a full ring."""
+        self.keep(whole_only=False, most=NEWEST)
+        self.keep(whole_only=False)
+
+    def keep(self, *, whole_only: bool, most: int = place.MAX_SLOTS) -> list[Path]:
+        """Read the ring and keep its incidents; `whole_only`: those that nothing can be added to any more.
+
+        With `most`, the incidents of its newest so many slots; those that began earlier are then kept anew when it is
+        read whole.
+        """
         self._due_ns = None
         try:
-            content = reader.read(self._ring)
+            content = reader.read(self._ring, most)
         except reader.NoRingError as error:
             logger.info("no black box: %s", error)
             return []
         found = find(content.records, written=content.written, now_ns=self._clock())
         open_until = [incident.end_ns for incident in found if not incident.whole]
         self._due_ns = min(open_until, default=None)
-        made = [self._keep(each, content) for each in found if each.whole or not whole_only]
+        cut_ns, self._from_ns = self._from_ns, min(content.records.times_ns[:1], default=0)
+        further_back = self._from_ns < cut_ns
+        made = [
+            self._keep(each, content, anew=further_back and each.begin_ns < cut_ns)
+            for each in found
+            if each.whole or not whole_only
+        ]
         return [path for path in made if path is not None]
 
-    def _keep(self, incident: Incident, content: reader.Content) -> Path | None:
-        if kept.is_kept(self._folder, incident):
+    def _keep(self, incident: Incident, content: reader.Content, *, anew: bool) -> Path | None:
+        if kept.is_kept(self._folder, incident) and not anew:
             return None
         again = (self._folder / f"{incident.name}{kept.SUFFIX}").exists()
         try:

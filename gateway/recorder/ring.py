@@ -22,8 +22,6 @@ from gateway.recorder.format import HEAD_BYTES, pack_head, pack_slot_into
 
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
-_SEQUENCES: Final = 8
-"""Bytes of a sequence number, and where it begins in its slot."""
 
 
 class Ring:
@@ -108,16 +106,10 @@ class Ring:
 
     def _newest(self) -> int:
         """The highest sequence number of a whole record; 0: there is none."""
-        with memoryview(self._map) as whole, whole[form.HEADER_BYTES :].cast("Q") as words:
-            numbers = words[1 :: form.SLOT // _SEQUENCES].tolist()
-        in_place = [number for slot, number in enumerate(numbers) if number and number % self._slots == slot]
-        for torn, number in enumerate(sorted(in_place, reverse=True)):
-            offset = form.HEADER_BYTES + number % self._slots * form.SLOT
-            if form.read_slot(self._map[offset : offset + form.SLOT]) is not None:
-                if torn:
-                    self.note = f"the black box is continued; {torn} of its newest records are not whole"
-                return int(number)
-        return 0
+        number, torn = header.newest(self._map, self._slots)
+        if number and torn:
+            self.note = f"the black box is continued; {torn} of its newest records are not whole"
+        return number
 
 
 def written_by_anyone(fd: int) -> bool:

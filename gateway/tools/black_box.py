@@ -86,7 +86,7 @@ def keep(settings: Settings, *, once: bool) -> int:
     logging.basicConfig(level=settings.log.level.upper(), format="%(message)s")
     keeper = Keeper(_folder(settings))
     if once:
-        keeper.keep(whole_only=False)
+        keeper.keep_all()
         return 0
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
