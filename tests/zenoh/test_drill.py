@@ -144,7 +144,8 @@ def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: P
     with Gateway(tmp_path, FRAMES) as running, running.client() as client:
         heard = frames(client)
         file = tmp_path / "drill.json"
-        options = ("--only", "silence", "--timeout", "0.3", "--connect", running.endpoint, "--report", str(file))
+        steps = ("--only", "silence", "--only", "cut-link")
+        options = (*steps, "--timeout", "0.3", "--connect", running.endpoint, "--report", str(file))
         with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
             heard.wait(lambda record: record.bytes == STARTED)
             running.child.kill()
@@ -153,7 +154,7 @@ def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: P
         assert "Nobody has confirmed that all legs are stopped" in child.stderr
         found = json.loads(file.read_text())
         assert not found["passed"]
-        assert [step["result"] for step in found["steps"]] == ["fail"]
+        assert [step["result"] for step in found["steps"]] == ["fail", "fail"], "and none is skipped for it"
 
 
 def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:

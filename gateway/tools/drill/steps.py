@@ -266,7 +266,8 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
 
 def _dialled(bench: Bench) -> str:
     """Where the drill's own link leads."""
-    endpoint = next((str(link.dst) for link in bench.client.session.info.links()), "none")
+    endpoint = next((str(link.dst) for link in bench.client.session.info.links()), "")
+    demand(endpoint, "there is no link to the gateway any more")
     if endpoint.partition("/")[0] not in ("tcp", "tls"):
         raise Skipped(f"the drill can put itself into TCP and TLS only, and the link to the gateway is {endpoint}")
     return endpoint
