@@ -1,67 +1,112 @@
-"""The end of a gateway is kept first: only the newest part of the ring is read for it, and then the rest."""
+"""hexapod-recorder: which incidents are kept on the disk, when, and how many."""
 
+import asyncio
+import logging
+import os
 from pathlib import Path
 
 import pytest
 
-from gateway.recorder import format as form
-from gateway.recorder import keeper, place, reader
+from gateway.recorder import kept, place
+from gateway.recorder.incidents import is_id
 from gateway.recorder.keeper import Keeper
-from gateway.recorder.ring import Ring
-from gateway.recordings import read
-
-S = 1_000_000_000
-SLOTS = 256
-WALL_NS = 1_790_000_000 * S
-LATE_NS = 1000 * S
+from schemas import keys
+from tests.support.robot import WALL_NS
+from tests.unit.test_incidents import LEG_3, START, silence
+from tests.unit.test_recorder import recorded
 
 
-def ring(folder: Path, seconds: int, *incidents: tuple[int, str]) -> Path:
-    """A gateway that was killed after so long; each second the clock and a lag, and these incidents."""
-    made = Ring(folder / place.RING, SLOTS)
-    made.append(form.START, 0, form.start(WALL_NS, {"pid": 1}))
-    for second in range(1, seconds + 1):
-        made.append(form.CLOCK, second * S, form.number(WALL_NS + second * S))
-        made.append(form.LAG, second * S, form.number(second))
-        for at_s, name in incidents:
-            if at_s == second:
-                made.append(form.INCIDENT, second * S, form.incident(WALL_NS + second * S, name))
-    made.close()
-    return folder / place.RING
+def filled(folder: Path, count: int, size: int = 10) -> None:
+    folder.mkdir(parents=True)
+    for number in range(count):
+        (folder / f"20260921-141320-{number:03d}-watchdog.mcap").write_bytes(b"x" * size)
 
 
-def kept(folder: Path) -> dict[str, list[int]]:
-    """The incidents by how their names end, and the times of what their files hold."""
-    files = sorted((folder / place.INCIDENTS).glob("*.mcap"))
-    return {path.stem.split("-", 3)[-1]: [message.time_ns for message in read(path)] for path in files}
+def test_the_newest_hundred_and_two_hundred_megabytes_are_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "incidents"
+    filled(folder, 105)
+    (folder / "mine.mcap").write_text("not an incident's")
+    kept.prune(folder)
+    names = [each.name for each in kept.kept(folder)]
+    assert (len(names), names[0][-12:], names[-1][-12:]) == (100, "005-watchdog", "104-watchdog")
+    assert (folder / "mine.mcap").exists()
+    for number in range(100, 105):
+        os.truncate(folder / f"20260921-141320-{number}-watchdog.mcap", 60_000_000)  # no blocks, only the size
+    kept.prune(folder)
+    assert [each.name[-12:] for each in kept.kept(folder)] == ["102-watchdog", "103-watchdog", "104-watchdog"]
 
 
-@pytest.mark.parametrize("seconds", [5, 50, 300])
-@pytest.mark.parametrize("most", [1, 7, SLOTS - 1, SLOTS, 1000])
-def test_the_newest_slots_hold_the_newest_records(tmp_path: Path, seconds: int, most: int) -> None:
-    path = ring(tmp_path, seconds)
-    whole, newest = reader.read(path), reader.read(path, most)
-    assert list(newest.records) == list(whole.records)[-most:]
-    assert (newest.damaged, newest.missing) == (0, 0)
+@pytest.mark.virtual_time
+async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(folder: Path) -> None:
+    robot = recorded(folder)
+    keeper = Keeper(folder, clock=robot.now_ns)
+    assert keeper.look() == []
+    await silence(robot)
+    assert keeper.look() == []
+    await asyncio.sleep(4.5)
+    (path,) = keeper.look()
+    assert is_id(path.stem)
+    assert keeper.look() == []
+    assert Keeper(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
+    robot.put(keys.ESTOP)
+    robot.conductor.recorder.close()
+    await asyncio.sleep(0)
+    (path,) = keeper.look()
+    assert path.stem.endswith("-estop"), "a gateway that has ended adds nothing"
 
 
-def test_a_torn_newest_record_hides_none_before_it(tmp_path: Path) -> None:
-    path = ring(tmp_path, 100)
-    last = reader.read(path).records[-1].sequence
-    data = bytearray(path.read_bytes())
-    data[form.HEADER_BYTES + last % SLOTS * form.SLOT] ^= 1
-    records, _, _ = reader.parse(bytes(data), 3)
-    assert [each.sequence for each in records] == [last - 3, last - 2, last - 1]
+@pytest.mark.virtual_time
+async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_looks(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "gateway.recorder.keeper")
+    first = recorded(folder)
+    first.conductor.recorder.ended("a restart")
+    first.conductor.recorder.close()
+    keeper = Keeper(folder, clock=first.now_ns)
+    assert keeper.look() == []
+    recorded(folder).conductor.recorder.close()  # it ends without a word
+    assert keeper.look() == [], "its incident is not whole"
+    await asyncio.sleep(6)
+    (path,) = keeper.look()
+    assert path.stem.endswith("-crash")
+    os.utime(path, ns=(0, WALL_NS))
+    assert Keeper(folder, clock=first.now_ns).look() == [path]
+    assert len([entry for entry in caplog.records if "is kept" in entry.message]) == 1, "the log names it once"
 
 
-def test_the_end_is_kept_before_the_ring_is_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ring(tmp_path, 60, (20, "20260921-134700-000-estop"), (50, "20260921-134730-000-watchdog"))
-    monkeypatch.setattr(keeper, "NEWEST", 30)
-    Keeper(tmp_path, lambda: LATE_NS).keep(whole_only=False, most=keeper.NEWEST)
-    first = kept(tmp_path)
-    assert first.keys() == {"watchdog", "crash"}, "the emergency stop is further back"
-    Keeper(tmp_path, lambda: LATE_NS).keep_all()
-    second = kept(tmp_path)
-    assert second.keys() == {"estop", "watchdog", "crash"}
-    assert len(second["watchdog"]) > len(first["watchdog"]), "what it lacked is in it now"
-    assert second["crash"] == first["crash"]
+@pytest.mark.virtual_time
+async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    keeper = Keeper(folder, clock=robot.now_ns)
+    (path,) = keeper.keep(whole_only=False)
+    before = path.stat().st_size
+    os.utime(path, ns=(0, WALL_NS))
+    robot.put(LEG_3, START)
+    await asyncio.sleep(7)
+    (path,) = Keeper(folder, clock=robot.now_ns).look()
+    assert path.stat().st_size > before
+
+
+@pytest.mark.virtual_time
+async def test_a_full_disk_is_said_once_and_leaves_nothing_behind(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    await asyncio.sleep(5)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    caplog.set_level(logging.WARNING, "gateway.recorder.keeper")
+    keeper = Keeper(folder, clock=robot.now_ns)
+    with monkeypatch.context() as patched:
+        patched.setattr("gateway.recordings.writing.os.write", full)
+        assert keeper.keep(whole_only=True) == keeper.keep(whole_only=True) == []
+    said = [entry.message for entry in caplog.records if "kept" in entry.message]
+    assert len(said) == 1
+    assert said[0].endswith("cannot be kept: No space left on device")
+    assert list((folder / place.INCIDENTS).iterdir()) == []
+    assert len(keeper.keep(whole_only=True)) == 1
