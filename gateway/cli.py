@@ -18,6 +18,7 @@ from gateway.tools.drill import command as drill
 from gateway.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer(
+    rich_markup_mode="markdown",
     name="hexapod-gateway",
     help="Moves a six-legged robot: takes commands over Zenoh, writes HexapodProtocol frames to SPI, and stops the "
     "robot when commands stop coming.",
