@@ -88,6 +88,8 @@ class Lease:
         self._lost: LeaseLostError | None = None
         self._gives = False
         """Away: a renewal that is rejected meanwhile is no loss."""
+        self._giving = threading.RLock()
+        """Held until the gateway has answered that: only then it is known whose the legs are."""
         self._confirmed_s = 0.0
         self._news = threading.Event()
         self._asked_by: str | None = None
@@ -127,14 +129,15 @@ class Lease:
         token = self._token
         if token is None:
             raise LeaseError(Reason.NOT_HOLDER, "this lease is not held")
-        self._gives = True
-        try:
-            ack = self._client.lease_requests.release(token, to)
-            if ack.accepted:
-                self._end(_Holds.HANDED_OVER)
-                return
-        finally:
-            self._gives = False
+        with self._giving:
+            self._gives = True
+            try:
+                ack = self._client.lease_requests.release(token, to)
+                if ack.accepted:
+                    self._end(_Holds.HANDED_OVER)
+                    return
+            finally:
+                self._gives = False
         self.confirm()
         self.check()
         raise _error(ack)
@@ -192,8 +195,9 @@ class Lease:
 
     def confirm(self) -> LeaseLostError | None:
         """Ask the gateway whether we still hold it; the error if not."""
-        if self._holds is _Holds.YES:
-            self._renew(ANSWER_S)
+        with self._giving:
+            if self._holds is _Holds.YES:
+                self._renew(ANSWER_S)
         return self._lost if self._holds is _Holds.LOST else None
 
     def judge(self, ack: Ack) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,21 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.client import AsyncClient, Client, Lease, LeaseError, LeaseLostError, Stream, leg_payload
+from gateway.client import AsyncClient, Client, Lease, LeaseError, LeaseLostError, RejectedError, Stream, leg_payload
+from gateway.errors import GatewayError
 from gateway.protocol.frames import decode
 from schemas import keys
+from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from schemas.telemetry import FrameRecord, Kind, Mode, Reason
+from schemas.telemetry import Cause, FrameRecord, Kind, Mode, Reason
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, states
 from tests.support.secured import Secured
 
 POSE = (90, 45, 120)
 LATE_S = 10
+SOON_S = 0.5
+"""For what comes at once where it is wrong, and never else."""
 HZ = 50
 TTL_MS = 600.0
 
@@ -152,9 +157,10 @@ def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: C
 
     def walk() -> None:
         with lease, anna.stream(HZ) as stream:
-            while not handed.is_set():
-                stream.set({1: POSE, 4: POSE})
-                walks.set()
+            with suppress(RejectedError):  # what is sent between the handover and its answer
+                while not handed.is_set():
+                    stream.set({1: POSE, 4: POSE})
+                    walks.set()
             assert begun.wait(LATE_S)
 
     walking = threading.Thread(target=walk)
@@ -174,6 +180,45 @@ def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: C
     assert not stopped
     assert running(bert) == [], "the end of the stream of whoever drives does stop them"
     del gateway
+
+
+def test_a_gait_that_is_rejected_before_its_handover_is_answered_stops_no_leg(
+    anna: Client, bert: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until then it is not known whose the legs are, so the end of its stream waits for the answer."""
+    written, over, walks = frames(bert), threading.Event(), threading.Event()
+    release = anna.lease_requests.release
+
+    def answered_late(token: str, to: str) -> LeaseAck:
+        ack: LeaseAck = release(token, to)
+        over.wait(SOON_S)
+        return ack
+
+    monkeypatch.setattr(anna.lease_requests, "release", answered_late)
+
+    def on_asked(who: str) -> None:
+        lease.hand_over(who)
+
+    lease = anna.lease(on_asked=on_asked)
+    ended: list[GatewayError] = []
+
+    def walk() -> None:
+        try:
+            with lease, anna.stream(HZ) as stream:
+                while True:
+                    stream.set({1: POSE})
+                    walks.set()
+        except GatewayError as error:
+            ended.append(error)
+        over.set()
+
+    threading.Thread(target=walk).start()
+    assert walks.wait(LATE_S)
+    with bert.lease(wait_s=LATE_S):
+        assert over.wait(LATE_S)
+        assert isinstance(ended[0], RejectedError), ended
+        assert ended[0].reason == Reason.NOT_HOLDER
+        assert Cause.COMMAND not in {frame.cause for frame in written.all if is_stop(frame)}
 
 
 def test_a_forced_take_stops_all_legs_and_ends_the_other_ones_gait(anna: Client, bert: Client) -> None:
