@@ -4,12 +4,13 @@ import os
 import re
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
 import pytest
 from playwright.sync_api import Browser, Playwright, expect
+from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
 from gateway.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
 from gateway.tools.drill.cut_link import CutLink
@@ -185,13 +186,21 @@ def test_what_is_lost_stops_the_legs_and_the_page_says_why(
     expect(page["hold"]).to_have_attribute("data-held", "no")
 
 
+def _connected(playwright: Playwright, address: str) -> Browser:
+    """A connection to a browser that has just begun: one that meets its first tab half made waits for ever."""
+    for _ in range(5):
+        with suppress(PlaywrightTimeoutError):
+            return playwright.chromium.connect_over_cdp(address, no_defaults=True, timeout=5000)
+    raise AssertionError("the browser takes no connection")
+
+
 def test_another_tab_hides_the_page_and_stops_the_legs(playwright: Playwright, robot: Robot, tmp_path: Path) -> None:
     """Real tabs of one window: the driver otherwise keeps each page visible and focused."""
     command = [str(CHROMIUM), "--headless", "--remote-debugging-port=0", f"--user-data-dir={tmp_path}", *ARGUMENTS]
     chromium = Child(command, os.environ)
     try:
         address = chromium.wait_for_output("DevTools listening on ").split()[-1]
-        browser = playwright.chromium.connect_over_cdp(address, no_defaults=True)
+        browser = _connected(playwright, address)
         with Visitor(browser, robot.console.url, robot.cookie) as visitor:
             page = visitor.open(context=browser.contexts[0])
             since = hold(page, robot, 1, 4)

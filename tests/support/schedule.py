@@ -45,6 +45,11 @@ def arrange(items: list[pytest.Item]) -> None:
     items.sort(key=place)
 
 
+def has_pages(nodeid: str) -> bool:
+    """Whether these tests have a browser."""
+    return _file(nodeid).startswith("console/")
+
+
 def give_way() -> None:
     """Leave the processors to whoever else wants one, at once: a nice value only gives them more of the time."""
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
