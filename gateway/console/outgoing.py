@@ -30,7 +30,7 @@ class Outgoing:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
         self._acks: deque[AckMessage] = deque(maxlen=KEPT)
-        self._leases: deque[LeaseMessage | CalibrationMessage] = deque(maxlen=KEPT)
+        self._answers: deque[LeaseMessage | CalibrationMessage] = deque(maxlen=KEPT)
         self._link: LinkMessage | None = None
         self._state: Callable[[], str] | None = None
         self._events: deque[EventMessage] = deque(maxlen=KEPT)
@@ -46,7 +46,7 @@ class Outgoing:
             case AckMessage():
                 self._acks.append(message)
             case LeaseMessage() | CalibrationMessage():
-                self._leases.append(message)
+                self._answers.append(message)
             case LinkMessage():
                 self._link = message
             case EventMessage():
@@ -64,7 +64,7 @@ class Outgoing:
         """The texts to send now, in their order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
-        messages: list[Message] = [*self._stops.values(), *self._acks, *self._leases]
+        messages: list[Message] = [*self._stops.values(), *self._acks, *self._answers]
         if self._link is not None:
             messages.append(self._link)
         texts = [message.model_dump_json() for message in messages]
@@ -78,7 +78,7 @@ class Outgoing:
         texts += [event.model_dump_json() for event in self._events]
         self._stops.clear()
         self._acks.clear()
-        self._leases.clear()
+        self._answers.clear()
         self._events.clear()
         self._link = self._state = None
         return texts

@@ -42,6 +42,8 @@ MAX_TEXT: Final = 4000
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
 _CRC: Final = struct.Struct("<I")
+_SEQUENCE_BYTES: Final = 8
+"""Of a sequence number, and where it begins in its slot."""
 HEAD_BYTES: Final = _HEAD.size
 pack_head: Final = _HEAD.pack
 pack_slot_into: Final = _SLOT.pack_into
@@ -229,6 +231,18 @@ def read_slot(data: bytes) -> Slot | None:
     ):
         return None
     return Slot(kind, bool(more), sequence, ns, data[4 + _HEAD.size : 4 + length])
+
+
+def newest(buffer: Any, slots: int) -> tuple[int, int]:
+    """The highest sequence number of a whole record in a file (0: none), and how many above it are not whole."""
+    with memoryview(buffer) as whole, whole[HEADER_BYTES:].cast("Q") as words:
+        numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
+    in_place = [number for slot, number in enumerate(numbers) if number and number % slots == slot]
+    for torn, number in enumerate(sorted(in_place, reverse=True)):
+        offset = HEADER_BYTES + number % slots * SLOT
+        if read_slot(buffer[offset : offset + SLOT]) is not None:
+            return int(number), torn
+    return 0, len(in_place)
 
 
 # ---- what the types say

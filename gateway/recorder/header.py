@@ -12,7 +12,7 @@ import struct
 import zlib
 from typing import Any, Final
 
-from gateway.recorder.format import HEADER_BYTES, SLOT, DamagedError, read_slot
+from gateway.recorder.format import HEADER_BYTES, SLOT, DamagedError
 
 VERSION: Final = 2
 MAGIC: Final = b"hexapod black box\n"
@@ -23,8 +23,6 @@ _ANNOUNCED_AT: Final = 64
 _CALIBRATION: Final = struct.Struct("<IH")
 _CALIBRATION_AT: Final = 128
 _CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
-_SEQUENCE_BYTES: Final = 8
-"""Of a sequence number, and where it begins in its slot."""
 
 
 def new(slots: int) -> bytes:
@@ -78,15 +76,3 @@ def calibration(head: bytes) -> bytes:
     checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)
     data = head[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + length]
     return data if len(data) == length and zlib.crc32(data) == checksum else b""
-
-
-def newest(buffer: Any, slots: int) -> tuple[int, int]:
-    """The highest sequence number of a whole record in a file (0: none), and how many above it are not whole."""
-    with memoryview(buffer) as whole, whole[HEADER_BYTES:].cast("Q") as words:
-        numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
-    in_place = [number for slot, number in enumerate(numbers) if number and number % slots == slot]
-    for torn, number in enumerate(sorted(in_place, reverse=True)):
-        offset = HEADER_BYTES + number % slots * SLOT
-        if read_slot(buffer[offset : offset + SLOT]) is not None:
-            return int(number), torn
-    return 0, len(in_place)

@@ -74,7 +74,7 @@ class Keeper:
     def _keep(self, incident: Incident, content: reader.Content, *, anew: bool) -> Path | None:
         if kept.is_kept(self._folder, incident) and not anew:
             return None
-        again = (self._folder / f"{incident.name}{kept.SUFFIX}").exists()
+        again = kept.path_of(self._folder, incident).exists()
         try:
             path = kept.keep(self._folder, incident, content.records)
             kept.prune(self._folder)

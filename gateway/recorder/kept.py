@@ -55,6 +55,11 @@ def kept(folder: Path) -> list[Kept]:
     return found
 
 
+def path_of(folder: Path, incident: Incident) -> Path:
+    """Where an incident's file is, or would be."""
+    return folder / f"{incident.name}{SUFFIX}"
+
+
 def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> None:
     """Write an incident to a file. Raises OSError; FileExistsError unless `overwrite`."""
     begin_ns = incident.wall_ns(incident.begin_ns)
@@ -72,7 +77,7 @@ def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) 
 def keep(folder: Path, incident: Incident, records: Records) -> Path:
     """Write an incident into the folder; it is there whole, or as it was. Raises OSError."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    path = folder / f"{incident.name}{SUFFIX}"
+    path = path_of(folder, incident)
     unfinished = path.with_suffix(_UNFINISHED)
     unfinished.unlink(missing_ok=True)
     try:
@@ -89,7 +94,7 @@ def keep(folder: Path, incident: Incident, records: Records) -> Path:
 def is_kept(folder: Path, incident: Incident) -> bool:
     """Whether its file is there, and was written after its end: one that was written before lacks something."""
     try:
-        written_ns = (folder / f"{incident.name}{SUFFIX}").stat().st_mtime_ns
+        written_ns = path_of(folder, incident).stat().st_mtime_ns
     except OSError:
         return False
     return not incident.whole or written_ns > incident.end_ns + incident.wall_offset_ns

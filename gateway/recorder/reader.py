@@ -131,7 +131,7 @@ def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:
     sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
     damaged = 0
     most = min(most, slots)
-    newest = header.newest(data, slots)[0] if most < slots else 0
+    newest = form.newest(data, slots)[0] if most < slots else 0
     looked_at = range(slots) if most == slots else range(max(1, newest - most + 1), newest + 1)
     for index in (each % slots for each in looked_at):
         raw = form.slot_bytes(data, index)

@@ -106,7 +106,7 @@ class Ring:
 
     def _newest(self) -> int:
         """The highest sequence number of a whole record; 0: there is none."""
-        number, torn = header.newest(self._map, self._slots)
+        number, torn = form.newest(self._map, self._slots)
         if number and torn:
             self.note = f"the black box is continued; {torn} of its newest records are not whole"
         return number

@@ -50,8 +50,8 @@ class Drawing:
                 for servo in leg["servos"]:
                     self._commanded(servo["id"], servo.get("angle_deg"))
             yield from self.picture(time_ns)
-        elif topic == FRAME and self._angles.agree:  # else the state alone says where it is
-            self._take_frame(self._angles.of(report)["bytes"])
+        elif topic == FRAME and self._angles.consistent:  # else the state alone says where it is
+            self._take_frame(self._angles.record(report)["bytes"])
             if self._drawn_ns is None or time_ns - self._drawn_ns >= PICTURE_PERIOD_NS:
                 yield from self.picture(time_ns)
 

@@ -17,8 +17,8 @@ class UserAngles:
     def __init__(self) -> None:
         self.translated = False
         """Whether any frame has other angles on the wire than its users have."""
-        self.agree = True
-        """Whether what was said last of the calibration in force is consistent."""
+        self.consistent = True
+        """Whether the calibration that was told last is the one that is said to be in force."""
         self._calibration = Calibration()
         self._said = self._contradicted = False
 
@@ -32,7 +32,7 @@ class UserAngles:
         for message in messages:
             self.hear(message.topic, message.content)
             if message.topic == FRAME:
-                yield self.of(message.content)
+                yield self.record(message.content)
 
     def hear(self, topic: str, content: Mapping[str, Any]) -> None:
         """A message of the recording, in their order: what it says of the calibration holds for the frames after it."""
@@ -41,15 +41,15 @@ class UserAngles:
             # An older gateway says nothing of a calibration, and had none.
             said = content.get("calibration")
             revision = said.get("revision", 0) if isinstance(said, dict) else 0
-            self.agree = revision == self._calibration.revision
+            self.consistent = revision == self._calibration.revision
         elif topic == CALIBRATION:
             self._said = True
             try:
                 self._calibration = calibration_of(wire.Calibration.model_validate(content))
-                self.agree = True
+                self.consistent = True
             except ValueError:  # none that a gateway says
-                self.agree = False
-        self._contradicted |= not self.agree
+                self.consistent = False
+        self._contradicted |= not self.consistent
 
     def frame(self, frame: Frame) -> Frame:
         """A frame in users' angles, as far as known; as it is where no user could have meant it."""
@@ -58,7 +58,7 @@ class UserAngles:
         except FrameError:
             return frame
 
-    def of(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
+    def record(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
         """A FrameRecord in users' angles, as far as known."""
         if not self._calibration.servos:
             return record

@@ -7,7 +7,7 @@
  */
 
 import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
-import { obstacle, PERIOD_MS } from "./hold.js";
+import { obstacle, PERIOD_MS, whyNot } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
@@ -105,11 +105,7 @@ export class Calibrate {
 
   /** @param {import("./types.js").AckMessage} message */
   heardAck(message) {
-    const said = message.ack?.accepted
-      ? ""
-      : message.ack
-        ? `${message.ack.reason}: ${message.ack.detail ?? ""}`
-        : (message.error ?? "no answer");
+    const said = whyNot(message);
     const abandoned = this.abandoned.get(message.id);
     if (abandoned !== undefined) {
       this.abandoned.delete(message.id);

@@ -40,6 +40,12 @@ export function obstacle({ link, model, told, lastTickMs }, nowMs) {
   return "";
 }
 
+/** Why a command was not accepted, in words; "" where it was. @param {AckMessage} message */
+export function whyNot({ ack, error }) {
+  if (ack?.accepted) return "";
+  return ack ? `${ack.reason}: ${ack.detail ?? ""}` : (error ?? "no answer");
+}
+
 export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
@@ -146,11 +152,7 @@ export class Hold {
 
   /** @param {AckMessage} message */
   heardAck(message) {
-    const said = message.ack?.accepted
-      ? ""
-      : message.ack
-        ? `${message.ack.reason}: ${message.ack.detail ?? ""}`
-        : (message.error ?? "no answer");
+    const said = whyNot(message);
     const abandoned = this.abandoned.get(message.id);
     if (abandoned !== undefined) {
       this.abandoned.delete(message.id);

@@ -11,10 +11,11 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.client import Client
+from gateway.core.calibration import Calibration
+from gateway.core.calibration_report import calibration_of
 from gateway.errors import GatewayError, UnansweredError
 from gateway.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from schemas import keys
-from schemas.calibration import ServoCalibration
 from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
 
@@ -83,8 +84,8 @@ class Bench:
     """Whether the service may be killed."""
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
-    calibration: dict[str, ServoCalibration] = field(default_factory=dict)
-    """Of the servos that have one."""
+    calibration: Calibration = field(default_factory=Calibration)
+    """What is in force."""
     frames_published: bool = False
     answer_ms: float = 0.0
     """How long the gateway takes to answer at rest."""
@@ -114,16 +115,10 @@ class Bench:
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause, in the servos' own angles."""
-        commands = [ServoOp(op, centidegrees(self._wire_deg(servo_id, angle_deg))) for servo_id in self.servo_ids]
+        command = ServoOp(op, centidegrees(angle_deg))
         if self.servos > 1:
-            return OneLeg(self.leg, (commands[0], commands[1], commands[2]))
-        return OneServo(self.servo_ids[0], commands[0])
-
-    def _wire_deg(self, servo_id: int, angle_deg: float) -> float:
-        servo = self.calibration.get(str(servo_id))
-        if servo is None:
-            return angle_deg
-        return (180 - angle_deg if servo.inverted else angle_deg) + servo.trim_deg
+            return self.calibration.frame(OneLeg(self.leg, (command, command, command)))
+        return self.calibration.frame(OneServo(self.servo_ids[0], command))
 
     def ask(self, op: str, angle_deg: float) -> Ack:
         """An acknowledged start or set."""
@@ -221,7 +216,7 @@ class Bench:
         self.stop()
         self.frames_published = self.wait(lambda: self.frames, 1.0)
         with suppress(UnansweredError):  # a gateway that knows of no calibration
-            self.calibration = self.client.calibration().servos
+            self.calibration = calibration_of(self.client.calibration())
 
     def _take_frame(self, sample: zenoh.Sample) -> None:
         record = _read(FrameRecord, sample)

@@ -65,17 +65,15 @@ def as_json(drill: Drill, now: datetime) -> dict[str, Any]:
 def check(path: Path) -> None:
     """Whether the report can be written there, before anything moves for it. Raises ConfigError."""
     there = path if path.exists() else path.parent
-    why = (
-        "it is a folder"
-        if path.is_dir()
-        else f"there is no folder {path.parent}"
-        if not there.exists()
-        else ""
-        if os.access(there, os.W_OK)
-        else "this user may not write there"
-    )
-    if why:
-        raise ConfigError(f"{path}: the report cannot be written ({why}); nothing was moved")
+    if path.is_dir():
+        why = "it is a folder"
+    elif not there.exists():
+        why = f"there is no folder {path.parent}"
+    elif not os.access(there, os.W_OK):
+        why = "this user may not write there"
+    else:
+        return
+    raise ConfigError(f"{path}: the report cannot be written ({why}); nothing was moved")
 
 
 def write(path: Path, drill: Drill) -> None:
