@@ -35,6 +35,7 @@ class Reason(StrEnum):
     LEASE_HELD = "lease_held"
     LEASE_DENIED = "lease_denied"
     LANDING = "landing"
+    OVERFLOW = "overflow"
 
 
 class Mode(StrEnum):
@@ -68,6 +69,7 @@ class Kind(StrEnum):
     LEASE_ASKED = "lease_asked"
     LANDING = "landing"
     CALIBRATED = "calibrated"
+    OVERFLOW = "overflow"
 
 
 class Cause(StrEnum):
@@ -236,6 +238,9 @@ class Event(Report):
     reason: AnyReason | None
     detail: str
     left_out: Count = 0
+    legs: Annotated[
+        tuple[int, ...], Field(description="the legs that it is about, ascending; an older gateway does not say")
+    ] = ()
     incident: Annotated[str | None, Field(description="id of the incident that it belongs to, in the black box")] = None
 
 

@@ -170,12 +170,13 @@ class Rejected:
 
 @value
 class Announce:
-    """Something happened that people want to know."""
+    """Something happened that people want to know. `legs`, ascending, are those that it is about."""
 
     kind: Kind
     detail: str
     source: str | None = None
     key: str | None = None
+    legs: tuple[int, ...] = ()
 
 
 @value

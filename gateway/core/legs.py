@@ -54,7 +54,8 @@ def _taken_over(leg: Leg, source: str | None) -> list[Effect]:
     if not leg.armed:
         return []
     new, old = ("somebody without a name" if name is None else name for name in (source, before))
-    return [Announce(Kind.SOURCE_CHANGED, f"leg {leg.number} is commanded by {new}, and was by {old}", source)]
+    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
+    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
 
 
 class Legs:

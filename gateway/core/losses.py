@@ -11,7 +11,10 @@ from gateway.core.intake import Rejection, Targets, stop_all_of
 from gateway.protocol.frames import OP_START
 from schemas.keys import COMMAND_KEYS
 
-DETAIL: Final = "more messages came than can be read; a stop may be among those lost, so it counts as received"
+DETAIL: Final = (
+    "messages were lost on the way to the gateway: more came at once than it keeps, and a stop may be among them, "
+    "so it counts as received"
+)
 
 
 class Losses:

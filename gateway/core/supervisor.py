@@ -64,8 +64,10 @@ from gateway.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.core.reach import Reach
 from gateway.core.transitions import TRANSITIONS, IllegalEvent
 from gateway.protocol.frames import OP_SET, OP_STOP
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
+_ALL: Final = tuple(LEGS)
 _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
@@ -357,7 +359,9 @@ class Supervisor:
             leg.expired = True
         whole = "; all six legs are stopped" if self._rules.whole_robot else "; it is stopped"
         for number in silent:
-            effects.append(Announce(Kind.WATCHDOG_EXPIRED, f"leg {number} was not heard for {timeout_ms:g} ms{whole}"))
+            detail = f"leg {number} was not heard for {timeout_ms:g} ms{whole}"
+            stopped = _ALL if self._rules.whole_robot else (number,)
+            effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
         return effects
 
     def _begin_landing(self, silent: int, ends_ns: int, now_ns: int) -> list[Effect]:
@@ -371,7 +375,7 @@ class Supervisor:
         detail = (
             f"leg {silent} was not heard for {timeout_ms:g} ms; the robot lands, and is stopped {landing_ms:g} ms later"
         )
-        return [*dropped, Announce(Kind.LANDING, detail)]
+        return [*dropped, Announce(Kind.LANDING, detail, legs=_ALL)]
 
     def _touch_down(self, ends_ns: int, now_ns: int) -> list[Effect]:
         if now_ns < ends_ns:
@@ -383,7 +387,8 @@ class Supervisor:
         )
         for leg in moved:
             leg.expired = True
-        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, "the robot has landed; all six legs are stopped")]
+        detail = "the robot has landed; all six legs are stopped"
+        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]
 
     def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
         self.legs.landing = None  # no landing goes on beside or after a Stop of all legs

@@ -1,7 +1,7 @@
 """What becomes of commands: counted, recorded, answered, and told where they are rejected."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from gateway.core.events import Completed
 from gateway.core.intents import MAX_KEY
@@ -11,8 +11,10 @@ from gateway.runtime.metrics import Metrics
 from gateway.runtime.sources import Sources, Tell
 from schemas.telemetry import Ack, Kind, Reason
 
-Sender = tuple[str, str | None, Reply | None]
-"""Of a command that the supervisor knows by its number: its key, its source, and how it is answered."""
+Servos = Sequence[tuple[int, object]]
+"""The servos that a command names, each with what it asks of it."""
+Sender = tuple[str, str | None, Reply | None, Servos]
+"""Of a command that the supervisor knows by its number: its key, its source, how it is answered, and for what."""
 
 
 class Answers:
@@ -32,17 +34,17 @@ class Answers:
         self._tell = tell
         self._clock = clock
 
-    def expect(self, key: str, source: str | None, reply: Reply | None) -> int:
+    def expect(self, key: str, source: str | None, reply: Reply | None, servos: Servos) -> int:
         """The number of a new command, which is answered under it."""
         number = next(self.numbers)
-        self.pending[number] = key, source, reply
+        self.pending[number] = key, source, reply, servos
         return number
 
     def accept(self, completed: Completed) -> None:
         """A command has taken effect."""
         self._metrics.accepted += 1
         self._metrics.coalesced += completed.coalesced
-        key, source, reply = self.pending.pop(completed.number)
+        key, source, reply, _ = self.pending.pop(completed.number)
         self._recorder.decided(completed.number, "coalesced" if completed.coalesced else "accepted", key, source)
         if reply is not None:
             reply(Ack(accepted=True, coalesced=True if completed.coalesced else None).model_dump_json().encode())
@@ -50,21 +52,33 @@ class Answers:
     def reject_pending(self, number: int, reason: Reason, detail: str) -> None:
         """A command that the supervisor knows takes no effect."""
         self.rejected = number
-        key, source, reply = self.pending.pop(number)
-        self.reject(key, source, reply, reason, detail, number)
+        key, source, reply, servos = self.pending.pop(number)
+        self.reject(key, source, reply, reason, detail, number, servos)
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Tell of a message that is rejected without being taken: on a key that nothing reads, or about the lease."""
         self.reject(key[:MAX_KEY], source, None, reason, detail)
 
     def reject(
-        self, key: str, source: str | None, reply: Reply | None, reason: Reason, detail: str, number: int = 0
+        self,
+        key: str,
+        source: str | None,
+        reply: Reply | None,
+        reason: Reason,
+        detail: str,
+        number: int = 0,
+        servos: Servos = (),
     ) -> None:
-        """A message takes no effect; without a number it gets no further than this."""
+        """A message takes no effect; without a number it gets no further than this. `servos`: where it was read."""
         self._metrics.rejected[reason] += 1
         self._recorder.decided(number, reason, key, source)
         if reply is not None:
             reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())
         left_out = self._sources.rejections.admit(source, self._clock())
         if left_out is not None:
-            self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out)
+            self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out, legs_of(servos))
+
+
+def legs_of(servos: Servos) -> tuple[int, ...]:
+    """Whose servos these are, ascending."""
+    return tuple(sorted({servo_id // 10 for servo_id, _ in servos}))

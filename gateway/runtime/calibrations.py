@@ -65,11 +65,12 @@ class Calibrations:
         """Decide about a change, and answer once it is on the disk, or rejected."""
         conductor, answers, key = self._conductor, self._conductor.answers, keys.CALIBRATION_CMD
         now_ns = conductor.turned()
+        servos = (*intent.change.servos.items(), *intent.change.landing_cdeg.items())
         too_old = conductor.too_old(intent, source, now_ns, now_ns)
         if too_old is not None:
-            answers.reject(key, source, reply, Reason.STALE, too_old)
+            answers.reject(key, source, reply, Reason.STALE, too_old, servos=servos)
             return
-        number = answers.expect(key, source, reply)
+        number = answers.expect(key, source, reply, servos)
         event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, key, intent.lease)
         for effect in conductor.ask(event):
             if isinstance(effect, Keep):

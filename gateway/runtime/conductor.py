@@ -40,7 +40,7 @@ from gateway.errors import SpiError
 from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.protocol.frames import FIRST_OP, OP_STOP
 from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
-from gateway.runtime.answers import Answers
+from gateway.runtime.answers import Answers, legs_of
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
 from gateway.runtime.report import report
@@ -127,7 +127,7 @@ class Conductor:
     def announce_start(self) -> None:
         """Tell that commands are taken from now on."""
         self._announced = True
-        self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands", None, None, None)
+        self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands")
         self._tell_mode()
 
     def shut_down(self) -> bool:
@@ -207,9 +207,9 @@ class Conductor:
         too_old = self.too_old(intent, source, now_ns, instant_ns)
         if too_old is not None:
             self.recorder.command(0, received.verb, received.key, source, intent, received.received_ns)
-            self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)
+            self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old, servos=intent.targets)
             return
-        self._pending[number := next(self._numbers)] = received.key, source, received.reply
+        self._pending[number := next(self._numbers)] = received.key, source, received.reply, intent.targets
         self.recorder.command(number, received.verb, received.key, source, intent, received.received_ns)
         if received.key == keys.RESET:
             self._step(Reset(number, source, received.key, intent.estop, intent.lease), instant_ns)
@@ -231,8 +231,8 @@ class Conductor:
         key, targets = self._losses.take()
         stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
-            self.answers.reject(key, None, None, Reason.SERVO_STOPPED, DETAIL)
-            self._pending[number := next(self._numbers)] = key, None, None
+            self._tell(Kind.OVERFLOW, DETAIL, None, key, Reason.OVERFLOW, legs=legs_of(stops))
+            self._pending[number := next(self._numbers)] = key, None, None, stops
             self._step(Command(number, f"put {key}", stops), instant_ns)
 
     def too_old(

@@ -34,6 +34,7 @@ WARNINGS: Final = frozenset(
         Kind.ESTOP_ENGAGED,
         Kind.BUS_FAULT,
         Kind.STOPPED_OUTSIDE,
+        Kind.OVERFLOW,
     }
 )
 """Events that somebody should look at; the others are the normal course."""

@@ -9,7 +9,7 @@ from gateway.core.message import Received
 from gateway.core.rejection_limit import RejectionLimit
 from schemas.telemetry import Kind, Reason
 
-Tell = Callable[[Kind, str, str | None, str | None, Reason | None, int], None]
+Tell = Callable[[Kind, str, str | None, str | None, Reason | None, int, tuple[int, ...]], None]
 
 
 _LIMITED: Final = frozenset(
@@ -51,4 +51,4 @@ class Sources:
         source = self.estop if announce.kind is Kind.ESTOP_ENGAGED else announce.source
         left_out = self._handovers.admit(source, now_ns) if announce.kind in _LIMITED else 0
         if left_out is not None:
-            tell(announce.kind, announce.detail, source, announce.key, None, left_out)
+            tell(announce.kind, announce.detail, source, announce.key, None, left_out, announce.legs)

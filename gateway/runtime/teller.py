@@ -23,19 +23,26 @@ class Teller:
         self._recorder = recorder
 
     def event(
-        self, kind: Kind, detail: str, source: str | None, key: str | None, reason: Reason | None, left_out: int = 0
+        self,
+        kind: Kind,
+        detail: str,
+        source: str | None = None,
+        key: str | None = None,
+        reason: Reason | None = None,
+        left_out: int = 0,
+        legs: tuple[int, ...] = (),
     ) -> None:
-        """Tell an event."""
+        """Tell an event; `legs`, ascending, are those that it is about."""
         incident = self._recorder.event(kind, source, key, reason, detail, left_out)
         level = logging.WARNING if kind in WARNINGS else logging.INFO
         extra = {
             "kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None,
-            "incident": incident,
+            "legs": list(legs) or None, "incident": incident,
         }  # fmt: skip
         logger.log(level, detail, extra=extra)
         event = telemetry.Event(
             time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out,
-            incident=incident,
+            legs=legs, incident=incident,
         )  # fmt: skip
         self._outbox.publish(keys.EVENT, event)
 

@@ -80,8 +80,8 @@ CONDUCTOR = Subject(
             "a program cannot say who it is",
         ),
         Mutant(
-            "self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)\n            return\n",
-            "self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old)\n",
+            "self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old, servos=intent.targets)\n            return\n",
+            "self.answers.reject(received.key, source, received.reply, Reason.STALE, too_old, servos=intent.targets)\n",
             "a delayed command is rejected and executed",
         ),
         Mutant(

@@ -168,6 +168,7 @@ def change_hands(
             Kind.SOURCE_CHANGED,
             f"leg {number} is commanded by {command.source or NOBODY}, and was by {leg.source or NOBODY}",
             command.source,
+            legs=(number,),
         )
         for number, leg in changed.items()
         if number in running

@@ -284,6 +284,7 @@ async def test_two_laptops_on_one_leg_are_both_named() -> None:
     robot.put(LEG_3, leg("set", 3, 2, 3), source="0123abc")
     (event,) = robot.events(Kind.SOURCE_CHANGED)
     assert (event.source, event.detail) == ("0123abc", "leg 3 is commanded by 0123abc, and was by anna")
+    assert event.legs == (3,)
     robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3, "source": "ben"})
     assert robot.events(Kind.SOURCE_CHANGED)[-1].detail == "leg 3 is commanded by ben, and was by 0123abc"
     assert [each.source for each in robot.conductor.state().legs] == [None, None, "ben", None, None, None]
@@ -337,6 +338,32 @@ async def test_rejections_are_told_ten_times_a_second_and_source_and_counted_in_
     assert robot.events()[-1].left_out == 90
     assert "90" not in robot.events()[-1].detail
     assert robot.conductor.state().commands.rejected == 102
+
+
+async def test_a_rejection_names_the_legs_of_its_command_and_none_where_it_could_not_be_read() -> None:
+    robot = await started_and_quiet(limits={"max_age_ms": 100})
+    setpoint = {"servos": [servo("set", 90)] * 3}
+    robot.put(keys.LEGS_COMMAND, {"legs": {"5": setpoint, "2": setpoint}})
+    robot.put(keys.servo_command(41), servo("set", 90))
+    robot.put(LEG_3, b"{")
+    robot.put(LEG_3, leg("start", 1, 1, 181))
+    robot.put("hexapod/leg/7/cmd", leg("start", 1, 1, 1), target=None)
+    robot.put(keys.RESET, b"{")
+    robot.calibrate({"servos": {"41": {"trim_deg": 1}}, "landing": {"11": 45}, "revision": 9})
+    assert [event.legs for event in robot.events(Kind.COMMAND_REJECTED)] == [(2, 5), (4,), (), (), (), (), (1, 4)]
+    robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=1000.0))
+    await asyncio.sleep(0.2)
+    robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=1001.0))
+    assert [(event.reason, event.legs) for event in robot.events()[-1:]] == [(Reason.STALE, (3,))]
+
+
+@pytest.mark.parametrize(("scope", "legs"), [("leg", [(2,), (5,)]), ("robot", [tuple(LEGS), tuple(LEGS)])])
+async def test_a_watchdog_event_names_the_legs_that_are_stopped(scope: str, legs: list[tuple[int, ...]]) -> None:
+    robot = await started_and_quiet(watchdog={"scope": scope})
+    setpoint = {"servos": [servo("start", 90)] * 3}
+    robot.put(keys.LEGS_COMMAND, {"legs": {"5": setpoint, "2": setpoint}})
+    await asyncio.sleep(1)
+    assert [event.legs for event in robot.events(Kind.WATCHDOG_EXPIRED)] == legs
 
 
 async def test_the_state_says_what_was_last_written() -> None:

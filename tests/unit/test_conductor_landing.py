@@ -7,6 +7,7 @@ import pytest
 from gateway.core.message import Verb
 from gateway.protocol.frames import Op
 from schemas import keys
+from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
@@ -20,7 +21,7 @@ async def in_mid_landing() -> Robot:
     for key in (LEG_3, LEG_4):
         robot.put(key, leg("start", 90, 45, 120))
     await asyncio.sleep(0.75)
-    assert [event.kind for event in robot.events()] == [Kind.LANDING]
+    assert [(event.kind, event.legs) for event in robot.events()] == [(Kind.LANDING, tuple(LEGS))]
     robot.controller.transfers.clear()
     return robot
 

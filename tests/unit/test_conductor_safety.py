@@ -183,7 +183,10 @@ async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left:
     robot.conductor.tick()
     named = {LEG_3: {31, 32, 33}, keys.LEGS_COMMAND: {11, 12, 13, 31, 32, 33}}.get(key, {32})
     assert robot.controller.energised == {11, 12, 13, 31, 32, 33} - named
-    assert "a stop may be among those lost" in robot.events(Kind.COMMAND_REJECTED)[-1].detail
+    (event,) = robot.events(Kind.OVERFLOW)
+    assert (event.reason, event.key, event.source) == (Reason.OVERFLOW, key, None)
+    assert event.legs == tuple(sorted({servo_id // 10 for servo_id in named}))
+    assert "lost on the way to the gateway" in event.detail
     await asyncio.sleep(0.1)
     for servo_id in (11, 12, 13, 31, 32, 33):
         robot.put(keys.servo_command(servo_id), servo("start", 5))
@@ -200,7 +203,7 @@ async def test_a_start_that_is_newer_than_what_was_lost_keeps_its_servos_running
     robot.put(LEG_3, leg("set", 80, 80, 80))
     assert robot.controller.energised == {31, 32, 33}
     assert not [frame for _, frame in robot.frames if frame.is_stop]
-    assert not robot.events(Kind.COMMAND_REJECTED)
+    assert not robot.events(Kind.OVERFLOW)
     lost(robot, LEG_3)
     robot.put(LEG_3, {"servos": [servo("start", 1), servo("set", 1), servo("set", 1)]})
     assert robot.controller.energised == {31}

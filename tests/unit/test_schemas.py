@@ -235,7 +235,7 @@ def test_an_event_has_all_its_fields_and_an_rfc_3339_time() -> None:
     event = Event(time=NOW, kind=Kind.STARTED, source=None, key=None, reason=None, detail="here")
     assert json.loads(event.model_dump_json()) == {
         "time": "2026-01-02T03:04:05Z", "kind": "started", "source": None, "key": None, "reason": None,
-        "detail": "here", "incident": None, "left_out": 0,
+        "detail": "here", "incident": None, "left_out": 0, "legs": [],
     }  # fmt: skip
 
 
@@ -252,11 +252,11 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 @pytest.mark.parametrize(("enumeration", "words"), [
     (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping "
-     "not_holder no_lease lease_held lease_denied landing"),
+     "not_holder no_lease lease_held lease_denied landing overflow"),
     (Mode, "starting idle active estopped bus_fault stopping"),
     (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
      "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked "
-     "landing calibrated"),
+     "landing calibrated overflow"),
     (Cause, "command watchdog estop startup shutdown repeat"),
 ])  # fmt: skip
 def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:

@@ -166,5 +166,9 @@ def test_the_announcement_says_why_and_how_long() -> None:
     steps = landing_steps()
     steps.time(10 + TIMEOUT_MS)
     assert steps.effects == [
-        Announce(Kind.LANDING, "leg 3 was not heard for 250 ms; the robot lands, and is stopped 1000 ms later")
+        Announce(
+            Kind.LANDING,
+            "leg 3 was not heard for 250 ms; the robot lands, and is stopped 1000 ms later",
+            legs=(1, 2, 3, 4, 5, 6),
+        )
     ]
