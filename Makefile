@@ -10,7 +10,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd
 .PHONY: help run quick test check bench soak mutants schemas docs format clean wheels debian-packages
 
 help:
-	@echo "make run      the service with a simulated controller, and the console in the browser (makes $(VENV))"
+	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
 	@echo "              (CONSOLE=\"--listen 127.0.0.1:9000 --open\": options of the console; CONSOLE=no: without it)"
 	@echo "make quick    ruff, mypy and the tests that start no process: under a minute, no root"
 	@echo "make test     all tests; installs Debian packages for the hardware tests (APT=no: does not)"
@@ -25,18 +25,9 @@ help:
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
 	@echo "              (for a Pi, from another machine: make wheels FOR=aarch64 FOR_PYTHON=3.11)"
 
-# Ctrl-C, and SIGTERM to make, end both; the console's end does not end the gateway.
+# Ctrl-C, and SIGTERM to make, end all; the console's end does not end the gateway.
 run: $(VENV)/run
-ifeq ($(CONSOLE),no)
-	@$(BIN)/hexapod-gateway run --sim
-else
-	@$(BIN)/hexapod-gateway run --sim & gateway=$$!; \
-	$(BIN)/hexapod-gateway console $(CONSOLE) & console=$$!; \
-	trap 'kill $$gateway $$console 2>/dev/null' INT TERM; \
-	wait $$gateway; status=$$?; \
-	[ $$status -lt 128 ] || { wait $$gateway; status=$$?; }; \
-	kill $$console 2>/dev/null; wait $$console; exit $$status
-endif
+	@$(BIN)/python -m gateway.tools.try_out $(CONSOLE)
 
 quick: check
 	$(BIN)/pytest -q -n 2 tests/unit

@@ -152,8 +152,13 @@ def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 @app.command()
 def console(
     listen: Annotated[
-        str, typer.Option("--listen", metavar="HOST:PORT", help="Where browsers reach it.")
-    ] = "127.0.0.1:8080",
+        str | None,
+        typer.Option(
+            "--listen",
+            metavar="HOST:PORT",
+            help="Where browsers reach it. Default: 127.0.0.1:8080, or the next port that is free.",
+        ),
+    ] = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,

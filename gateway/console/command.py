@@ -8,7 +8,7 @@ from typing import Final, NoReturn
 from gateway.console import register
 from gateway.console.messages import ROLES
 from gateway.console.register import Register
-from gateway.console.site import address_of, site
+from gateway.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
 from gateway.errors import ConfigError, UnreachedError
 from gateway.tools.terminal import say
 
@@ -18,7 +18,7 @@ LOOK_S: Final = 1.0
 
 def console(
     *,
-    listen: str,
+    listen: str | None,
     connect: str | None,
     zenoh_config: Path | None,
     timeout_s: float,
@@ -28,7 +28,7 @@ def console(
     geometry: Path | None,
     open_browser: bool,
 ) -> NoReturn:
-    """Serve the page until the process is asked to end. Raises GatewayError."""
+    """Serve the page until the process is asked to end, without `listen` on a free port. Raises GatewayError."""
     _need_extra()
     if role not in ROLES:
         raise ConfigError(f"--role {role}: a page is for an operator (drives and watches) or an observer (only looks)")
@@ -36,7 +36,8 @@ def console(
 
     serve(
         Options(
-            site=site(listen, cert, key),
+            site=site(listen or free_address(), cert, key),
+            listen_given=listen is not None,
             connect=connect,
             zenoh_config=zenoh_config,
             timeout_s=timeout_s,
@@ -47,9 +48,10 @@ def console(
     )
 
 
-def link(listen: str) -> int:
+def link(listen: str | None) -> int:
     """Print a link into the console that runs at that address, for another browser. Raises GatewayError."""
     _need_extra()
+    listen = listen or f"{DEFAULT_ADDRESS}:{DEFAULT_PORT}"
     from gateway.console.serve import show  # noqa: PLC0415 (the same)
 
     address, port = address_of(listen)

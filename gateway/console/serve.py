@@ -56,6 +56,7 @@ class Options:
     """The command's."""
 
     site: Site
+    listen_given: bool
     connect: str | None
     zenoh_config: Path | None
     timeout_s: float
@@ -125,9 +126,11 @@ async def _run(
         loop.add_signal_handler(number, server.end)
     watching = asyncio.create_task(gateway.run())
     watching.add_done_callback(lambda _: server.end())
-    show(link)
     where = "" if options.site.port == DEFAULT_PORT else f" --listen {options.site.address}:{options.site.port}"
     say(f"For another browser: {this_command()} console --link{where}")
+    if not options.listen_given and options.site.port != DEFAULT_PORT:
+        hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {options.site.port}.")
+    show(link)
     if options.open_browser:
         threading.Thread(target=partial(_open, link), daemon=True).start()
     await server.serve(sockets=[listening])

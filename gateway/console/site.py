@@ -6,7 +6,9 @@ listens on; nothing is taken from them.
 """
 
 import ipaddress
+import socket
 import ssl
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -17,6 +19,9 @@ from gateway.certs.authority import hosts_of
 from gateway.errors import ConfigError
 
 DEFAULT_PORT: Final = 8080
+DEFAULT_ADDRESS: Final = "127.0.0.1"
+_NEXT_PORTS: Final = range(DEFAULT_PORT + 1, DEFAULT_PORT + 20)
+"""Where nobody has named an address, and another program has the default port."""
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
 
@@ -101,6 +106,20 @@ def address_of(listen: str) -> tuple[str, int]:
     if not host or parts.path or parts.query or "@" in listen or not 1 <= port <= 65535:
         raise ConfigError(f"--listen {listen} is no HOST:PORT, such as 127.0.0.1:8080")
     return host, port
+
+
+def free_address() -> str:
+    """The default address, with the first port that nobody has; where all are taken, with the default port."""
+    return f"{DEFAULT_ADDRESS}:{next(filter(_is_free, (DEFAULT_PORT, *_NEXT_PORTS)), DEFAULT_PORT)}"
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe, suppress(OSError):
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the console itself
+        probe.bind((DEFAULT_ADDRESS, port))
+        probe.listen()
+        return True
+    return False
 
 
 def _is_loopback(address: str) -> bool:

@@ -34,9 +34,17 @@ def folder_of(settings: Settings) -> Path | None:
 
 
 def folder_to_read(settings: Settings) -> Path | None:
-    """The same for whoever reads it: also the service's, where systemd did not start the reader."""
+    """The same for whoever reads it: also the service's, or else that of `make run`, where no setting names one."""
     folder = folder_of(settings)
-    return folder if folder is not None else SERVICE_STATE if SERVICE_STATE.is_dir() else None
+    if folder is not None:
+        return folder
+    return next((each for each in (SERVICE_STATE, tried()) if each.is_dir()), None)
+
+
+def tried() -> Path:
+    """The black box of `make run`, this user's own; it is found without a file of settings."""
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path("~/.local/state").expanduser()) / "hexapod-gateway" / "tried"
 
 
 def prepare(folder: Path) -> Path:

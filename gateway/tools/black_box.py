@@ -18,6 +18,7 @@ from gateway.recorder.messages import messages
 from gateway.recorder.story import NoStoryError, story, what
 from gateway.recordings import Message, read
 from gateway.settings import Settings
+from gateway.tools.terminal import this_command
 
 LAST: Final = "last"
 
@@ -100,7 +101,11 @@ def keep(settings: Settings, *, once: bool) -> int:
 def _folder(settings: Settings) -> Path:
     folder = place.folder_to_read(settings)
     if folder is None:
-        raise ConfigError("the black box is off; set recorder.path to a folder, in the file that --config names")
+        raise ConfigError(
+            "the black box is off: no gateway has kept one on this machine. `make run` and the installed service keep "
+            "one; for a gateway that you start yourself, type:\n"
+            f"HEXAPOD_RECORDER__PATH=$HOME/black-box {this_command()} run --sim, and the same before `incidents`"
+        )
     return folder
 
 

@@ -73,11 +73,13 @@ def test_a_stop_is_told_at_once_and_a_killed_gateways_story_is_still_there(gatew
 
 def test_a_laptop_without_a_black_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     (tmp_path / "gateway.toml").write_text('[log]\nlevel = "info"\n')
     child = Child([*COMMAND, "incidents", "--config", str(tmp_path / "gateway.toml")], os.environ)
     if not Path("/var/lib/hexapod-gateway").is_dir():
         assert child.wait(30) == 2
-        assert "the black box is off; set recorder.path" in child.stderr
+        assert "the black box is off: " in child.stderr
+        assert "`make run` and the installed service keep one" in child.stderr
     child.close()
 
 
