@@ -54,9 +54,12 @@ class AsyncClient:
         zenoh_config: str | Path | None = None,
         source: str | None = None,
         timeout_s: float = 2.0,
+        explain: bool = True,
     ) -> None:
         """As `Client`; nothing is opened yet."""
-        self._make = lambda: Client(endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s)
+        self._make = lambda: Client(
+            endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=explain
+        )
         self._client: Client | None = None
         self._threads = _Threads()
         self._turns = asyncio.Semaphore(MAX_QUESTIONS)
@@ -126,11 +129,11 @@ class AsyncClient:
         """See `Client.ask_for_lease`."""
         return await self._ask(self.client.ask_for_lease, source)
 
-    async def start_leg(self, leg: int, *angles_deg: Angle) -> Ack:
+    async def start_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
         """See `Client.start_leg`."""
         return await self._ask(self.client.start_leg, leg, *angles_deg)
 
-    async def set_leg(self, leg: int, *angles_deg: Angle) -> Ack:
+    async def set_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
         """See `Client.set_leg`."""
         return await self._ask(self.client.set_leg, leg, *angles_deg)
 

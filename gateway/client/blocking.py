@@ -15,14 +15,23 @@ from pydantic import BaseModel, Field, ValidationError
 from gateway.client.ending import close_at_the_end
 from gateway.client.lease import Lease
 from gateway.client.lease_requests import LeaseRequests
-from gateway.client.payloads import Angle, calibration_payload, leg_payload, legs_payload, servo_payload
+from gateway.client.payloads import (
+    Angle,
+    calibration_payload,
+    leg_number,
+    leg_payload,
+    legs_payload,
+    row,
+    servo_number,
+    servo_payload,
+)
 from gateway.client.proof import Identity
 from gateway.client.stream import Stream
 from gateway.edge.config_file import get, one_line
 from gateway.edge.hosts import Hosts
 from gateway.edge.question import JSON, Question
 from gateway.edge.session import client_config
-from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, ZenohError
+from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Mode
@@ -42,7 +51,7 @@ class Client:
     Commands are acknowledged: the Ack says whether the frame has been written, or why not. A running leg must hear
     something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it; `stream` is for that. All
     raise DisconnectedError when no gateway answers in time, ValueError for a leg or servo that does not exist or a
-    wrong count of angles, TypeError for an angle that is no number.
+    wrong count of angles, TypeError for a leg, servo or angle that is no number.
 
     >>> with Client(endpoint, source="an example") as robot:
     ...     robot.wait_ready().mode
@@ -62,12 +71,14 @@ class Client:
         zenoh_config: str | Path | None = None,
         source: str | None = None,
         timeout_s: float = 2.0,
+        explain: bool = True,
     ) -> None:
         """Connect, by whichever host of the file answers first. `source` (1 to 64 characters) is who you are in events.
 
         `zenoh_config` is the file that came with your certificate, and says where the robot is. An `endpoint` that is
         given goes before the file's; with neither, it is this machine's gateway. `timeout_s`: how long an answer may
-        take. Raises ZenohError, ConfigError.
+        take. Raises ConfigError, and ZenohError, which with `explain` has a line for each host: the step that fails,
+        and what to do. To find that out takes up to a second more.
         """
         file = None if zenoh_config is None else Path(zenoh_config).expanduser()
         if endpoint is None and file is None:
@@ -82,7 +93,10 @@ class Client:
         self._source = source
         self._closed = False
         self._answered: dict[str, Question[Any]] = {}
-        self.session = self._hosts.open()
+        try:
+            self.session = self._hosts.open()
+        except UnreachedError as error:
+            raise UnreachedError((_why(config) if explain else "") or str(error)) from error
         """Lives until `close`: when its link breaks, it comes back by any of the hosts, with all that is declared."""
         self.name = str(self.session.info.zid()) if source is None else source
         """Who this is in events: `source`, or the session's Zenoh id (which only a stream's commands tell)."""
@@ -173,13 +187,13 @@ class Client:
 
     # ---- commands, acknowledged
 
-    def start_leg(self, leg: int, *angles_deg: Angle) -> Ack:
-        """Energise a leg's three servos at these angles (degrees, 0 to 180, joints 1, 2, 3)."""
-        return self.ask(keys.leg_command(leg), leg_payload("start", angles_deg))
+    def start_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
+        """Energise a leg's three servos at these angles (degrees, 0 to 180, joints 1, 2, 3), or at one list of them."""
+        return self.ask(keys.leg_command(leg_number(leg)), leg_payload("start", row(angles_deg)))
 
-    def set_leg(self, leg: int, *angles_deg: Angle) -> Ack:
-        """Move a running leg's servos to these angles."""
-        return self.ask(keys.leg_command(leg), leg_payload("set", angles_deg))
+    def set_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
+        """Move a running leg's servos to these angles, or to one list of them."""
+        return self.ask(keys.leg_command(leg_number(leg)), leg_payload("set", row(angles_deg)))
 
     def start_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
         """Energise several legs (1 to 6) at these angles, in one message: accepted or rejected as a whole."""
@@ -192,12 +206,13 @@ class Client:
     def stop(self, leg: int | None = None) -> Ack:
         """De-energise one leg, or all six."""
         if leg is not None:
-            return self.ask(keys.leg_command(leg), leg_payload("stop"), again=True)
+            return self.ask(keys.leg_command(leg_number(leg)), leg_payload("stop"), again=True)
         return self.ask(keys.LEGS_COMMAND, legs_payload("stop", dict.fromkeys(LEGS, ())), again=True)
 
     def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         """Start, set or stop one servo (11 to 63)."""
-        return self.ask(keys.servo_command(servo_id), servo_payload(op, angle_deg), again=op == "stop")
+        key = keys.servo_command(servo_number(servo_id))
+        return self.ask(key, servo_payload(op, angle_deg), again=op == "stop")
 
     def estop(self) -> Ack:
         """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon."""
@@ -345,6 +360,12 @@ class Client:
         waited = f"within {timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
         others = f" (what answers on {key} is none)" if question.answerers else ""
         raise UnansweredError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
+
+
+def _why(config: zenoh.Config) -> str:
+    from gateway.edge import diagnosis  # only now: no emergency stop waits for what it loads
+
+    return "\n".join(diagnosis.why(config))
 
 
 class _EstopAck(Ack):

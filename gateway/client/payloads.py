@@ -1,43 +1,67 @@
 """The payloads of commands, from whatever a program has for numbers."""
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, Final, SupportsFloat, SupportsIndex, TypeGuard, cast
 
-from schemas.robot import JOINTS, LEGS
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 if TYPE_CHECKING:
     from schemas.calibration import ServoChange
 
 Angle = SupportsFloat | SupportsIndex
 """Degrees: an int, a float, or whatever is one, such as numpy's `float32` and `int64`. A bool is not."""
+MIN_DEG: Final = 0.0
+MAX_DEG: Final = 180.0
+ROUNDING_DEG: Final = 0.005
+"""Half of the protocol's hundredth: what is so close outside 0 to 180 is that limit, reached by inexact arithmetic."""
 
 
 def leg_payload(op: str, angles_deg: Sequence[Angle] = ()) -> dict[str, Any]:
     """The payload of a leg's command: one operation for its three servos, with three angles unless it stops.
 
-    Raises ValueError unless there are three, TypeError where one is no number.
+    Raises ValueError unless there are three, TypeError where one is no number, or where they have no order.
 
     >>> leg_payload("set", (90, 45.5, 120))["servos"][1]
     {'op': 'set', 'angle_deg': 45.5}
     """
     if op == "stop":
         return {"servos": [servo_payload(op)] * 3}
+    if not _is_row(angles_deg):
+        raise TypeError(f"a leg's angles are a list, a tuple or an array of three, and not {angles_deg!r}")
     if len(angles_deg) != len(JOINTS):
         raise ValueError(f"{len(angles_deg)} angles; a leg has three joints")
     return {"servos": [{"op": op, "angle_deg": number(angle_deg)} for angle_deg in angles_deg]}
 
 
+def row(angles_deg: tuple[Angle | Sequence[Angle], ...]) -> Sequence[Angle]:
+    """A leg's angles, whether they are given one by one or as one list, tuple or array.
+
+    >>> row((90, 45, 120)), row(([90, 45, 120],))
+    ((90, 45, 120), [90, 45, 120])
+    """
+    match angles_deg:
+        case [one] if _is_row(one):
+            return one
+        case _:
+            return cast(tuple[Angle, ...], angles_deg)  # each is looked at by `number`
+
+
+def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
+    """Also numpy's arrays, which are no Sequence; no set and no dict, whose order is not the joints'."""
+    indexed = isinstance(value, Collection) and hasattr(value, "__getitem__")
+    return indexed and not isinstance(value, str | bytes | Mapping)
+
+
 def legs_payload(op: str, angles_deg: Mapping[int, Sequence[Angle]]) -> dict[str, Any]:
     """The payload of one command for several legs (1 to 6): one operation, three angles (degrees) for each.
 
-    Raises as `leg_payload`, and ValueError for a leg that does not exist.
+    Raises as `leg_payload` and `leg_number`.
     """
     legs = {}
     for leg, angles in angles_deg.items():
-        if leg not in LEGS:
-            raise ValueError(f"leg {leg} does not exist; legs are 1 to 6")
-        legs[str(int(leg))] = leg_payload(op, angles)
+        legs[str(leg_number(leg))] = leg_payload(op, angles)
     return {"legs": legs}
 
 
@@ -65,13 +89,46 @@ def calibration_payload(
     return payload
 
 
-def number(angle_deg: Angle) -> float:
-    """An angle as JSON can carry it. Raises TypeError for a bool, a string, or whatever else is no number."""
+def leg_number(leg: object) -> int:
+    """A leg's number. Raises TypeError where it is none, such as "3", ValueError for a leg that does not exist."""
+    return _named("leg", leg, LEGS, "legs are 1 to 6")
+
+
+def servo_number(servo_id: object) -> int:
+    """A servo's id. Raises TypeError where it is no number, ValueError for a servo that does not exist."""
+    return _named("servo", servo_id, SERVO_IDS, "an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
+
+
+def _named(what: str, name: object, known: Collection[int], which: str) -> int:
+    if isinstance(name, bool) or not isinstance(name, SupportsIndex):
+        raise TypeError(f"a {what} is a whole number, and not {name!r}; {which}")
+    number = operator.index(name)
+    if number not in known:
+        raise ValueError(f"{what} {number} does not exist; {which}")
+    return number
+
+
+def number(angle_deg: object) -> float:
+    """An angle as JSON can carry it. Raises TypeError for a bool, a string, or whatever else is no number.
+
+    One that is outside 0 to 180 degrees by no more than ROUNDING_DEG becomes that limit.
+
+    >>> number(180.0000000000001), number(-1e-15)
+    (180.0, 0.0)
+    """
     if isinstance(angle_deg, int | float) and not isinstance(angle_deg, bool):
-        return angle_deg
+        return _within_limits(angle_deg)
     if type(angle_deg).__name__ not in ("bool", "bool_"):  # Python's, numpy's
         if isinstance(angle_deg, SupportsFloat):
-            return float(angle_deg)
+            return _within_limits(float(angle_deg))
         if isinstance(angle_deg, SupportsIndex):
-            return int(angle_deg)
+            return operator.index(angle_deg)
     raise TypeError(f"an angle is a number of degrees, and not {angle_deg!r}")
+
+
+def _within_limits(angle_deg: float) -> float:
+    if MAX_DEG < angle_deg <= MAX_DEG + ROUNDING_DEG:
+        return MAX_DEG
+    if MIN_DEG - ROUNDING_DEG <= angle_deg < MIN_DEG:
+        return MIN_DEG
+    return angle_deg

@@ -7,6 +7,7 @@ silence) only raises a doubt, and what it answers then decides. Events that are 
 import re
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -19,6 +20,7 @@ import zenoh
 from gateway.client.lease import NOT_OURS
 from gateway.client.pace import Pace
 from gateway.client.payloads import Angle, legs_payload
+from gateway.client.radians import LIKE_RADIANS, Radians
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
@@ -45,7 +47,9 @@ Angles = dict[int, tuple[float, float, float]]
 class Stream:
     """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`, used in a `with`.
 
-    The first setpoint of a leg starts it. At the end of the `with` what was moved is stopped, also after an error.
+    The first setpoint of a leg starts it. At the end of the `with` what was started is stopped, also after an error:
+    legs whose start was accepted, or not answered. A leg whose start was rejected, or that the gateway has since found
+    stopped, may be somebody else's, and is left alone.
     Nothing is ever sent but what `set` is given: a program that stalls is stopped by the gateway's watchdog. So is a
     leg that is left out for longer than that. Inside `Client.lease`, legs whose lease was handed over, or taken, are no
     longer this stream's: it does not stop them at its end. For one thread at a time.
@@ -65,8 +69,9 @@ class Stream:
         self._client = client
         self._hz = hz
         self._pace = Pace(hz)
+        self._radians = Radians()
         self._started: frozenset[int] = frozenset()
-        self._moved: frozenset[int] = frozenset()
+        self._to_stop: frozenset[int] = frozenset()
         self._lease: Lease | None = None  # under which it started them
         self._since: datetime | None = None  # by the gateway's clock: since when all that is started runs
         self._over: GatewayError | None = None
@@ -140,7 +145,7 @@ class Stream:
         self._open = True
 
     def close(self) -> None:
-        """Stop what was moved, acknowledged. Raises DisconnectedError, RejectedError."""
+        """Stop what was started, acknowledged. Raises DisconnectedError, RejectedError."""
         self._open = False
         if not self._sending.acquire(blocking=False):
             # A start of another thread's may be under way: a Stop now, and one more that is newer than it.
@@ -155,9 +160,8 @@ class Stream:
                 for each in subscribers:
                     each.undeclare()
 
-    @staticmethod
-    def read(angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
-        """The numbers. Raises ValueError, TypeError."""
+    def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
+        """The numbers. Raises ValueError, TypeError. Warns once where they look like radians."""
         if not angles_deg:
             raise ValueError("no leg is given")
         read: Angles = {}
@@ -165,8 +169,10 @@ class Stream:
             first, second, third = (servo["angle_deg"] for servo in setpoint["servos"])
             for joint, angle in enumerate((first, second, third), start=1):
                 if not 0 <= angle <= 180:
-                    raise ValueError(f"leg {leg}, joint {joint}: {angle:g} is not between 0 and 180 degrees")
+                    raise ValueError(f"leg {leg}, joint {joint}: {angle} is not between 0 and 180 degrees")
             read[int(leg)] = (first, second, third)
+        if self._radians.suspected(read.values(), time.monotonic()):
+            warnings.warn(LIKE_RADIANS, stacklevel=3)
         return read
 
     def check_open(self) -> None:
@@ -222,10 +228,16 @@ class Stream:
         new = {leg: each for leg, each in angles.items() if leg not in self._started}
         old = {leg: each for leg, each in angles.items() if leg in self._started}
         legs = {**legs_payload("start", new)["legs"], **legs_payload("set", old)["legs"]}
-        self._moved |= new.keys()
+        before = self._to_stop
+        self._to_stop |= new.keys()  # until it is answered nobody knows whether they run
         self._lease = self._client.carried_lease
-        ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
+        try:
+            ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
+        except LeaseLostError:  # so it was rejected
+            self._to_stop = before
+            raise
         if not ack.accepted:
+            self._to_stop = before
             self._over = _rejected(ack)
             raise self._over
         first = not self._started
@@ -236,9 +248,9 @@ class Stream:
             self._pace.begin(self._sent_s)
 
     def _stop(self) -> None:
-        if not self._moved or (self._lease is not None and self._lease.elsewhere):
+        if not self._to_stop or (self._lease is not None and self._lease.elsewhere):
             return
-        payload = {"source": self._client.name, **legs_payload("stop", dict.fromkeys(sorted(self._moved), ()))}
+        payload = {"source": self._client.name, **legs_payload("stop", dict.fromkeys(sorted(self._to_stop), ()))}
         ack = self._client.ask(keys.LEGS_COMMAND, payload, again=True)
         if not ack.accepted and ack.reason not in _STOPPED_ALREADY:
             raise _rejected(ack)
@@ -304,9 +316,23 @@ class Stream:
                 f"the gateway does not answer, and its watchdog stops the legs; {_AGAIN}"
             ) from error
         self._heard_s = time.monotonic()
+        self._to_stop -= self._not_ours(state)
         if not self._runs(state):
             raise self._stopped(state)
         return state
+
+    def _not_ours(self, state: GatewayState) -> frozenset[int]:
+        """Legs that the end of this stream must leave alone; each start of ours was answered before this state.
+
+        What does not run is over: what runs again later was started by somebody else. While somebody else holds the
+        lease, what runs by another's command is theirs, too: a takeover has stopped ours.
+        """
+        ours_only = state.lease.holder is None or (self._lease is not None and self._lease.held)
+        return frozenset(
+            each.leg
+            for each in state.legs
+            if not any(servo.running for servo in each.servos) or not (ours_only or each.source == self._client.name)
+        )
 
     def _stopped_legs(self, state: GatewayState) -> frozenset[int]:
         stopped = {each.leg for each in state.legs if not all(servo.running for servo in each.servos)}

@@ -63,7 +63,9 @@ class GatewayLink:
         self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, listener: Listener
     ) -> None:
         """`connect` and `zenoh_config` as for `Client`; `source` is whom the gateway names for an emergency stop."""
-        self._client = AsyncClient(connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s)
+        self._client = AsyncClient(
+            connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False
+        )
         self._why_unreached = partial(why.unreached, connect, zenoh_config)
         self._why_unanswered = partial(why.unanswered, connect=connect, zenoh_config=zenoh_config)
         self._listener = listener

@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from zenoh.handlers import RingChannel
 
 from gateway.client import Client
+from gateway.client.lease import NOT_OURS
 from gateway.errors import ConfigError, GatewayError, RejectedError, StoppedError
 from gateway.host.realtime import prefer_all_threads, prefer_thread
 from gateway.recordings.replaying import NS_PER_MS, Plan, Sent, Step, Written
@@ -88,7 +89,8 @@ class Player:
             finally:
                 self._wake.set()
                 sender.join()
-                self._client.stop()
+                if not self._is_somebody_elses():
+                    self._client.stop()
         if self._ended is not None:
             raise self._ended
 
@@ -158,6 +160,10 @@ class Player:
                 self.written.append(Written(record.monotonic_ns, bytes.fromhex(record.bytes), commanded))
         return True
 
+    def _is_somebody_elses(self) -> bool:
+        """Whether somebody else has the lease by now: a takeover has stopped all legs, and what runs now is theirs."""
+        return isinstance(self._ended, RejectedError) and self._ended.reason in NOT_OURS
+
     def _end(self, why: Exception) -> None:
         self._ended = self._ended or why
         self._wake.set()
@@ -190,7 +196,8 @@ class Player:
         with suppress(ValidationError):
             event = Event.model_validate_json(sample.payload.to_bytes())
             if event.kind == Kind.COMMAND_REJECTED and event.source == self._client.name:
-                self._end(RejectedError(str(event.reason), f"{event.detail} ({event.key}); all legs are stopped"))
+                legs = "whoever drives has the legs now" if event.reason in NOT_OURS else "all legs are stopped"
+                self._end(RejectedError(str(event.reason), f"{event.detail} ({event.key}); {legs}"))
             elif event.kind in _ENDS:
                 self._end(StoppedError(f"the replay ends: {event.kind}: {event.detail}", ()))
 

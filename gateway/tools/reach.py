@@ -1,6 +1,6 @@
-"""Reaching the gateway from a command: where it does not come about, which step of the way fails and what to do.
+"""Reaching the gateway from a command: where nobody answers, which step of the way fails and what to do.
 
-A program's own `Client` raises at once. A command ends then, so it has a second to look.
+A program's own `Client` raises at once when a question is not answered; a command ends then, so it has time to look.
 """
 
 from collections.abc import Callable, Iterator
@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from gateway.client import DEFAULT_ENDPOINT, Client
-from gateway.errors import UnansweredError, UnreachedError, ZenohError
+from gateway.errors import UnansweredError, ZenohError
 
 Connection = Callable[[], AbstractContextManager[Client]]
 
@@ -26,16 +26,10 @@ def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float,
 
 @contextmanager
 def _connected(connect: str | None, zenoh_config: Path | None, timeout_s: float, source: str) -> Iterator[Client]:
-    try:
-        client = Client(connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s)
-    except UnreachedError as error:
-        from gateway.tools import why  # only now: no emergency stop should wait for what it loads
-
-        raise ZenohError("\n".join(why.unreached(connect, zenoh_config)) or str(error)) from error
-    with client:
+    with Client(connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s) as client:
         try:
             yield client
         except UnansweredError as error:
-            from gateway.tools import why
+            from gateway.tools import why  # only now: no emergency stop should wait for what it loads
 
             raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error

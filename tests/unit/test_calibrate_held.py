@@ -113,6 +113,21 @@ def test_a_start_that_a_stop_has_overtaken_is_stopped_again() -> None:
     assert servos.running == set()
 
 
+def test_a_start_that_was_rejected_after_its_stop_gets_no_other() -> None:
+    """By then somebody else may run that leg."""
+    servos = Servos()
+    servos.highest_deg = 45.0
+    held = Held(servos, timeout_ms=20)
+    servos.answers["start"].clear()
+    held.start(32, 90.0)
+    servos.wait(lambda asked: (32, "start", 90.0) in asked)
+    held.stop()
+    servos.wait(lambda asked: STOP in asked)
+    servos.answers["start"].set()
+    assert held.close(LATE_S)
+    assert servos.asked.count(STOP) == 1
+
+
 def test_space_stops_all_legs_whatever_runs() -> None:
     servos = Servos()
     held = Held(servos)

@@ -20,7 +20,7 @@ from tests.support.gateway_process import Gateway, free_port
 
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 4), (aio_lease, 4), (pace, 5), (payloads, 1)],
+    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 4), (aio_lease, 4), (pace, 5), (payloads, 3)],
 )
 def test_the_examples_run(tmp_path: Path, module: ModuleType, examples: int) -> None:
     with Gateway(tmp_path) as gateway:
@@ -51,6 +51,16 @@ def test_states_and_events_are_called_back(tmp_path: Path) -> None:
         client.start_leg(4, 1, 2, 3)
         assert active.wait(10)
         assert len(subscribers) == 2
+
+
+def test_a_connection_that_fails_names_the_step() -> None:
+    """For a program as for a command."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with pytest.raises(ZenohError, match=f"no gateway answers on {endpoint}: TCP: 127.0.0.1 rejects port .* → "):
+        Client(endpoint, timeout_s=0.2)
+    with pytest.raises(ZenohError) as bare:
+        Client(endpoint, timeout_s=0.2, explain=False)
+    assert "TCP:" not in str(bare.value)
 
 
 def test_an_endpoint_without_a_protocol_is_tcp(tmp_path: Path) -> None:

@@ -102,6 +102,24 @@ def test_a_rejection_ends_it_with_all_legs_stopped(tmp_path: Path, recorded: Pat
         assert client.state().mode == "idle"
 
 
+def test_who_takes_the_lease_from_it_drives_on(gateway: Gateway, recorded: Path) -> None:
+    with gateway.client(source="bert") as bert:
+        heard, happened = frames(bert), events(bert)
+        command = [*COMMAND, "replay", str(recorded), "--connect", gateway.endpoint, "--speed", "0.2"]
+        with closing(Child(command, os.environ)) as child:
+            heard.wait(lambda record: record.cause == "command", count=60)
+            with bert.lease(take=True), bert.stream(50) as stream:
+                stream.set({1: (90, 90, 90)})
+                while child.returncode is None:
+                    stream.set({1: (90, 90, 90)})
+                for _ in range(10):
+                    stream.set({1: (90, 90, 90)})
+            assert child.wait() == 1, str(child)
+        assert "not_holder" in child.stderr
+        assert "all legs are stopped" not in child.stderr
+        assert any(event.reason == "not_holder" for event in happened.all)
+
+
 def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, recorded: Path) -> None:
     with gateway.client() as client:
         heard = frames(client)

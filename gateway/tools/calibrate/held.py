@@ -195,7 +195,8 @@ class Held:
                 self._drop(fault or _rejection(ack))
                 if theirs or (ack is not None and (self._starting or ack.reason in _STOPPED)):
                     self._confirm_stop()
-        if overtaken and self._starting:  # its Stop may have come before it
+        rejected = ack is not None and not ack.accepted
+        if overtaken and self._starting and not rejected:  # its Stop may have come before it
             self._stop(wanted.servo_id // 10, counted=False)
         elif not overtaken:
             self.stop()  # where nobody has said that the servo does not run

@@ -36,7 +36,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     for finding in diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)):
         yield _result(finding)
     try:
-        client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s)
+        client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
     except ZenohError:
         yield from _way(endpoints, identity, opened=False)
         return

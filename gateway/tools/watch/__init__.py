@@ -34,7 +34,14 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
         connect = DEFAULT_ENDPOINT
     config = client_config(connect, zenoh_config)  # a faulty file is reported before the screen is taken
     endpoints = json.loads(config.get_json("connect/endpoints"))
-    client = partial(Client, connect, zenoh_config=zenoh_config, source="hexapod-gateway watch", timeout_s=timeout_s)
+    client = partial(
+        Client,
+        connect,
+        zenoh_config=zenoh_config,
+        source="hexapod-gateway watch",
+        timeout_s=timeout_s,
+        explain=False,  # it tries again several times a second, and looks for the reason once in three seconds
+    )
     view = Watch(client, ", ".join(map(str, endpoints)), partial(why.unreached, connect, zenoh_config))
     view.run()
     if view.unconfirmed_stop:
