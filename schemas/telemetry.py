@@ -107,6 +107,7 @@ class Ack(Report):
     reason: AnyReason | None = None
     detail: str | None = None
     coalesced: Literal[True] | None = None
+    written: list[int] | None = None
     stop_frames: Count | None = None
     estop: Count | None = None
     latency_us: Annotated[float, Field(ge=0)] | None = None

@@ -196,11 +196,11 @@ class Client:
         return self.ask(keys.leg_command(leg_number(leg)), leg_payload("set", row(angles_deg)))
 
     def start_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
-        """Energise several legs (1 to 6) at these angles, in one message: accepted or rejected as a whole."""
+        """Energise several legs (1 to 6) at these angles, in one message: checked as a whole."""
         return self.ask(keys.LEGS_COMMAND, legs_payload("start", angles_deg))
 
     def set_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
-        """Move several running legs to these angles, in one message: accepted or rejected as a whole."""
+        """Move several running legs to these angles, in one message: checked as a whole."""
         return self.ask(keys.LEGS_COMMAND, legs_payload("set", angles_deg))
 
     def stop(self, leg: int | None = None) -> Ack:

@@ -149,6 +149,8 @@ class Transmit:
     frame: Frame
     cause: Cause
     deadline_ns: int | None = None
+    numbers: tuple[int, ...] = ()
+    """The commands that it carries out, or a part of them."""
 
 
 @value

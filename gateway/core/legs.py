@@ -41,11 +41,11 @@ def _as_it_is(servo: Servo) -> ServoOp:
     return STOP if servo.angle_cdeg is None else ServoOp(OP_SET, servo.angle_cdeg)
 
 
-def _stops(leg: Leg, servos: list[Servo], cause: Cause) -> list[Effect]:
+def _stops(leg: Leg, servos: list[Servo], cause: Cause, numbers: tuple[int, ...] = ()) -> list[Effect]:
     """Stops for these servos of a leg, in one frame where they are all of it."""
     if len(servos) == len(leg.servos):
-        return [Transmit(stop_leg(leg.number), cause)]
-    return [Transmit(OneServo(servo.servo_id, STOP), cause) for servo in servos]
+        return [Transmit(stop_leg(leg.number), cause, None, numbers)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, numbers) for servo in servos]
 
 
 def _taken_over(leg: Leg, source: str | None) -> list[Effect]:
@@ -185,7 +185,7 @@ class Legs:
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
-        effects = _stops(leg, servos, Cause.COMMAND)
+        effects = _stops(leg, servos, Cause.COMMAND, (command.number,))
         for servo in servos:
             effects += self._replaced(servo)
             servo.note_stop(command.channel, self.instant_ns)
@@ -212,7 +212,8 @@ class Legs:
                 servo.waiting = None
                 # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
                 if servo.running or not servo.repeats_left:
-                    effects.append(Transmit(OneServo(servo.servo_id, STOP), Cause.COMMAND))
+                    stop = OneServo(servo.servo_id, STOP)
+                    effects.append(Transmit(stop, Cause.COMMAND, None, (command.number,)))
                     self._stopped(servo, now_ns)
                 effects += self._target_done(command.number)
         return effects
@@ -237,7 +238,8 @@ class Legs:
             waiting = self._in_steps(leg, now_ns)
         frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
         wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
-        effects: list[Effect] = [Transmit(frame if wire is None else wire.frame(frame), cause)]
+        numbers = tuple({servo.waiting_number for servo, _ in waiting if servo.waiting_number != NO_COMMAND})
+        effects: list[Effect] = [Transmit(frame if wire is None else wire.frame(frame), cause, None, numbers)]
         for servo, target in waiting:
             servo.waiting = None
             if target.op is OP_STOP:

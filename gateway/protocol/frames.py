@@ -97,6 +97,11 @@ class OneServo:
             raise FrameError(f"the command is {self.command!r}; it is a ServoOp")
 
     @property
+    def leg(self) -> int:
+        """The servo's leg, 1 to 6."""
+        return self.servo_id // 10
+
+    @property
     def servos(self) -> tuple[tuple[int, ServoOp], ...]:
         """The (servo id, operation) pairs of the frame, in its order."""
         return ((self.servo_id, self.command),)

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 
-from gateway.core.events import Completed
+from gateway.core.events import Completed, Transmit
 from gateway.core.intents import MAX_KEY
 from gateway.core.message import Reply
 from gateway.recorder.recorder import Recorder
@@ -28,6 +28,8 @@ class Answers:
         self.numbers = itertools.count(1)
         self.rejected = 0
         """The number of the last command that the supervisor rejected."""
+        self._written: dict[int, list[int]] = {}
+        """The legs that a command under way has had a frame written for."""
         self._metrics = metrics
         self._recorder = recorder
         self._sources = sources
@@ -40,20 +42,27 @@ class Answers:
         self.pending[number] = key, source, reply, servos
         return number
 
+    def wrote(self, transmit: Transmit) -> None:
+        """A frame was written: should a command that it belongs to be rejected now, its answer names the leg."""
+        for number in transmit.numbers:
+            self._written.setdefault(number, []).append(transmit.frame.leg)
+
     def accept(self, completed: Completed) -> None:
         """A command has taken effect."""
         self._metrics.accepted += 1
         self._metrics.coalesced += completed.coalesced
         key, source, reply, _ = self.pending.pop(completed.number)
+        self._written.pop(completed.number, None)
         self._recorder.decided(completed.number, "coalesced" if completed.coalesced else "accepted", key, source)
         if reply is not None:
             reply(Ack(accepted=True, coalesced=True if completed.coalesced else None).model_dump_json().encode())
 
     def reject_pending(self, number: int, reason: Reason, detail: str) -> None:
-        """A command that the supervisor knows takes no effect."""
+        """A command that the supervisor knows takes no effect, or none beyond the frames that were written of it."""
         self.rejected = number
         key, source, reply, servos = self.pending.pop(number)
-        self.reject(key, source, reply, reason, detail, number, servos)
+        written = sorted(set(self._written.pop(number, ())))
+        self.reject(key, source, reply, reason, detail, number, servos, written)
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Tell of a message that is rejected without being taken: on a key that nothing reads, or about the lease."""
@@ -68,12 +77,20 @@ class Answers:
         detail: str,
         number: int = 0,
         servos: Servos = (),
+        written: Sequence[int] = (),
     ) -> None:
-        """A message takes no effect; without a number it gets no further than this. `servos`: where it was read."""
+        """A message takes no effect; without a number it gets no further than this.
+
+        `servos`: where it was read; `written`: the legs for which a frame of it was written.
+        """
+        if written:
+            legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
+            detail = f"{detail}; what it asks of {legs} had been written before"
         self._metrics.rejected[reason] += 1
         self._recorder.decided(number, reason, key, source)
         if reply is not None:
-            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())
+            ack = Ack(accepted=False, reason=reason, detail=detail, written=list(written) or None)
+            reply(ack.model_dump_json().encode())
         left_out = self._sources.rejections.admit(source, self._clock())
         if left_out is not None:
             self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out, legs_of(servos))

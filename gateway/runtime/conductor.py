@@ -293,6 +293,7 @@ class Conductor:
                     if len(written) > 1 and data[FIRST_OP] != OP_STOP:
                         self.recorder.frames()  # no Stop follows in this step, so none waits for it
                     self.metrics.frames[effect.cause] += 1
+                    self.answers.wrote(effect)
                     if effect.deadline_ns is not None:
                         self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
                 case Completed() if fault is not None:

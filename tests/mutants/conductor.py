@@ -329,7 +329,7 @@ ANSWERS = Subject(
         ),
         Mutant("        self._metrics.rejected[reason] += 1\n", "", "rejected commands are not counted"),
         Mutant(
-            "            reply(Ack(accepted=False, reason=reason, detail=detail).model_dump_json().encode())\n",
+            "            reply(ack.model_dump_json().encode())\n",
             "            pass\n",
             "who is rejected waits for an answer",
         ),

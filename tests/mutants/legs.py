@@ -18,8 +18,8 @@ LEGS = Subject(
     ),
     mutants=(
         Mutant(
-            "Transmit(frame if wire is None else wire.frame(frame), cause)",
-            "Transmit(frame, cause)",
+            "Transmit(frame if wire is None else wire.frame(frame), cause, None, numbers)",
+            "Transmit(frame, cause, None, numbers)",
             "a trimmed servo goes where it would without its trim",
         ),
         Mutant(
@@ -118,9 +118,9 @@ LEGS = Subject(
             "a frame that moves goes out before a repeated Stop",
         ),
         Mutant(
-            "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n"
+            "effects = _stops(leg, servos, Cause.COMMAND, (command.number,))\n        for servo in servos:\n"
             "            effects += self._replaced(servo)\n",
-            "effects = _stops(leg, servos, Cause.COMMAND)\n        for servo in servos:\n",
+            "effects = _stops(leg, servos, Cause.COMMAND, (command.number,))\n        for servo in servos:\n",
             "an older start comes after the Stop",
         ),
         Mutant(

@@ -157,6 +157,7 @@ class Oracle(RobotHistory):
         for effect in effects:
             match effect:
                 case Transmit(cause=Cause.COMMAND):
+                    self._named(effect, event.number if isinstance(event, Command) else 0)
                     self._moved(effect, stops, now_ns)
                 case Transmit(cause=Cause.REPEAT):
                     self._repeated(effect, now_ns)
@@ -298,6 +299,13 @@ class Oracle(RobotHistory):
             self.lease.heard(reset.lease, now_ns)
 
     # ---- frames
+
+    def _named(self, transmit: Transmit, command: int) -> None:
+        """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
+        wants = {want.number for servo_id, _ in transmit.frame.servos if (want := self.servos[servo_id].want)}
+        named = set(transmit.numbers)
+        demand(wants <= named <= wants | {command}, f"a frame of commands {wants} names {named}")
+        demand(named == {command} or not transmit.frame.is_stop, f"a Stop of command {command} names {named}")
 
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
         """A frame that a command caused: each servo is told what was wanted of it, or what it does already."""

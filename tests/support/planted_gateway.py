@@ -128,7 +128,7 @@ def _turned(effect: Effect) -> Effect:
     wrong = (
         OneServo(frame.servo_id, ops[0]) if isinstance(frame, OneServo) else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
     )
-    return Transmit(wrong, effect.cause, effect.deadline_ns)
+    return Transmit(wrong, effect.cause, effect.deadline_ns, effect.numbers)
 
 
 def _old_is_fresh() -> None:

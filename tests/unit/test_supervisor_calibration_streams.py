@@ -1,6 +1,6 @@
 """Whatever comes: the default calibration changes no byte, and another one nothing but the angles on the wire."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -82,7 +82,7 @@ class _Numbered:
 
 def as_users_count(effects: list[Effect], calibration: Calibration) -> list[Effect]:
     return [
-        Transmit(calibration.user_frame(decode(effect.frame.to_bytes())), effect.cause, effect.deadline_ns)
+        replace(effect, frame=calibration.user_frame(decode(effect.frame.to_bytes())))
         if isinstance(effect, Transmit)
         else effect
         for effect in effects
