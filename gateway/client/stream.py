@@ -4,7 +4,6 @@ The gateway is believed, and nobody else: what is heard (a rejection, a publishe
 silence) only raises a doubt, and what it answers then decides. Events that are newer than the start need no question.
 """
 
-import re
 import threading
 import time
 import warnings
@@ -39,6 +38,10 @@ _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
 _ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
 """Events after which no leg runs."""
+_STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
+"""Events of legs that the gateway has stopped by a rule of its own."""
+_EVENT_S: Final = 0.1
+"""An event is published beside the answer to a question, and may come after it."""
 _AGAIN: Final = "start_again() goes on"
 
 Angles = dict[int, tuple[float, float, float]]
@@ -80,6 +83,7 @@ class Stream:
         self._heard_s = 0.0
         self._doubt = False
         self._events: deque[Event] = deque(maxlen=_KEPT)
+        self._heard_stop = threading.Event()
         self._subscribers: list[Any] = []
         self._sending = threading.Lock()
         self._open = False
@@ -231,6 +235,7 @@ class Stream:
         before = self._to_stop
         self._to_stop |= new.keys()  # until it is answered nobody knows whether they run
         self._lease = self._client.carried_lease
+        self._heard_stop.clear()
         try:
             ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
         except LeaseLostError:  # so it was rejected
@@ -265,20 +270,18 @@ class Stream:
     def _hear_event(self, event: Event) -> None:
         self._heard_s = time.monotonic()
         if event.kind == Kind.COMMAND_REJECTED:
-            if event.source == self._client.name and event.key == keys.LEGS_COMMAND and self._is_mine(event.detail):
+            # A command that names none but our legs: those of another stream are that one's business.
+            named_ours = self._started.issuperset(event.legs)
+            if event.source == self._client.name and event.key == keys.LEGS_COMMAND and named_ours:
                 self._events.append(event)
-        elif event.kind == Kind.WATCHDOG_EXPIRED:
-            if self._is_mine(event.detail):
+        elif event.kind in _STOPPED_LEGS:
+            if self._started.intersection(event.legs):
                 self._events.append(event)
-            else:  # perhaps it stops all six (`watchdog.scope`)
+                self._heard_stop.set()
+            elif not event.legs:  # an older gateway does not say which
                 self._doubt = True
         elif event.kind in _ENDINGS:
             self._events.append(event)
-
-    def _is_mine(self, detail: str) -> bool:
-        """Whether a sentence names none but our legs: those of another stream are that one's business."""
-        named = {int(leg) for leg in re.findall(r"\b(?:leg |servo )([1-6])", detail)}
-        return named <= self._started
 
     # ---- what follows from it
 
@@ -296,7 +299,7 @@ class Stream:
         fresh = [event for event in events if self._since is not None and event.time > self._since]
         for event in fresh:
             if event.kind != Kind.COMMAND_REJECTED:
-                legs = [int(leg) for leg in re.findall(r"\bleg ([1-6])", event.detail)] or self._started
+                legs = sorted(self._started.intersection(event.legs)) or self._started
                 raise StoppedError(f"{event.detail}; {_AGAIN}", legs)
         if fresh:
             self._ask()  # which knows better why nothing runs, if so
@@ -354,9 +357,26 @@ class Stream:
                 why = "the gateway ends, or starts; when it takes commands,"
             case _ if expired:
                 why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms;"
+            case _ if (overflow := self._overflow(state, legs)) is not None:
+                why = f"{overflow.detail};"
             case _:
                 why = f"somebody else stopped {names};"
         return StoppedError(f"{why} {_AGAIN}", legs)
+
+    def _overflow(self, state: GatewayState, legs: frozenset[int]) -> Event | None:
+        """What has stopped legs that nobody's command has stopped, if it is that."""
+        if any(each.source is not None for each in state.legs if each.leg in legs):
+            return None
+        self._heard_stop.wait(_EVENT_S)
+        since = self._since
+        return next(
+            (
+                event
+                for event in list(self._events)
+                if event.kind == Kind.OVERFLOW and (since is None or event.time > since)
+            ),
+            None,
+        )
 
 
 def _rejected(ack: Ack) -> RejectedError:

@@ -1,5 +1,6 @@
 """A gait's stream against a real gateway: what it sends, and how it ends."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -11,7 +12,7 @@ import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
 from gateway.tools.drill.cut_link import CutLink
-from schemas.telemetry import Cause, Event, Kind, Mode
+from schemas.telemetry import Cause, Event, Kind, Mode, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
@@ -161,13 +162,66 @@ def test_what_ended_before_the_start_is_over(robot: Client) -> None:
             "source": None,
             "key": None,
             "reason": None,
-            "detail": "leg 1 is stopped",
+            "detail": "one leg is stopped",
+            "legs": (1,),
         }
         stream._hear_event(Event(time=now, **told))
         stream.set({1: POSE})
         stream._hear_event(Event(time=now + timedelta(minutes=1), **told))
-        with pytest.raises(StoppedError, match="leg 1 is stopped"):
+        with pytest.raises(StoppedError, match="one leg is stopped") as error:
             stream.set({1: POSE})
+        assert error.value.legs == (1,)
+
+
+def test_whose_stop_it_is_is_read_from_its_legs_and_not_from_its_sentence(robot: Client) -> None:
+    told: dict[str, Any] = {"kind": Kind.WATCHDOG_EXPIRED, "source": None, "key": None, "reason": None}
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        later = robot.state().time + timedelta(minutes=1)
+        stream._hear_event(Event(time=later, detail="leg 1, leg 1, servo 11", legs=(2, 3), **told))
+        stream.set({1: POSE})
+        stream._hear_event(Event(time=later, detail="an older gateway: leg 1", **told))
+        stream.set({1: POSE})  # the gateway is asked, and the leg runs
+        stream._hear_event(Event(time=later, detail="leg 6 was silent", legs=(1, 2, 3, 4, 5, 6), **told))
+        with pytest.raises(StoppedError, match="leg 6 was silent"):
+            stream.set({1: POSE})
+
+
+@pytest.mark.parametrize("holder", ["leg 6", "servo 61"])
+def test_a_lease_holder_named_like_a_leg_makes_no_stream_deaf(gateway: Gateway, robot: Client, holder: str) -> None:
+    with gateway.client(source=holder) as other, robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        with other.lease():
+            begun_s = time.monotonic()
+            with pytest.raises(RejectedError, match=f"{holder} holds the lease") as error:
+                go_on(stream, 1)
+            assert error.value.reason == Reason.NOT_HOLDER
+            assert time.monotonic() - begun_s < TIMEOUT_MS / 1000, "before the watchdog stops the leg"
+
+
+def test_messages_that_were_lost_are_not_somebody_elses_stop(robot: Client) -> None:
+    """The answer may come before the event: what has stopped the leg is then waited for."""
+    with robot.stream(HZ) as stream:
+        stream.set({1: POSE})
+        state = robot.state()
+        servos = tuple(servo.model_copy(update={"running": False}) for servo in state.legs[0].servos)
+        leg = state.legs[0].model_copy(update={"servos": servos, "source": None})
+        stopped = state.model_copy(update={"legs": (leg, *state.legs[1:])})
+        lost = Event(
+            time=state.time + timedelta(minutes=1),
+            kind=Kind.OVERFLOW,
+            source=None,
+            key="hexapod/legs/cmd",
+            reason=Reason.OVERFLOW,
+            detail="messages were lost",
+            legs=(1,),
+        )
+        timer = threading.Timer(0.02, stream._hear_event, [lost])
+        timer.start()
+        error = stream._stopped(stopped)
+        timer.join()
+        assert str(error).startswith("messages were lost;")
+        assert error.legs == (1,)
 
 
 def test_the_emergency_stop_ends_it_and_a_reset_alone_moves_nothing(robot: Client, watcher: Client) -> None:

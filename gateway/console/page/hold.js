@@ -181,9 +181,11 @@ export class Hold {
     this.left = [];
   }
 
-  /** The gateway rejected something of this page. @param {import("./types.js").GatewayEvent} event */
+  /** The gateway rejected something of this page, or stopped a leg that it runs. @param {import("./types.js").GatewayEvent} event */
   heardEvent(event) {
-    if (event.kind !== "command_rejected" || event.source !== this.model.hello?.source) return;
+    const stopped = event.kind === "overflow" && event.legs?.some((leg) => this.running.has(leg));
+    const rejected = event.kind === "command_rejected" && event.source === this.model.hello?.source;
+    if (!stopped && !rejected) return;
     this.#dropIf(`${event.reason}: ${event.detail}`);
   }
 

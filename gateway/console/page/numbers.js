@@ -20,7 +20,7 @@ const NAMES = {
   uptime: "Gateway up",
 };
 const MOST_REJECTORS = 5;
-const BAD_KINDS = new Set(["watchdog_expired", "estop_engaged", "bus_fault", "stopped_outside", "stopping"]);
+const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "stopped_outside", "stopping"]);
 
 /** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
 

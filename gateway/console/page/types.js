@@ -13,7 +13,7 @@
  *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
  * }} GatewayState
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
- *            detail: string, left_out?: number}} GatewayEvent
+ *            detail: string, left_out?: number, legs?: number[]}} GatewayEvent
  *
  * @typedef {{type: "hello", role: "operator" | "observer", person: string, source: string, version: string,
  *            geometry: Geometry}} Hello

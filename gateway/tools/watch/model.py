@@ -377,7 +377,14 @@ class Model:
 
 
 _BAD: Final = frozenset(
-    {Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING}
+    {
+        Kind.WATCHDOG_EXPIRED,
+        Kind.OVERFLOW,
+        Kind.ESTOP_ENGAGED,
+        Kind.BUS_FAULT,
+        Kind.STOPPED_OUTSIDE,
+        Kind.STOPPING,
+    }
 )
 
 
