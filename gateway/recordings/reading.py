@@ -1,18 +1,18 @@
-"""Reading a recording from its beginning, as far as it goes: what was cut off has no index, and needs none here."""
+"""Reading a recording from its beginning: what was cut off has no index, and what is damaged is skipped and counted."""
 
-import json
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
-from mcap.records import Channel, McapRecord
+from mcap.records import Channel, Header, McapRecord
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
+from pydantic_core import from_json
 
 from gateway.errors import ConfigError
+from gateway.recordings.pieces import MAGIC, Losses, pieces
 
-MAX_RECORD_BYTES: Final = 64 * 2**20
-"""Far above what is written here. A length beyond it is damage, and nobody should reserve memory for it."""
+LIBRARY_NAME = "hexapod-gateway"
+"""How a file's header names this program, which numbers the messages of a channel without gaps."""
 
 
 class Message(NamedTuple):
@@ -24,42 +24,59 @@ class Message(NamedTuple):
     publish_ns: int
 
 
-def records(path: Path) -> Iterator[McapRecord]:
-    """All records before the first damage. Raises ConfigError where the file is no MCAP file or cannot be read."""
+def records(path: Path, losses: Losses | None = None) -> Iterator[McapRecord]:
+    """All records that can be read; what cannot is counted in `losses`.
+
+    Raises ConfigError where the file is no MCAP file or cannot be read.
+    """
+    losses = Losses() if losses is None else losses
+    newest: dict[int, int] = {}  # of each channel the number of its last message
+    numbered = False
     try:
         with path.open("rb") as file:
-            found = StreamReader(file, record_size_limit=MAX_RECORD_BYTES, validate_crcs=True).records
-            record = _next(found, path)
-            while record is not None:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise ConfigError(f"{path}: is no MCAP file")
+            for record in pieces(file, losses):
+                if isinstance(record, Header):
+                    numbered = record.library.startswith(LIBRARY_NAME)
+                elif numbered and isinstance(record, McapMessage):
+                    number = record.sequence
+                    losses.missing += max(0, number - newest.get(record.channel_id, 0) - 1)
+                    newest[record.channel_id] = number
                 yield record
-                record = _next(found)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _next(found: Iterator[McapRecord], path: Path | None = None) -> McapRecord | None:
-    """The next record; None where the file ends or is damaged. Of `path`, the first must be there."""
+def is_ours(path: Path) -> bool:
+    """Whether this program began the file."""
     try:
-        return next(found)
-    except OSError:
-        raise
-    except Exception as error:  # mcap, zstandard and lz4 each have their own ways to say that bytes make no sense
-        if path is not None:
-            raise ConfigError(f"{path}: is no MCAP file") from error
-        return None
+        first = next(records(path), None)
+    except ConfigError:
+        return False
+    return isinstance(first, Header) and first.library.startswith(LIBRARY_NAME)
 
 
-def read(path: Path) -> Iterator[Message]:
-    """All JSON messages of a recording, in the file's order, also of one that was cut off. Raises ConfigError."""
-    topics: dict[int, str] = {}
-    for record in records(path):
-        match record:
-            case Channel(message_encoding="json"):
-                topics[record.id] = record.topic
-            case McapMessage() if record.channel_id in topics:
-                try:
-                    content = json.loads(record.data)
-                except ValueError:
-                    continue
-                if isinstance(content, dict):
-                    yield Message(topics[record.channel_id], content, record.log_time, record.publish_time)
+def read(path: Path, losses: Losses | None = None, topics: Container[str] | None = None) -> Iterator[Message]:
+    """The JSON messages of a recording, in the file's order, also of one that was cut off or is damaged.
+
+    `topics`: those of these channels only. Raises ConfigError.
+    """
+    wanted: dict[int, str] = {}
+    for record in records(path, losses):
+        if isinstance(record, McapMessage):
+            topic = wanted.get(record.channel_id)
+            if topic is None:
+                continue
+            try:
+                content = from_json(record.data)  # unlike json's, it has an end to lists within lists
+            except ValueError:
+                continue
+            if isinstance(content, dict):
+                yield Message(topic, content, record.log_time, record.publish_time)
+        elif (
+            isinstance(record, Channel)
+            and record.message_encoding == "json"
+            and (topics is None or record.topic in topics)
+        ):
+            wanted[record.id] = record.topic

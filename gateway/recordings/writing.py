@@ -6,6 +6,7 @@ could be read, with 16 KiB 97 % of the messages.
 
 import json
 import os
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
@@ -13,6 +14,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Chunk, McapRecord
+from mcap.records import Schema as McapSchema
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel, TypeAdapter
 
@@ -21,6 +26,7 @@ from gateway.geometry import Geometry, load, urdf
 from gateway.recordings.drawing import DRAWN_SCHEMAS, Drawing
 from gateway.recordings.locking import locked
 from gateway.recordings.plain_schema import Schema, plain_schema, without_nulls
+from gateway.recordings.reading import LIBRARY_NAME
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 from schemas.telemetry import Event, FrameRecord, GatewayState
@@ -28,9 +34,11 @@ from schemas.telemetry import Event, FrameRecord, GatewayState
 CHUNK_BYTES: Final = 16 * 1024
 FLUSH_NS: Final = 500_000_000
 """A chunk that does not fill up is written after half a second all the same, once the next message comes."""
+DECLARE_NS: Final = 60_000_000_000
+"""The channels are declared again so often, in a chunk of 3 kB: without the one that declares them, nobody could read
+any message of a file that was cut off."""
 MAX_TIME_NS: Final = 2**64 - 1
 """The last one that MCAP can write, in the year 2554; the first is 1970."""
-LIBRARY_NAME: Final = "hexapod-gateway"
 LIBRARY: Final = f"{LIBRARY_NAME} {__version__}"
 JSON_ENCODING: Final = "json"
 SCHEMA_ENCODING: Final = "jsonschema"
@@ -77,12 +85,14 @@ class Recording:
         self._channels: dict[str, int] = {}
         self._counts: dict[int, int] = {}
         self._flushed_ns = time_ns
+        self._declared: list[McapRecord] = []
         self._drawing = Drawing(geometry)
         self._writer.add_attachment(time_ns, time_ns, URDF_NAME, "application/xml", urdf(geometry).encode())
         for topic, schema in DRAWN_SCHEMAS.items():
             self.declare(topic, schema["title"], schema)
         for topic, model in reports.items():
             self.declare(topic, model.__name__, plain_schema(TypeAdapter(model), model.__name__))
+        self._declare_again(time_ns)
         self.add(*self._drawing.description(), time_ns)
         for topic, message in self._drawing.picture(time_ns):
             self.add(topic, message, time_ns)
@@ -108,8 +118,13 @@ class Recording:
         """
         if topic in self._channels:
             raise ValueError(f"{topic} has a channel already")
-        schema_id = self._writer.register_schema(name, SCHEMA_ENCODING, json.dumps(schema).encode())
-        self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
+        data = json.dumps(schema).encode()
+        schema_id = self._writer.register_schema(name, SCHEMA_ENCODING, data)
+        self._channels[topic] = channel_id = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
+        self._declared += [
+            McapSchema(id=schema_id, name=name, encoding=SCHEMA_ENCODING, data=data),
+            Channel(id=channel_id, topic=topic, message_encoding=JSON_ENCODING, schema_id=schema_id, metadata={}),
+        ]
 
     def add_report(self, topic: str, report: Mapping[str, Any], time_ns: int) -> None:
         """Something that the gateway published on one of `REPORTS`, as its JSON, and what is drawn for it."""
@@ -126,6 +141,8 @@ class Recording:
         if time_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = time_ns
             self._writer.flush()
+            if time_ns - self._declared_ns >= DECLARE_NS:
+                self._declare_again(time_ns)
 
     def close(self) -> None:
         """Write the index, so that readers find their way, and close the file."""
@@ -139,6 +156,16 @@ class Recording:
     def abandon(self) -> None:
         """Close the file as it is: the disk does not take the rest. `repair` makes it whole."""
         self._file.close()
+
+    def _declare_again(self, time_ns: int) -> None:
+        """A chunk without messages, between two others. mcap's writer makes none, and asks the file where it is."""
+        self._declared_ns = time_ns
+        records, chunk = RecordBuilder(), RecordBuilder()
+        for record in self._declared:
+            record.write(records)
+        data = records.end()
+        Chunk("zstd", zstandard.compress(data), 0, 0, zlib.crc32(data), len(data)).write(chunk)
+        self._file.write(chunk.end())
 
 
 def published_ns(report: Mapping[str, Any]) -> int | None:

@@ -16,9 +16,9 @@ from gateway.recorder.incidents import Incident, find, is_id, time_of
 from gateway.recorder.keeper import LOOK_S, Keeper
 from gateway.recorder.messages import messages
 from gateway.recorder.story import NoStoryError, story, what
-from gateway.recordings import Message, read
+from gateway.recordings import Losses, Message, read
 from gateway.settings import Settings
-from gateway.tools.terminal import this_command
+from gateway.tools.terminal import hint, this_command
 
 LAST: Final = "last"
 
@@ -48,10 +48,14 @@ def list_all(settings: Settings) -> int:
 def show(settings: Settings, name: str) -> int:
     """Print the story of an incident."""
     found = _one(settings, name)
+    losses = Losses()
     try:
-        lines = story(_messages(found))
+        lines = story(_messages(found, losses))
     except (NoStoryError, KeyError, TypeError, AttributeError) as error:  # of a later version, or changed by hand
-        raise ConfigError(f"{found.path or found.name}: is no incident that this version can tell") from error
+        lost = f" ({losses})" if losses else ""
+        raise ConfigError(f"{found.path or found.name}: is no incident that this version can tell{lost}") from error
+    if losses:
+        hint(f"{found.path}: {losses}; the story lacks them")
     for line in lines:
         print(line)  # noqa: T201
     return 0
@@ -146,7 +150,7 @@ class NoIncidentError(GatewayError):
     """There is no such incident."""
 
 
-def _messages(found: _Found) -> list[Message]:
+def _messages(found: _Found, losses: Losses) -> list[Message]:
     if found.incident is not None and found.content is not None:
         return list(messages(found.incident, found.content.records))
-    return [] if found.path is None else list(read(found.path))
+    return [] if found.path is None else list(read(found.path, losses))

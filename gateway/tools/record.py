@@ -18,9 +18,8 @@ from pydantic import ValidationError
 from gateway.client import Client
 from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
-from gateway.recordings import REPORTS, Recording, is_cut_off, is_ours
+from gateway.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
 from gateway.recordings import repair as repair_recording
-from gateway.recordings.reading import records
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say, this_command
@@ -42,11 +41,10 @@ def repair_file(path: Path) -> int:
     """`record --repair`."""
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file")
-    next(records(path))  # raises ConfigError where it is none
-    if is_cut_off(path):
+    if is_cut_off(path) or is_damaged(path):
         _repair(path)
     else:
-        say(f"{path}: was not cut off (or is being written just now); nothing to repair")
+        say(f"{path}: is whole (or is being written just now); nothing to repair")
     return 0
 
 
@@ -200,8 +198,11 @@ def _repair_all(path: Path) -> None:
 
 
 def _repair(path: Path) -> None:
+    was = "was cut off" if is_cut_off(path) else "was damaged"
     try:
         repaired = repair_recording(path)
     except OSError as error:
         raise _DiskError(f"{path}: cannot be repaired ({error.strerror}); it is as it was") from error
-    say(f"{path}: was cut off; repaired, with {repaired.messages} messages of {repaired.seconds:.1f} s")
+    say(f"{path}: {was}; repaired, with {repaired.messages} messages of {repaired.seconds:.1f} s")
+    if repaired.original is not None:
+        say(f"{path}: {repaired.losses}. As it was, the file is {repaired.original}")

@@ -7,7 +7,7 @@ from typing import Final
 from gateway.core.calibration import Calibration
 from gateway.core.calibration_report import calibration_of
 from gateway.errors import ConfigError, LeaseError
-from gateway.recordings import read
+from gateway.recordings import Losses, read
 from gateway.recordings.replaying import NS_PER_MS, Plan, compare, plan
 from gateway.recordings.user_angles import UserAngles, user_bytes
 from gateway.tools.driving import drives, rejected
@@ -27,9 +27,9 @@ def replay(
     """Replay `path` and return the exit code. Raises ConfigError, RejectedError, StoppedError, ZenohError."""
     if check and speed != 1:
         raise ConfigError("--check compares times, so it goes with --speed 1")
-    angles = UserAngles()
-    recorded = plan(angles.frames(read(path)), watchdog_too=speed != 1)
-    _look_at(path, recorded)
+    angles, losses = UserAngles(), Losses()
+    recorded = plan(angles.frames(read(path, losses)), watchdog_too=speed != 1)
+    _look_at(path, recorded, losses)
     with connect() as client:
         state = client.state()
         _fit(state, recorded, speed)
@@ -37,6 +37,8 @@ def replay(
         _same_angles(path, angles, target)
         if check and not state.simulated:
             hint("This is a real controller; what it writes is compared all the same.")
+        if losses and not state.simulated:
+            raise ConfigError(f"{path}: {losses}. A real robot would leap over them, so nothing is sent")
         if not state.simulated:
             _ask(recorded, speed, agreed=agreed)
         player = Player(client, recorded, speed, needs_frames=check, on_time=check and state.simulated)
@@ -67,7 +69,11 @@ def _same_angles(path: Path, angles: UserAngles, target: Calibration) -> None:
     )
 
 
-def _look_at(path: Path, recorded: Plan) -> None:
+def _look_at(path: Path, recorded: Plan, losses: Losses) -> None:
+    if losses:
+        hint(f"{path}: {losses}; the replay leaves them out, too.")
+    if losses.cut_off:
+        hint(f"{path}: was cut off; what had been written by then is replayed.")
     if not recorded.steps:
         raise ConfigError(
             f"{path}: has no frames that commands caused; record with telemetry.frames = true at the gateway"

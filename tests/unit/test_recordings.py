@@ -237,7 +237,7 @@ def test_damage_in_the_middle_ends_what_can_be_read(path: Path) -> None:
 def test_what_is_no_recording_is_told_and_left_as_it_is(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     for mend in (repair, repair_file):
-        with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP file|was cut off before its first message)"):
+        with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP|was cut off before its first|no message)"):
             mend(path)
     assert path.read_bytes() == content
     assert list(path.parent.iterdir()) == [path]
