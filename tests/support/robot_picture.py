@@ -115,8 +115,9 @@ def from_behind(geometry: Geometry) -> Iterator[str]:
         anchor = "end" if side == "left" else "start"
         femur, tibia = geometry.servos[10 * leg + 2], geometry.servos[10 * leg + 3]
         lifts = "up" if femur.direction > 0 else "down"
+        beside = [str(each) for each in LEGS if geometry.leg_mounts[each].xyz_m[1] * outward < 0]
         words = (
-            f"legs {', '.join(str(each) for each in LEGS if geometry.leg_mounts[each].xyz_m[1] * -outward > 0)} ({side})",
+            f"legs {', '.join(beside)} ({side})",
             f"joint 2: 90° level, larger turns {lifts}",
             f"joint 3: {tibia.zero_deg:g}° in line with joint 2,",
             "90° at a right angle,",
