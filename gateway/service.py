@@ -25,6 +25,7 @@ from gateway.edge.lease_desk import LeaseDesk, checker_of
 from gateway.edge.outbox import ZenohOutbox
 from gateway.edge.session import open_session, service_config
 from gateway.edge.strangers import Strangers
+from gateway.edge.upkeep import Upkeep
 from gateway.errors import GatewayError
 from gateway.host import calibration_file, descriptors, logs, realtime
 from gateway.host.calibration_keeper import CalibrationKeeper
@@ -171,7 +172,6 @@ async def _run(
         outbox.open(session)
         with owner:  # its threads hear at once, and have to wait until it is connected
             inbox = _inbox(session, loop, conductor, checker, settings.lease.ttl_ms, calibrations)
-        doorkeeper = Doorkeeper(session)
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
@@ -181,6 +181,7 @@ async def _run(
             conductor.announce_start()
             calibrations.announce_start()
         notifier.ready("takes commands")
+        doorkeeper, upkeep = _attendants(session, config, conductor, notifier)
         on_ready(config)
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
@@ -197,7 +198,13 @@ async def _run(
         with owner:
             conductor.close()
         await close_within(
-            deadline - loop.time(), end.exit_code, outbox.close, doorkeeper.close, inbox.close, session.close
+            deadline - loop.time(),
+            end.exit_code,
+            outbox.close,
+            doorkeeper.close,
+            upkeep.close,
+            inbox.close,
+            session.close,
         )
     finally:
         with owner:
@@ -253,6 +260,15 @@ def _inbox(
     conductor.take = inbox.take
     conductor.instant_open = lambda: inbox.instant_open
     return inbox
+
+
+def _attendants(
+    session: zenoh.Session, config: zenoh.Config, conductor: Conductor, notifier: SystemdNotifier
+) -> tuple[Doorkeeper, Upkeep]:
+    """The threads that look after the session."""
+    upkeep = Upkeep(session, config, notifier.status, wall_clock)
+    conductor.certificate = upkeep.certificate
+    return Doorkeeper(session, conductor.metrics.count_sessions), upkeep
 
 
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:

@@ -208,6 +208,21 @@ class CalibrationReport(Report):
     kept: Annotated[bool, Field(description="whether it outlasts a restart; false: in memory only")] = False
 
 
+class TelemetryReport(Report):
+    """What else the gateway publishes."""
+
+    frames: Annotated[
+        bool | None, Field(description="whether `hexapod/frame` is published; null: an older gateway does not say")
+    ] = None
+
+
+class CertificateReport(Report):
+    """Of the certificates that the gateway uses, the one that expires first."""
+
+    file: str
+    expires: AwareDatetime
+
+
 class GatewayState(Report):
     """The payload of `hexapod/state`."""
 
@@ -227,6 +242,10 @@ class GatewayState(Report):
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
     loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
     incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
+    telemetry: Annotated[TelemetryReport, Field(description="an older gateway does not say")] = TelemetryReport()
+    certificate: Annotated[
+        CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
+    ] = None
 
 
 class Event(Report):

@@ -95,13 +95,15 @@ def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: d
     return KeyPair(_sign(ca, _name(CONSOLE, name), key.public_key(), [usage, names], days=days, now=now), key)
 
 
-def renew(ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime) -> x509.Certificate:
-    """`old` renewed: same holder, same key, same names, a new serial number and expiry."""
-    kept = [
-        item.value
-        for item in old.extensions
-        if isinstance(item.value, x509.ExtendedKeyUsage | x509.SubjectAlternativeName)
+def renew(
+    ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime, hosts: Sequence[str] = ()
+) -> x509.Certificate:
+    """`old` renewed: same holder, same key, a new serial number and expiry; good as a server for `hosts`."""
+    kept: list[x509.ExtensionType] = [
+        item.value for item in old.extensions if isinstance(item.value, x509.ExtendedKeyUsage)
     ]
+    if hosts:
+        kept.append(x509.SubjectAlternativeName([_general_name(host) for host in hosts]))
     return _sign(ca, old.subject, old.public_key(), kept, days=days, now=now)
 
 

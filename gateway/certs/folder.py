@@ -66,17 +66,11 @@ def init(
     Raises ConfigError if it has a CA already, or any file of the same name.
     """
     now = now or _now()
-    names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
+    names = _dialled_hosts(hosts)
     if not names:
         raise ConfigError(
             "name at least one host by which laptops reach the robot: --host robot.local --host 192.0.2.7"
         )
-    for name in names:
-        if ":" in name:  # an IPv6 address: parse_host lets no port through
-            raise ConfigError(
-                f"Zenoh dials no IPv6 address over TLS, so no laptop could reach {name}: give a name that stands for "
-                "it, such as robot.local, or an IPv4 address"
-            )
     _check_days(days)
     if not 1 <= port <= 65535:
         raise ConfigError(f"port {port} is not between 1 and 65535")
@@ -204,8 +198,13 @@ def add_robots(
     return [*files, router]
 
 
-def renew(directory: Path, name: str, *, days: int = LEAF_DAYS, now: dt.datetime | None = None) -> Path:
-    """Gives the certificate of a laptop, or "gateway", a new expiry; its key stays as it is."""
+def renew(
+    directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = LEAF_DAYS, now: dt.datetime | None = None
+) -> Path:
+    """Gives the certificate of a laptop, or "gateway", a new expiry; its key stays as it is.
+
+    `hosts`: further names and addresses for the robot's, or a console's.
+    """
     now = now or _now()
     _check_days(days)
     if name != authority.GATEWAY:
@@ -216,9 +215,25 @@ def renew(directory: Path, name: str, *, days: int = LEAF_DAYS, now: dt.datetime
         old.verify_directly_issued_by(ca.certificate)
     except (ValueError, TypeError, InvalidSignature) as error:
         raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there") from error
-    renewed = authority.renew(ca, old, days, now).public_bytes(serialization.Encoding.PEM)
+    known = authority.hosts_of(old)
+    if hosts and not known:
+        raise ConfigError(f"{path} is a laptop's, and nobody dials it: --host is for the gateway, or a console")
+    further = [host for host in _dialled_hosts(hosts) if host not in known]
+    renewed = authority.renew(ca, old, days, now, [*known, *further]).public_bytes(serialization.Encoding.PEM)
     replace(path, Content(renewed))
     return path
+
+
+def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
+    """Each once, as laptops dial them."""
+    names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
+    for name in names:
+        if ":" in name:  # an IPv6 address: parse_host lets no port through
+            raise ConfigError(
+                f"Zenoh dials no IPv6 address over TLS, so no laptop could reach {name}: give a name that stands for "
+                "it, such as robot.local, or an IPv4 address"
+            )
+    return names
 
 
 def expiries(directory: Path) -> list[Certificate]:

@@ -7,7 +7,7 @@ Here they are relative to the file's own folder, so that folder can be unzipped,
 import datetime as dt
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import zenoh
 
@@ -15,10 +15,9 @@ from gateway import certs
 from gateway.errors import ConfigError
 
 _TLS = "transport/link/tls"
-_CERTIFICATES = (f"{_TLS}/listen_certificate", f"{_TLS}/connect_certificate")
 _CA = f"{_TLS}/root_ca_certificate"
+_CERTIFICATES = (_CA, f"{_TLS}/listen_certificate", f"{_TLS}/connect_certificate")
 _FILES = (
-    _CA,
     *_CERTIFICATES,
     f"{_TLS}/listen_private_key",
     f"{_TLS}/connect_private_key",
@@ -32,8 +31,7 @@ _FILES = (
 def load_config(path: Path) -> zenoh.Config:
     """The configuration at `path` (.json5 .json .yaml .toml) with absolute paths, ready for `zenoh.open`.
 
-    Raises ConfigError, one line, for a typo, a file it names that is missing or unreadable, and a certificate that
-    has expired: `zenoh.open` would only say that it cannot connect.
+    Raises ConfigError, one line, for a typo, and a file it names that is missing or unreadable.
     """
     path = path.absolute()
     certs.read_file(path, "Zenoh configuration")
@@ -42,45 +40,61 @@ def load_config(path: Path) -> zenoh.Config:
     except zenoh.ZError as error:
         raise ConfigError(f"{path}: {one_line(error)}") from error
     for setting, file in _named_files(config, path.parent).items():
-        _check(setting, file, path)
+        try:
+            if setting in _CERTIFICATES:
+                certs.read_certificates(file)
+            else:
+                certs.read_file(file, setting.rpartition("/")[2])
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
         config.insert_json5(setting, json.dumps(str(file)))
     return config
 
 
 def load_client_config(path: Path) -> zenoh.Config:
-    """A laptop's configuration (`--zenoh-config`). Raises as `load_config`, and for the gateway's own file."""
+    """A laptop's configuration (`--zenoh-config`). Raises as `load_config`, for the gateway's own file, and for a
+    certificate that has expired: `zenoh.open` would only say that it cannot connect."""
     config = load_config(path)
     if config.get_json(f"{_TLS}/listen_private_key") != "null":
         raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
+    first = first_expiry(config)
+    if first is not None and first.end <= dt.datetime.now(dt.UTC):
+        raise ConfigError(
+            f"{first.file} expired on {first.end:%Y-%m-%d}: get a new one from `hexapod-gateway certs renew` (is this "
+            "clock right?)"
+        )
     return config
 
 
-def certificate_files(path: Path) -> list[Path]:
-    """The certificates that the Zenoh configuration at `path` names, the CA first. Raises as `load_config`."""
-    files = _named_files(load_config(path), path.absolute().parent)
-    return list(dict.fromkeys(file for setting, file in files.items() if setting in (_CA, *_CERTIFICATES)))
+def certificate_files(config: zenoh.Config) -> list[Path]:
+    """The certificates that a configuration of `load_config` names, the CA first."""
+    named = (get(config, setting) for setting in _CERTIFICATES)
+    return [Path(file) for file in dict.fromkeys(named) if isinstance(file, str)]
+
+
+class Expiry(NamedTuple):
+    """The end of a certificate's time."""
+
+    file: Path
+    end: dt.datetime
+
+
+def first_expiry(config: zenoh.Config) -> Expiry | None:
+    """Of the certificates that a configuration of `load_config` names, the first that expires; None: it names none.
+
+    In a chain the first certificate is the owner's; of several CAs, any may be the one in use. Raises ConfigError.
+    """
+    ca = get(config, _CA)
+    found = []
+    for file in certificate_files(config):
+        ends = [certificate.not_valid_after_utc for certificate in certs.read_certificates(file)]
+        found.append(Expiry(file, max(ends) if str(file) == ca else ends[0]))
+    return min(found, key=lambda expiry: expiry.end, default=None)
 
 
 def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
     values = {setting: json.loads(config.get_json(setting)) for setting in _FILES}
     return {setting: folder / value for setting, value in values.items() if isinstance(value, str)}
-
-
-def _check(setting: str, file: Path, config: Path) -> None:
-    try:
-        certs.read_file(file, setting.rpartition("/")[2])
-        if setting not in (_CA, *_CERTIFICATES):
-            return
-        certificates = certs.read_certificates(file)
-    except ConfigError as error:
-        raise ConfigError(f"{config}: {error}") from error
-    # In a chain the first certificate is the owner's; of several CAs, any may be the one in use.
-    ends = [certificate.not_valid_after_utc for certificate in certificates]
-    end = max(ends) if setting == _CA else ends[0]
-    if end <= dt.datetime.now(dt.UTC):
-        raise ConfigError(
-            f"{file} expired on {end:%Y-%m-%d}: get a new one from `hexapod-gateway certs renew` (is this clock right?)"
-        )
 
 
 def get(config: zenoh.Config, key: str) -> Any:
@@ -91,6 +105,6 @@ def get(config: zenoh.Config, key: str) -> Any:
         return None
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """Zenoh's reason without its source position."""
     return " ".join(str(error).split()).partition(" at /")[0]

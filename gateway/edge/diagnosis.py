@@ -12,6 +12,7 @@ import ssl
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -21,7 +22,8 @@ from typing import Any, Final
 import zenoh
 
 from gateway import certs
-from gateway.edge.config_file import get
+from gateway.certs import expiry
+from gateway.edge.config_file import first_expiry, get
 from gateway.errors import ConfigError
 
 TIMEOUT_S: Final = 1.0
@@ -176,6 +178,15 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
             yield Finding(Step.CERTIFICATE, str(error), "restore it from its bundle")
             continue
         yield validity(path.name, certificate.not_valid_before_utc, certificate.not_valid_after_utc, now)
+
+
+def own_expiry(config: zenoh.Config) -> str | None:
+    """That one of this machine's certificates expires soon; None: none does, or none can be read."""
+    with suppress(ConfigError):
+        first = first_expiry(config)
+        if first is not None:
+            return expiry.soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
+    return None
 
 
 def role(certificate: Path) -> str:

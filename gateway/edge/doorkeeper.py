@@ -12,7 +12,7 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
 
@@ -32,8 +32,10 @@ logger = logging.getLogger(__name__)
 class Doorkeeper:
     """Counts the visitors whenever a link opens or closes, on a thread of its own."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, count: Callable[[int], None]) -> None:
+        """`count` is called with the number of sessions whenever it may have changed."""
         self._session = session
+        self._count = count
         self._since: dict[str, int] = {}
         self._visits = 0
         self._said_s = float("-inf")
@@ -59,6 +61,7 @@ class Doorkeeper:
     def _look(self) -> None:
         links = self._session.info.links()
         self._since = {str(link.zid): self._arrival(str(link.zid)) for link in links}
+        self._count(len(self._since))
         visitors = [link for link in links if link.auth_identifier and not is_operator(link.auth_identifier)]
         surplus = sorted(visitors, key=lambda link: self._since[str(link.zid)])[VISITORS:]
         if not surplus:

@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     """Reject, or with `allow_insecure` warn of, endpoints on which anyone may command. Raises ConfigError."""
     listen = listen_endpoints(config)
-    if not listen and not _endpoints(config, "connect"):
+    if not listen and not connect_endpoints(config):
         raise ConfigError("zenoh.listen and zenoh.connect are both empty, so nobody could reach the gateway")
     _check_namespace(config)
     open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]
@@ -36,7 +36,7 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
         )
     if open_to_anyone:
         logger.warning("zenoh.allow_insecure: anyone who reaches %s can move the robot", ", ".join(open_to_anyone))
-    for endpoint in _endpoints(config, "connect"):
+    for endpoint in connect_endpoints(config):
         if not is_local(endpoint) and not _knows_whom_it_dials(endpoint, config):
             logger.warning(
                 "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it, "
@@ -68,6 +68,11 @@ def _check_namespace(config: zenoh.Config) -> None:
 def listen_endpoints(config: zenoh.Config) -> list[str]:
     """The listen endpoints of this configuration, in its mode."""
     return _endpoints(config, "listen")
+
+
+def connect_endpoints(config: zenoh.Config) -> list[str]:
+    """The endpoints that this configuration dials, in its mode."""
+    return _endpoints(config, "connect")
 
 
 def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:

@@ -41,6 +41,10 @@ class SystemdNotifier:
         """Commands are taken from now on."""
         self._tell(f"READY=1\nSTATUS={status}")
 
+    def status(self, status: str) -> None:
+        """A sentence for `systemctl status`; from any thread."""
+        self._tell(f"STATUS={status}")
+
     def alive(self) -> None:
         """The loop turns and can own the state. Without this for WATCHDOG_USEC, systemd kills the service."""
         self._tell("WATCHDOG=1")

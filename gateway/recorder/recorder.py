@@ -77,6 +77,8 @@ class Recorder:
 
     incident: str | None = None
     """The id of the latest incident of this run."""
+    incidents = 0
+    """How many this run has begun."""
     step: Sequence[Written] = ()
     """The frames that the supervisor's present step has written up to now."""
     told = 0
@@ -265,6 +267,7 @@ class RingRecorder(Recorder):
         if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_NS):
             wall_ns = self._wall_ns()
             self.incident = incident_id(wall_ns, what)
+            self.incidents += 1
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
             if self._ring is not None:

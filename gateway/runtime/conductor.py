@@ -111,6 +111,8 @@ class Conductor:
         """Where messages come from; the service connects the inbox here once everything stands."""
         self.calibration_kept = False
         """Whether the calibration outlasts this process."""
+        self.certificate: telemetry.CertificateReport | None = None
+        """Of those in use, the first that expires."""
         self.instant_open: Callable[[], bool] = lambda: False
         """Whether the next messages are of the same instant as the last; the inbox, as well."""
 
@@ -393,6 +395,7 @@ class Conductor:
             estop_source=self._sources.estop,
             incident=self.recorder.incident,
             calibration_kept=self.calibration_kept,
+            certificate=self.certificate,
         )
 
 

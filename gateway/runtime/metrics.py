@@ -19,5 +19,11 @@ class Metrics:
     """Deadline → its Stop written."""
     emergency_stops: Latency = field(default_factory=Latency)
     """Request received → sixth Stop written; requests whose Stops could not be written are not in it."""
+    sessions: int = 0
+    """Zenoh sessions that are open: laptops, routers, programs on this machine."""
     loop_lag: Latency = field(default_factory=Latency)
     """How late the loop's timers run."""
+
+    def count_sessions(self, number: int) -> None:
+        """Called by a thread that owns nothing."""
+        self.sessions = number

@@ -3,11 +3,11 @@
 import logging
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from socketserver import TCPServer, ThreadingMixIn
 from threading import BoundedSemaphore, Lock, Thread
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
@@ -20,11 +20,13 @@ from prometheus_client.metrics_core import (
 )
 from prometheus_client.registry import Collector
 
+from gateway import __version__
 from gateway.core.latency import BOUNDS_US, Latency
 from gateway.edge.exposure import is_local
 from gateway.errors import ConfigError
 from gateway.host import logs
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.protocol import VERSION
 from gateway.runtime.conductor import Conductor
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -33,9 +35,14 @@ MOST_REQUESTS: Final = 8
 REQUEST_S: Final = 5.0
 """A scrape takes 5 ms; Prometheus itself gives up after ten seconds."""
 
+METRICS_PATH: Final = "/metrics"
+
 LEASE_KINDS: Final = [kind for kind in Kind if kind.startswith("lease_")]
 
 _PREFIX: Final = "hexapod"
+
+if TYPE_CHECKING:
+    from _typeshed.wsgi import StartResponse, WSGIApplication, WSGIEnvironment
 
 logger = logging.getLogger(__name__)
 
@@ -48,6 +55,20 @@ class _Numbers(Collector):
 
     def collect(self) -> Iterator[Metric]:
         metrics, bus = self._conductor.metrics, self._conductor.bus
+        yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": VERSION})
+        yield GaugeMetricFamily(f"{_PREFIX}_sessions", "Zenoh sessions that are open", metrics.sessions)
+        yield CounterMetricFamily(
+            f"{_PREFIX}_incidents", "Incidents that the black box has begun", self._conductor.recorder.incidents
+        )
+        certificate = self._conductor.certificate
+        expiry = GaugeMetricFamily(
+            f"{_PREFIX}_certificate_expiry_timestamp_seconds",
+            "When the first of the certificates in use expires",
+            labels=["file"],
+        )
+        if certificate is not None:
+            expiry.add_metric([certificate.file], certificate.expires.timestamp())
+        yield expiry
         yield CounterMetricFamily(f"{_PREFIX}_commands_accepted", "Commands accepted", metrics.accepted)
         yield CounterMetricFamily(
             f"{_PREFIX}_commands_coalesced", "Accepted commands that a newer one replaced", metrics.coalesced
@@ -123,7 +144,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         self._begun_s: dict[socket.socket, float] = {}
         self._free = BoundedSemaphore(MOST_REQUESTS)
         super().__init__((str(where[0]), int(where[1])), _Request)
-        self.set_app(make_wsgi_app(registry))
+        self.set_app(_only_at_its_path(make_wsgi_app(registry)))
 
     def server_bind(self) -> None:
         # Not as HTTPServer does, which asks the network for this machine's full name, and nobody here wants that.
@@ -166,6 +187,18 @@ class _Server(ThreadingMixIn, WSGIServer):
     def handle_error(self, request: Any, client_address: Any) -> None:
         del request
         logger.debug("a request for metrics from %s failed", client_address, exc_info=True)
+
+
+def _only_at_its_path(page: "WSGIApplication") -> "WSGIApplication":
+    """The page at its path, and 404 everywhere else: prometheus_client answers with the numbers on any."""
+
+    def answer(environ: "WSGIEnvironment", start_response: "StartResponse") -> Iterable[bytes]:
+        if environ.get("PATH_INFO") == METRICS_PATH:
+            return page(environ, start_response)
+        start_response("404 Not Found", [("Content-Type", "text/plain")])
+        return [f"the numbers are at {METRICS_PATH}\n".encode()]
+
+    return answer
 
 
 def _hang_up(request: socket.socket) -> None:

@@ -14,6 +14,7 @@ from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas.telemetry import (
     CalibrationReport,
+    CertificateReport,
     CommandCounts,
     GatewayState,
     Kind,
@@ -23,6 +24,7 @@ from schemas.telemetry import (
     ServoReport,
     SpiReport,
     StopLatency,
+    TelemetryReport,
     WatchdogReport,
 )
 
@@ -57,6 +59,7 @@ def report(
     estop_source: str | None = None,
     incident: str | None = None,
     calibration_kept: bool = False,
+    certificate: CertificateReport | None = None,
 ) -> GatewayState:
     """The state at `now_ns`."""
     p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -95,6 +98,8 @@ def report(
             fault=supervisor.calibrating.fault,
             kept=calibration_kept,
         ),
+        telemetry=TelemetryReport(frames=settings.telemetry.frames),
+        certificate=certificate,
     )
 
 

@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from gateway import certs
+from gateway.certs import expiry
 from gateway.tools.terminal import this_command
 
-WARN_DAYS = 30
 WIDE = 100
 
 app = typer.Typer(
@@ -200,12 +200,29 @@ def renew(
         ),
     ],
     directory: Directory,
+    host: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="HOST",
+            help="For the robot, or a console: one more name or address by which it is reached; repeat it for each. "
+            "The old ones stay. Example: --host 192.0.2.9",
+            show_default=False,
+        ),
+    ] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
-    """Extend a certificate before it expires. Its key stays, so only NAME.pem has to be copied again."""
-    path = certs.renew(directory, name, days=days)
+    """Extend a certificate before it expires, or give the robot a further address, with no new CA.
+
+    Its key stays, so only NAME.pem has to be copied again.
+    """
+    path = certs.renew(directory, name, hosts=host or (), days=days)
     left = certs.describe(path)
     typer.echo(f"{path} is good until {left.not_after:%Y-%m-%d}: copy it over the old one on {_where(name)}.")
+    if host and name == "gateway":
+        typer.echo(
+            "Laptops that are issued from now on dial it, too; an older NAME.json5 stays good: add the address to its "
+            f"connect.endpoints, or give --connect tls/{host[0]}:PORT beside --zenoh-config"
+        )
 
 
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
@@ -235,7 +252,7 @@ def show(directory: Directory) -> None:
         )
     for row in rows:
         left = int(row[3])
-        table.add_row(*row, style="red" if left < 0 else "yellow" if left < WARN_DAYS else None)
+        table.add_row(*row, style="red" if left < 0 else "yellow" if left < expiry.WARN_DAYS else None)
     console.print(table)
 
 

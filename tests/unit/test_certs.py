@@ -176,7 +176,7 @@ def test_the_gateways_zenoh_file(folder: Path, tmp_path: Path, monkeypatch: pyte
     limits = setting("low_pass_filter")
     assert isinstance(limits, list)
     assert [limit["size_limit"] > MAX_PAYLOAD_BYTES for limit in limits] == [True]
-    assert certificate_files(folder / "gateway.json5") == [folder / "ca.pem", folder / "gateway.pem"]
+    assert certificate_files(load_config(folder / "gateway.json5")) == [folder / "ca.pem", folder / "gateway.pem"]
     # Moved as a whole, it still works.
     folder.rename(tmp_path / "robot")
     assert load_config(tmp_path / "robot" / "gateway.json5")

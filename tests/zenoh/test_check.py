@@ -18,6 +18,7 @@ from gateway.tools.check import device, machine, network
 from gateway.tools.check.result import Verdict
 from tests.support.certs_folder import DAY, NOW
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.router import zenoh_listening
 
 OK, WARNING, FAILURE = Verdict.OK, Verdict.WARNING, Verdict.FAILURE
 
@@ -216,7 +217,7 @@ def folder(path: Path, *, days: int, now: dt.datetime = NOW) -> ZenohSettings:
 
 @pytest.mark.parametrize(
     ("days", "verdict"),
-    [(90, OK), (31, OK), (29, WARNING), (1, WARNING)],
+    [(90, OK), (61, OK), (59, WARNING), (1, WARNING)],
 )
 def test_the_expiry_of_certificates(tmp_path: Path, days: int, verdict: Verdict) -> None:
     settings = folder(tmp_path / "D", days=days)
@@ -230,9 +231,10 @@ def test_the_expiry_of_certificates(tmp_path: Path, days: int, verdict: Verdict)
 
 def test_an_expired_certificate_is_one_failure(tmp_path: Path) -> None:
     settings = folder(tmp_path / "D", days=10, now=NOW - 11 * DAY)
-    (result,) = network.certificates(settings, NOW)
-    assert result.verdict is FAILURE
+    ca, result = network.certificates(settings, NOW)
+    assert (ca.verdict, result.verdict) == (OK, FAILURE)
     assert "gateway.pem expired on" in result.sentence
+    assert result.fix == "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here"
     config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": settings.config}, **SPI})
     said = check("--config", str(config))
     assert said.returncode == 1
@@ -266,6 +268,33 @@ def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
     assert "warning  certificates   " in said.stdout
     assert "ok       Zenoh          " in said.stdout
     assert "port           tls/[::]:7447" in said.stdout
+
+
+def test_a_listener_that_zenoh_does_not_open_is_tried(tmp_path: Path) -> None:
+    """TCP beside a Zenoh file for TLS only: the port is free, and the service ends all the same."""
+    certs.init(tmp_path / "D", ["127.0.0.1"])
+    listen = f"tcp/127.0.0.1:{free_port()}"
+    zenoh = {"config": str(tmp_path / "D" / "gateway.json5"), "listen": [listen]}
+    with Gateway(tmp_path, {"zenoh": zenoh}, wait=False) as gateway:
+        assert gateway.child.wait() == 4
+    said = check("--config", str(write_settings(tmp_path / "robot.toml", {"zenoh": zenoh, **SPI})))
+    assert said.returncode == 1
+    (line,) = [line for line in said.stdout.splitlines() if line.startswith("failure  Zenoh")]
+    assert f"cannot listen on {listen}: Unsupported protocol: tcp" in line
+    zenoh["listen"] = [listen.replace("tcp/", "tls/")]
+    said = check("--config", str(write_settings(tmp_path / "robot.toml", {"zenoh": zenoh, **SPI})))
+    assert "cannot listen" not in said.stdout
+
+
+def test_a_router_that_is_off_is_a_failure(tmp_path: Path) -> None:
+    router = f"tcp/127.0.0.1:{free_port()}"
+    config = write_settings(tmp_path / "robot.toml", {"zenoh": {"listen": [], "connect": [router]}, **SPI})
+    (line,) = [line for line in check("--config", str(config)).stdout.splitlines() if line[9:].startswith("router")]
+    assert line.startswith(f"failure  router         {router}: 127.0.0.1 rejects port ")
+    assert "nobody behind it reaches this robot → start it there" in line
+    with zenoh_listening(router):
+        (line,) = [line for line in check("--config", str(config)).stdout.splitlines() if line[9:].startswith("router")]
+        assert line.startswith("ok ")
 
 
 # ---- the machine

@@ -49,14 +49,22 @@ class Machine:
             os.chown(path, 0, UID)
             path.chmod(0o750 if path.is_dir() else 0o640)
 
-    def spawn(self, *arguments: str, uid: int = 0) -> Child:
+    def spawn(self, *arguments: str, uid: int = 0, without: str = "") -> Child:
+        """`without`: rights that root has not, as in a container."""
         user = [f"--reuid={uid}", f"--regid={uid}", "--clear-groups", "--bounding-set=-all"] if uid else []
+        user += [f"--bounding-set={without}"] if without else []
         bind = "; ".join(f"mount --bind {self.folder}/{name} /etc/{name}" for name in ("passwd", "group"))
         command = ["unshare", "--mount", "sh", "-ec", f'{bind}; exec "$@"', "sh", "setpriv", *user, "--", *GATEWAY]
-        return Child([*command, *arguments], ENV)
+        return Child([*command, *arguments], {**ENV, "PATH": f"{self.folder}:{os.environ['PATH']}"})
 
-    def check(self, uid: int = 0) -> Child:
-        child = self.spawn("check", "--config", str(self.config), uid=uid)
+    def unit_grants(self, rtprio: int) -> None:
+        """As systemd says it of the unit."""
+        systemctl = self.folder / "systemctl"
+        systemctl.write_text(f"#!/bin/sh\necho LoadState=loaded; echo LimitRTPRIO={rtprio}; echo MainPID=0\n")
+        systemctl.chmod(0o755)
+
+    def check(self, uid: int = 0, without: str = "") -> Child:
+        child = self.spawn("check", "--config", str(self.config), uid=uid, without=without)
         child.wait()
         child.close()
         return child
@@ -96,6 +104,25 @@ def test_a_key_that_root_copied_is_a_failure_though_root_can_read_it(machine: Ma
 def test_real_time_is_judged_by_the_services_rights(machine: Machine) -> None:
     machine.allow()
     assert "priority 20 is not granted (RLIMIT_RTPRIO is 0)" in line(machine.check(), "real-time")
+
+
+@pytest.mark.parametrize(
+    ("without", "name", "says"),
+    [
+        ("-sys_resource,-sys_nice", "real-time", "the unit grants priority 20, but it cannot be tried here"),
+        ("-setuid", "user", "all this is what root may do; the service is hexapod-gateway"),
+        ("-setgid", "user", "all this is what root may do; the service is hexapod-gateway"),
+    ],
+)
+def test_in_a_container_without_a_right_it_says_what_it_cannot_try(
+    machine: Machine, without: str, name: str, says: str
+) -> None:
+    machine.allow()
+    machine.unit_grants(20)
+    child = machine.check(without=without)
+    assert child.stderr == ""
+    assert line(child, name).startswith("warning")
+    assert says in line(child, name)
 
 
 def test_whoever_may_not_read_the_configuration_hears_how(machine: Machine) -> None:

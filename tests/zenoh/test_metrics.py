@@ -1,14 +1,21 @@
 """Percentiles, histograms, and what Prometheus reads over HTTP."""
 
 import asyncio
+import re
+import time
+import urllib.error
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
+from gateway import __version__, certs
+from gateway.client import Client
 from gateway.core.latency import KEPT, Latency, percentile
+from gateway.protocol import VERSION
 from schemas import keys
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.robot import leg, started_and_quiet
@@ -69,6 +76,48 @@ def read(address: str) -> list[Sample]:
 def value(samples: list[Sample], name: str, **labels: str) -> float:
     (found,) = [sample.value for sample in samples if sample.name == name and labels.items() <= sample.labels.items()]
     return float(found)
+
+
+METRICS = Path(__file__).parents[2] / "docs" / "metrics.md"
+
+
+def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
+    rows = re.findall(r"^\| `((?:hexapod|process)_\w+)` \| (\w+) \| (.*?) \|", METRICS.read_text(), re.MULTILINE)
+    documented = {(name, kind, frozenset(re.findall(r"`(\w+)`", labels))) for name, kind, labels in rows}
+    zenoh = tmp_path / "D"
+    certs.init(zenoh, ["127.0.0.1"], port=free_port())
+    certs.issue(zenoh, "anna", "operator")
+    listen = next(line for line in (zenoh / "anna.json5").read_text().splitlines() if "endpoints: [" in line)
+    address = f"127.0.0.1:{free_port()}"
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"metrics": address},
+        "zenoh": {"config": str(zenoh / "gateway.json5"), "listen": [listen.split('"')[1]]},
+        "recorder": {"path": str(tmp_path / "box")},
+    }
+    with (
+        Gateway(tmp_path, settings),
+        Client(zenoh_config=zenoh / "anna.json5", source="anna", timeout_s=5) as client,
+        client.lease(),
+    ):
+        assert client.estop().accepted
+        with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+            families = list(text_string_to_metric_families(answer.read().decode()))
+        samples = read(address)
+        assert value(samples, "hexapod_sessions") == 1
+        assert value(samples, "hexapod_incidents_total") == 1
+        assert value(samples, "hexapod_build_info", version=__version__, protocol=VERSION) == 1
+        expires = value(samples, "hexapod_certificate_expiry_timestamp_seconds", file="gateway.pem")
+        assert expires == pytest.approx(time.time() + certs.LEAF_DAYS * 86400, abs=100)
+        for path in ("/", "/metric", "/metrics/more", "/favicon.ico"):
+            with pytest.raises(urllib.error.HTTPError, match="404"):
+                urllib.request.urlopen(f"http://{address}{path}", timeout=10)
+    found = set()
+    for family in families:
+        labels = {label for sample in family.samples for label in sample.labels} - {"le"}
+        name = family.name
+        kind = "info" if name.endswith("_info") else family.type
+        found.add((f"{name}_total" if kind == "counter" else name, kind, frozenset(labels)))
+    assert found == documented
 
 
 def test_prometheus_reads_everything(tmp_path: Path) -> None:

@@ -120,7 +120,12 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     gateway_runs = device.held(spi_device)
     if zenoh_config is not None:
         yield from access.passes(zenoh_config, settings.zenoh.config)
-        yield from network.ports(listen_endpoints(zenoh_config), gateway_runs=gateway_runs)
+        endpoints = listen_endpoints(zenoh_config)
+        ports = network.ports(endpoints, gateway_runs=gateway_runs)
+        yield from ports
+        to_be_had = [each for each, port in zip(endpoints, ports, strict=False) if port.verdict is not Verdict.FAILURE]
+        yield from network.opens(settings.zenoh, to_be_had)
+        yield from network.routers(zenoh_config)
     if settings.telemetry.metrics:
         yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
 

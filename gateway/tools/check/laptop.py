@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from gateway.certs import expiry
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.edge import diagnosis
 from gateway.edge.diagnosis import Finding, Identity, Step
@@ -12,7 +13,8 @@ from gateway.edge.session import client_config
 from gateway.errors import ConfigError, ZenohError
 from gateway.tools import why
 from gateway.tools.check import machine
-from gateway.tools.check.result import Result, Verdict, failure, ok
+from gateway.tools.check.result import Result, Verdict, failure, ok, warning
+from schemas.telemetry import CertificateReport
 
 _SOURCE: Final = "hexapod-gateway check"
 
@@ -35,6 +37,8 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     identity = Identity.of(config)
     for finding in diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)):
         yield _result(finding)
+    if (soon := diagnosis.own_expiry(config)) is not None:
+        yield warning(Step.CERTIFICATE, soon, "hexapod-gateway certs renew, where ca.key is, and copy it here")
     try:
         client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
     except ZenohError:
@@ -42,10 +46,19 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         return
     with client:
         yield from _way(endpoints, identity, opened=True)
-        _, allowed = why.allowed(client, identity)
+        state, allowed = why.allowed(client, identity)
     for finding in allowed:
         observer = finding.fix and finding.step is Step.ROLE and len(allowed) > 1
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
+    if state is not None and state.certificate is not None:
+        yield from _robots_certificate(state.certificate, state.time)
+
+
+def _robots_certificate(certificate: CertificateReport, now: dt.datetime) -> Iterator[Result]:
+    soon = expiry.soon(certificate.file, certificate.expires, now)
+    if soon is not None:
+        fix = "hexapod-gateway certs renew gateway, where ca.key is, copy it to the robot, and restart the service"
+        yield warning(Step.CERTIFICATE, f"the robot's {soon}", fix)
 
 
 def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[Result]:

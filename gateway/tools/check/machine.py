@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.host.realtime import LOOP_PRIORITY
+from gateway.tools.check import service_user
 from gateway.tools.check.result import Result, failure, ok, warning
 
 UNIT: Final = "hexapod-gateway"
@@ -138,6 +139,13 @@ def realtime(priority: int = LOOP_PRIORITY) -> Result:
     if not faults:
         return ok(name, f"priority {priority} is granted")
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    granted = granted_rtprio() if os.geteuid() == service_user.uid() else None
+    if granted is not None and 0 <= limit < granted:  # as root it would have been raised to what the unit grants
+        return warning(
+            name,
+            f"the unit grants priority {granted}, but it cannot be tried here: this container lacks CAP_SYS_RESOURCE",
+            "start the service and check again: then what the kernel has granted it is looked at",
+        )
     if 0 <= limit < priority:
         return warning(
             name,

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import errno
+import json
 import logging
 import os
 import re
@@ -15,15 +16,18 @@ import zenoh
 from pydantic import ValidationError
 
 from gateway import certs
+from gateway.certs import expiry
 from gateway.client import Client
-from gateway.edge.config_file import certificate_files
-from gateway.edge.session import service_config
-from gateway.errors import ConfigError, GatewayError
+from gateway.edge import diagnosis
+from gateway.edge.config_file import certificate_files, load_config, one_line
+from gateway.edge.diagnosis import Identity, Step
+from gateway.edge.exposure import connect_endpoints
+from gateway.edge.session import open_session, service_config
+from gateway.errors import ConfigError, GatewayError, ZenohError
 from gateway.settings import ZenohSettings
 from gateway.tools.check import service_user
 from gateway.tools.check.result import Result, failure, ok, warning
 
-WARN_DAYS: Final = 30
 DENIED: Final = os.strerror(errno.EACCES)
 LET_READ: Final = (
     "let the service read it, and nobody else: sudo chown -R root:hexapod-gateway /etc/hexapod-gateway; "
@@ -72,6 +76,55 @@ def port(endpoint: str, *, gateway_runs: bool = False) -> Result:
     if taken and gateway_runs:
         return ok("port", f"{endpoint} is in use by the gateway that runs here, it seems")
     return _verdict(endpoint, "zenoh.listen", error)
+
+
+def opens(settings: ZenohSettings, endpoints: Sequence[str]) -> list[Result]:
+    """What keeps Zenoh from listening there; nothing where it can: it is tried, on free ports of these addresses.
+
+    Nobody is dialled, and a running gateway is not disturbed. `endpoints`: those whose ports can be had.
+    """
+    tried = [trial for each in endpoints if (trial := _on_a_free_port(each)) is not None]
+    if not tried:
+        return []
+    config = service_config(settings)
+    config.insert_json5("connect/endpoints", "[]")
+    config.insert_json5("listen/endpoints", json.dumps(tried))
+    try:
+        open_session(config).close()
+    except ZenohError as error:
+        why = one_line(error.__cause__ or error)
+        fix = "in zenoh.listen, write tls/ for tcp/, or leave it out: the Zenoh file has endpoints of its own"
+        return [failure("Zenoh", f"cannot listen on {', '.join(endpoints)}: {why}", fix)]
+    return []
+
+
+def _on_a_free_port(endpoint: str) -> str | None:
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or found["link"] not in _LINKS:
+        return None
+    return f"{endpoint[: found.start('port')]}0{endpoint[found.end('port') :]}"
+
+
+def routers(config: zenoh.Config) -> Iterator[Result]:
+    """Whether what the gateway dials is there, as far as it can be seen without being the gateway."""
+    endpoints = connect_endpoints(config)
+    for endpoint, findings in diagnosis.look_at_all(endpoints, Identity.of(config)).items():
+        # A port that speaks no TLS may well be a router's.
+        last = next((each for each in reversed(findings) if each.step is not Step.GATEWAY), findings[-1])
+        said = f"{endpoint}: {_of_a_router(last.sentence)}"
+        if not last.fix:
+            yield ok("router", said)
+            continue
+        fix = (
+            "start it there (zenohd -c router.json5), or set another zenoh.connect; the gateway goes on trying"
+            if last.step in (Step.NAME, Step.TCP)
+            else _of_a_router(last.fix)
+        )
+        yield failure("router", f"{said}: nobody behind it reaches this robot", fix)
+
+
+def _of_a_router(sentence: str) -> str:
+    return sentence.replace("the robot", "the router")
 
 
 def metrics_port(address: str, *, gateway_runs: bool) -> Result:
@@ -162,7 +215,7 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
     if not settings.config:
         return [ok(name, "none are in use")]
     try:
-        found = [certs.describe(path) for path in certificate_files(Path(settings.config))]
+        found = [certs.describe(path) for path in certificate_files(load_config(Path(settings.config)))]
     except ConfigError as error:
         fix = LET_READ if DENIED in str(error) else "until then nobody can connect, and the service does not start"
         return [failure(name, str(error), fix)]
@@ -174,19 +227,15 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
 def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
     name, path = "certificates", certificate.path
     until = f"good until {certificate.not_after:%Y-%m-%d}"
-    fix = (
-        "make a new CA (hexapod-gateway certs init, in another folder) and issue all certificates again"
-        if certificate.role == "ca"
-        else f"hexapod-gateway certs renew {certificate.role}, where ca.key is, and copy {path.name} here"
-    )
+    fix = expiry.remedy(path.name, certificate.role, certificate.name)
     left_days = certificate.days_left(now)
     if now < certificate.not_before:
         return failure(
             name, f"{path} is good only from {certificate.not_before:%Y-%m-%d}", "set the clock (timedatectl)"
         )
     if left_days < 0:
-        return failure(name, f"{path} expired on {certificate.not_after:%Y-%m-%d}", fix)
-    if left_days < WARN_DAYS:
+        return failure(name, f"{path} expired on {certificate.not_after:%Y-%m-%d}: nobody can connect", fix)
+    if left_days < expiry.WARN_DAYS:
         return warning(name, f"{path} is {until}, {left_days} days more", fix)
     return ok(name, f"{path} is {until}")
 

@@ -48,7 +48,8 @@ def run(look: Callable[[], int], rtprio: int | None, name: str = SERVICE_USER) -
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     code = _CRASHED
     try:
-        _become(pwd.getpwnam(name), rtprio)
+        with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: `who` then says so
+            _become(pwd.getpwnam(name), rtprio)
         code = look()
     except GatewayError as error:
         sys.stderr.writelines(f"hexapod-gateway: {line}\n" for line in str(error).splitlines())
@@ -63,7 +64,8 @@ def run(look: Callable[[], int], rtprio: int | None, name: str = SERVICE_USER) -
 
 def _become(user: pwd.struct_passwd, rtprio: int | None) -> None:
     if rtprio is not None:
-        resource.setrlimit(resource.RLIMIT_RTPRIO, (rtprio, rtprio))
+        with suppress(OSError, ValueError):  # without CAP_SYS_RESOURCE, as in a container: `realtime` then says so
+            resource.setrlimit(resource.RLIMIT_RTPRIO, (rtprio, rtprio))
     groups = set(os.getgrouplist(user.pw_name, user.pw_gid))
     with suppress(KeyError):
         groups.add(grp.getgrnam(_GROUP_OF_THE_UNIT).gr_gid)
@@ -79,4 +81,7 @@ def who(name: str = SERVICE_USER) -> Result | None:
         return None
     if os.geteuid() == service:
         return ok("user", f"all this is what {name} may do, the service's user")
+    if not os.geteuid():
+        fix = f"outside of this container, or with its rights SETUID and SETGID: root may not become {name} here"
+        return warning("user", f"all this is what root may do; the service is {name}", fix)
     return warning("user", f"all this is what you may do; the service is {name}", "sudo hexapod-gateway check")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from gateway.client import DEFAULT_ENDPOINT, Client
+from gateway.edge import diagnosis
 from gateway.edge.session import client_config
 from gateway.errors import ConfigError
 from gateway.tools import why
@@ -42,7 +43,12 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
         timeout_s=timeout_s,
         explain=False,  # it tries again several times a second, and looks for the reason once in three seconds
     )
-    view = Watch(client, ", ".join(map(str, endpoints)), partial(why.unreached, connect, zenoh_config))
+    view = Watch(
+        client,
+        ", ".join(map(str, endpoints)),
+        partial(why.unreached, connect, zenoh_config),
+        diagnosis.own_expiry(config),
+    )
     view.run()
     if view.unconfirmed_stop:
         hint("The emergency stop was NOT confirmed: switch the servos' power off.")

@@ -98,6 +98,8 @@ class Model:
     """Everything that is shown. `heard_…` methods take what arrives; the others take the time."""
 
     state: GatewayState | None = None
+    own_expiry: str | None = None
+    """That this laptop's certificate expires soon."""
     trouble: str = ""
     """Why there is no connection: a line for each host."""
     remark: Remark | None = None

@@ -31,8 +31,10 @@ _INTERRUPT: Final = 3
 class Watch:
     """One view; `run` shows it until q."""
 
-    def __init__(self, connect: Callable[[], Client], where: str, why: Callable[[], list[str]]) -> None:
-        self._model = Model()
+    def __init__(
+        self, connect: Callable[[], Client], where: str, why: Callable[[], list[str]], own_expiry: str | None
+    ) -> None:
+        self._model = Model(own_expiry=own_expiry)
         self._lock = threading.Lock()
         self._where = where
         self._news = threading.Event()

@@ -9,6 +9,7 @@ from typing import Final
 from rich.cells import cell_len
 from rich.text import Text
 
+from gateway.certs import expiry
 from gateway.tools.terminal import visible
 from gateway.tools.watch.model import Model, Presence, Rates, Tone, top_rejected
 from schemas.telemetry import GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
@@ -107,12 +108,23 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
         messages.append((model.remark.text, _TONES[model.remark.tone]))
     if model.state is not None and (fault := model.state.calibration.fault) is not None:
         messages.append((f"Nothing can be started (calibrate --accept-default): {visible(fault)}", "bold yellow"))
+    if (expiring := _expiring(model)) is not None:
+        messages.append((f"{visible(expiring)}: see `certs renew`", "yellow"))
     if model.presence(now_ns) is Presence.WAITING:
         messages.append(("no connection; trying again" if model.trouble else "connecting …", "yellow"))
     rows = _BANNER_ROWS if len(messages) == 1 else 1
     lines = [Text(f" {row} ", style) for text, style in messages for row in _wrapped(text, width - 2, rows)]
     del lines[_BANNER_ROWS:]
     return lines + [Text()] * (_BANNER_ROWS - len(lines))
+
+
+def _expiring(model: Model) -> str | None:
+    """The certificate that expires soon, this laptop's or the robot's (by its own clock)."""
+    certificate = None if model.state is None else model.state.certificate
+    if model.own_expiry is not None or model.state is None or certificate is None:
+        return model.own_expiry
+    soon = expiry.soon(certificate.file, certificate.expires, model.state.time)
+    return None if soon is None else f"the robot's {soon}"
 
 
 def _trouble(model: Model, width: int) -> list[Text]:

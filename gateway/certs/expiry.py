@@ -1,0 +1,25 @@
+"""How soon a certificate expires, in the words in which the log, systemd, `check` and `watch` say it."""
+
+import datetime as dt
+from typing import Final
+
+WARN_DAYS: Final = 60
+"""Long enough for whoever keeps the CA to be found."""
+
+
+def soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
+    """`gateway.pem expires on 2028-11-22, in 59 days`; None while more than WARN_DAYS are left."""
+    left_days = (end - now) // dt.timedelta(days=1)
+    if end <= now:
+        return f"{name} expired on {end:%Y-%m-%d}"
+    if left_days >= WARN_DAYS:
+        return None
+    return f"{name} expires on {end:%Y-%m-%d}, in {left_days} day{'' if left_days == 1 else 's'}"
+
+
+def remedy(file: str, role: str, name: str) -> str:
+    """What to do about a certificate of a gateway, a robot of a fleet or a person, as `describe` says it."""
+    if role == "ca":
+        return "make a new CA (hexapod-gateway certs init, in another folder) and issue all certificates again"
+    holder = name if role != "gateway" else role
+    return f"hexapod-gateway certs renew {holder}, where ca.key is, and copy {file} here"

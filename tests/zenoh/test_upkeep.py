@@ -1,0 +1,155 @@
+"""What goes wrong out of sight is said: in the log, to systemd, in the state."""
+
+import datetime as dt
+import os
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway import certs
+from gateway.certs import expiry
+from gateway.client import Client
+from gateway.edge import diagnosis
+from gateway.edge.session import client_config
+from gateway.errors import ConfigError, UnreachedError
+from gateway.tools.watch.model import Model
+from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
+from tests.support.router import zenoh_listening
+from tests.support.watch_reports import screen
+
+DAY = dt.timedelta(days=1)
+MINUTE = dt.timedelta(minutes=1)
+
+
+class Systemd:
+    """The end of a notification socket."""
+
+    def __init__(self, folder: Path) -> None:
+        self.env = {"NOTIFY_SOCKET": str(folder / "notify")}
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.settimeout(20)
+        self._socket.bind(self.env["NOTIFY_SOCKET"])
+
+    def status(self, part: str) -> str:
+        """Wait for a status with this in it."""
+        while True:
+            text = self._socket.recv(4096).decode()
+            if "STATUS=" in text and part in text:
+                return text.partition("STATUS=")[2]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def systemd(tmp_path: Path) -> Iterator[Systemd]:
+    systemd = Systemd(tmp_path)
+    yield systemd
+    systemd.close()
+
+
+def test_a_router_that_is_off_is_said_and_so_is_its_return(tmp_path: Path, systemd: Systemd) -> None:
+    router = f"tcp/127.0.0.1:{free_port()}"
+    env = {**systemd.env, "HEXAPOD_ZENOH__LISTEN": "[]"}
+    with Gateway(tmp_path, {"zenoh": {"connect": [router]}}, env=env, wait=False) as gateway:
+        assert systemd.status(router) == f"takes commands; {router} is not reached"
+        gateway.child.wait_for_output("nobody behind it can command this robot")
+        with zenoh_listening(router):
+            assert systemd.status("takes commands") == "takes commands"
+            gateway.child.wait_for_output(f"{router} is reached")
+        assert router in systemd.status(router)
+
+
+def certificates(folder: Path, days_left: dt.timedelta) -> dict[str, str]:
+    """Those of a robot whose own certificate expires in so many days."""
+    made = dt.datetime.now(dt.UTC) + days_left - 100 * DAY
+    certs.init(folder, ["127.0.0.1"], days=100, now=made, port=free_port())
+    certs.issue(folder, "anna", "operator")
+    return {"config": str(folder / "gateway.json5")}
+
+
+def gateway_with(folder: Path, zenoh: dict[str, str], systemd: Systemd) -> Gateway:
+    port = next(line for line in Path(zenoh["config"]).read_text().splitlines() if "tls/[::]:" in line)
+    listen = [f"tls/127.0.0.1:{port.partition('[::]:')[2].partition(chr(34))[0]}"]
+    return Gateway(folder, {"zenoh": {**zenoh, "listen": listen}}, env={**os.environ, **systemd.env})
+
+
+def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> None:
+    zenoh = certificates(tmp_path / "D", 59 * DAY + MINUTE)
+    with gateway_with(tmp_path, zenoh, systemd) as gateway:
+        line = gateway.child.wait_for_output("gateway.pem expires on")
+        assert ", in 59 days: then nobody can connect" in line
+        assert "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here" in line
+        assert "gateway.pem expires on" in systemd.status("expires")
+        with Client(zenoh_config=tmp_path / "D" / "anna.json5", timeout_s=5) as client:
+            state = client.state()
+        laptop = tmp_path / "D" / "anna.json5"
+        said = subprocess.run(
+            [*COMMAND, "check", "--zenoh-config", str(laptop)], capture_output=True, text=True, check=True
+        ).stdout
+        assert "warning  certificate    the robot's gateway.pem expires on" in said
+        model = Model()
+        model.heard_state(state, 0, state.time)
+        assert "the robot's gateway.pem expires on" in screen(model)
+    assert state.certificate is not None
+    assert state.certificate.file == "gateway.pem"
+    assert expiry.soon("gateway.pem", state.certificate.expires, state.time) is not None
+
+
+def test_a_laptop_is_told_of_its_own_certificate(tmp_path: Path) -> None:
+    folder = tmp_path / "D"
+    certificates(folder, 100 * DAY)
+    certs.issue(folder, "bert", "operator", days=30)
+    soon = diagnosis.own_expiry(client_config(None, folder / "bert.json5"))
+    assert soon is not None
+    assert soon.startswith("bert.pem expires on ")
+    said = subprocess.run(
+        [*COMMAND, "check", "--zenoh-config", str(folder / "bert.json5")], capture_output=True, text=True, check=False
+    ).stdout
+    assert f"warning  certificate    {soon} → hexapod-gateway certs renew" in said
+    assert soon in screen(Model(own_expiry=soon))
+    assert diagnosis.own_expiry(client_config(None, folder / "anna.json5")) is None
+
+
+def test_nothing_is_said_while_it_is_far(tmp_path: Path, systemd: Systemd) -> None:
+    with gateway_with(tmp_path, certificates(tmp_path / "D", 60 * DAY + MINUTE), systemd) as gateway:
+        with Client(zenoh_config=tmp_path / "D" / "anna.json5", timeout_s=5) as client:
+            assert client.state().certificate is not None
+        assert "gateway.pem" not in gateway.child.stdout + gateway.child.stderr
+
+
+def test_a_service_with_an_expired_certificate_starts_and_says_so(tmp_path: Path, systemd: Systemd) -> None:
+    """It stops the robot as ever, and the clock may be wrong; so it is no reason to end."""
+    with gateway_with(tmp_path, certificates(tmp_path / "D", -2 * DAY), systemd) as gateway:
+        gateway.child.wait_for_output("gateway.pem expired on")
+        assert "gateway.pem expired on" in systemd.status("expired")
+        assert READY in gateway.child.stdout
+        gateway.child.terminate()
+        assert gateway.child.wait() == 0
+
+
+def test_a_robot_gets_one_more_address_without_a_new_ca(tmp_path: Path, systemd: Systemd) -> None:
+    """And its laptops keep their certificates."""
+    folder = tmp_path / "D"
+    zenoh = certificates(folder, 90 * DAY)
+    anna = folder / "anna.json5"
+    with gateway_with(tmp_path, zenoh, systemd) as gateway:
+        other = gateway.endpoint.replace("127.0.0.1", "localhost")
+        with pytest.raises(UnreachedError):
+            Client(other, zenoh_config=anna, timeout_s=1)
+    before = (folder / "ca.pem").read_bytes()
+    arguments = ["certs", "renew", "gateway", "--host", "localhost", "--host", "192.0.2.9", "--dir", str(folder)]
+    made = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=True).stdout
+    assert "--connect tls/localhost:PORT" in made
+    assert (folder / "ca.pem").read_bytes() == before
+    with gateway_with(tmp_path, zenoh, systemd):
+        for endpoint in (gateway.endpoint, other):
+            with Client(endpoint, zenoh_config=anna, timeout_s=5) as client:
+                assert client.state().mode == "idle"
+    certs.issue(folder, "bert", "observer")
+    assert '"tls/192.0.2.9:' in (folder / "bert.json5").read_text()
+    with pytest.raises(ConfigError, match="nobody dials it"):
+        certs.renew(folder, "anna", hosts=["robot.local"])
