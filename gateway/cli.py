@@ -115,7 +115,8 @@ def check(
 ) -> None:
     """Say whether this machine can run the service, line by line, and how to fix what it lacks.
 
-    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there.
+    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Beside a
+    simulated gateway (`make run`) it looks at that, unless --config names a file.
 
     Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it
     looks with the rights of the service's user.

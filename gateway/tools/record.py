@@ -64,6 +64,11 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
         if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
             recorder.hear(CALIBRATION, client.calibration().model_dump_json().encode())
         with recorder.hears(client), on_end_signals(recorder.end):
+            if state.telemetry.frames is False:
+                hint(
+                    "The gateway publishes no frames, so the recording will have none, and nothing for `replay`: set "
+                    "telemetry.frames = true in its settings and restart it, or go on without."
+                )
             hint(f"recording into {path}; Ctrl-C ends it")
             return recorder.run(seconds)
 

@@ -3,6 +3,7 @@
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -128,6 +129,22 @@ def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gatewa
     assert end(child) == 1, str(child)
     assert "rejected: servo_stopped" in child.stdout
     assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
+
+
+def test_a_laptop_that_is_late_hears_that_it_is_late(tmp_path: Path) -> None:
+    """And no bare `servo_stopped`."""
+    settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 300}}
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+        heard = frames(client)
+        child = begin(gateway, options=("--yes",))
+        heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(11, ServoOp(Op.SET, 9000)))
+        child.send_signal(signal.SIGSTOP)
+        heard.wait(lambda record: record.cause == Cause.WATCHDOG)
+        child.send_signal(signal.SIGCONT)
+        assert end(child) == 1, str(child)
+    assert "The watchdog stopped servo 11: this machine's commands came some " in child.stdout
+    assert "300 ms of silence are allowed" in child.stdout
+    assert "rejected:" not in child.stdout
 
 
 def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway, client: Client) -> None:

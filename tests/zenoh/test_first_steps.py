@@ -1,6 +1,7 @@
 """The lines that a newcomer or a technician copies from the terminal, run as they are printed."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -90,6 +91,11 @@ def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(t
                 seen = frames(client)
                 assert client.start_leg(3, 90, 45, 120).accepted
                 seen.wait(lambda frame: frame.cause == "watchdog")
+            told = subprocess.run([*COMMAND, "check"], env=env, capture_output=True, text=True, check=True).stdout
+            assert "runs on a simulated controller, and is " in told
+            assert "ok       black box" in told
+            assert not re.search("^(failure|warning  (frames|black box|SPI))", told, re.MULTILINE), told
+            assert told.splitlines()[-1].startswith("The simulated robot is well")
             command = [*COMMAND, "incidents", "show", "last"]
             assert "leg 3" in subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
         finally:

@@ -63,6 +63,18 @@ def walking(robot: Client) -> Iterator[None]:
         thread.join()
 
 
+@pytest.mark.parametrize("published", [True, False])
+def test_that_there_will_be_no_frames_is_said_at_the_start(tmp_path: Path, published: bool) -> None:
+    with (
+        Gateway(tmp_path, {"telemetry": {"frames": published}}) as gateway,
+        recording(gateway, tmp_path / "ride.mcap") as child,
+    ):
+        said = child.stderr
+        child.send_signal(signal.SIGINT)
+        assert child.wait() == 0
+    assert ("publishes no frames" in said.partition("recording into")[0]) is not published
+
+
 @contextmanager
 def recording(gateway: Gateway, path: Path) -> Iterator[Child]:
     with closing(Child([*COMMAND, "record", str(path), "--connect", gateway.endpoint], os.environ)) as child:

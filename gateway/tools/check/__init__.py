@@ -16,7 +16,7 @@ from gateway import settings as settings_file
 from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
 from gateway.settings import FramingNotSetError, Settings
-from gateway.tools.check import access, calibration, device, laptop, machine, network, service_user
+from gateway.tools.check import access, calibration, device, laptop, machine, network, running, service_user
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -25,12 +25,16 @@ _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILUR
 def check(config: Path | None) -> int:
     """Print every check's line as it is known; the exit code: 0, or 1 after a failure.
 
-    As root, each is looked at as the service's user.
+    As root, each is looked at as the service's user. Where a gateway with a simulated controller runs, and no file is
+    named, that is looked at.
     Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
     matters only once it is known what the controller understands.
     """
 
     def look() -> int:
+        found = running.simulated() if config is None else None
+        if found is not None:
+            return _tell(running.results(*found), "The simulated robot is well", "The simulated robot is not well")
         return _tell(run(config), "This machine can run the service", "This machine cannot run the service")
 
     return service_user.run(look, machine.granted_rtprio())

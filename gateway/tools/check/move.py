@@ -16,7 +16,7 @@ from gateway.tools.reach import Connection
 from gateway.tools.rest import why_not_at_rest
 from gateway.tools.terminal import hint, say, visible
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, GatewayState
+from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
 DEFAULT_SERVO: Final = 11
 DEFAULT_ANGLE_DEG: Final = 90.0
@@ -82,7 +82,7 @@ def _moved(client: Client, servo_id: int, angles_deg: tuple[float, float], timeo
             return False
         # Only `set` from here on: it is rejected for what somebody else has stopped.
         period_s = min(_PERIOD_S, timeout_ms / 5000)
-        return all(_held(client, servo_id, angle_deg, period_s) for angle_deg in angles_deg)
+        return all(_held(client, servo_id, angle_deg, period_s, timeout_ms) for angle_deg in angles_deg)
 
 
 @contextmanager
@@ -99,13 +99,28 @@ def _stopped_after(client: Client, servo_id: int) -> Iterator[None]:
             say(f"Servo {servo_id} is stopped.")
 
 
-def _held(client: Client, servo_id: int, angle_deg: float, period_s: float) -> bool:
-    end_s = time.monotonic() + _HOLD_S
-    while time.monotonic() < end_s:
-        if not _accepted(client.servo(servo_id, "set", angle_deg)):
+def _held(client: Client, servo_id: int, angle_deg: float, period_s: float, timeout_ms: float) -> bool:
+    begun_s = before_s = time.monotonic()
+    while before_s < begun_s + _HOLD_S:
+        ack = client.servo(servo_id, "set", angle_deg)
+        apart_ms = (time.monotonic() - before_s) * 1000
+        if ack.reason == Reason.SERVO_STOPPED and _is_expired(client.state(), servo_id):
+            say(
+                f"The watchdog stopped servo {servo_id}: this machine's commands came some {apart_ms:.0f} ms apart, "
+                f"and {timeout_ms:g} ms of silence are allowed. The robot is well; the way to it is slow, or this "
+                "machine is. Try again on the robot itself, or nearer to its Wi-Fi."
+            )
             return False
+        if not _accepted(ack):
+            return False
+        before_s = time.monotonic()
         time.sleep(period_s)
     return True
+
+
+def _is_expired(state: GatewayState, servo_id: int) -> bool:
+    """Whether the servo's leg was silent for too long."""
+    return any(leg.leg == servo_id // 10 and leg.watchdog == WatchdogState.EXPIRED for leg in state.legs)
 
 
 def _accepted(ack: Ack) -> bool:
