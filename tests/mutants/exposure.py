@@ -20,12 +20,12 @@ EXPOSURE = Subject(
             "plain TCP counts as TLS: anyone may command",
         ),
         Mutant(
-            'if not listen and not _endpoints(config, "connect"):',
+            "if not listen and not connect_endpoints(config):",
             "if not listen:",
             "a robot behind a router does not start",
         ),
         Mutant(
-            'if not listen and not _endpoints(config, "connect"):',
+            "if not listen and not connect_endpoints(config):",
             "if False:",
             "a gateway that nobody reaches starts and says nothing",
         ),

@@ -208,6 +208,32 @@ def test_a_report_that_cannot_be_written_is_told_before_anything_moves(gateway: 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("load", "ago", "says"),
+    [
+        (None, 0, "no systemd on this machine tells of a service"),
+        ("not-found", 0, "this machine has no hexapod-gateway.service"),
+        ("loaded", 30, "hexapod-gateway.service of this machine is not the gateway that answers"),
+    ],
+)
+def test_a_laptop_skips_the_step_that_kills_the_service(
+    gateway: Gateway, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, load: str | None, ago: int, says: str
+) -> None:
+    """Also one that has a service of its own, which would die in the place of the robot's."""
+    systemctl = tmp_path / "systemctl"
+    text = SYSTEMCTL.format(folder=tmp_path, pid=gateway.child.pid, ended="", load=load, ago=ago)
+    systemctl.write_text(
+        "#!/bin/sh\necho System has not been booted with systemd >&2; exit 1\n" if load is None else text
+    )
+    systemctl.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    done = gateway.run("drill", "--yes", "--restart", "--only", "restart")
+    assert done.returncode == 0, str(done)
+    assert f"SKIPPED restart: {says}" in done.stdout
+    with gateway.client() as client:
+        assert client.state().mode == "idle"
+
+
 def test_help_names_each_step() -> None:
     assert STEP_NAMES.rstrip(".").split(", ") == [step.name for step in STEPS]
 
@@ -216,7 +242,9 @@ SYSTEMCTL = """#!/bin/sh
 echo "$@" >> {folder}/asked
 case $1 in
 kill) kill -9 {pid} ;;
-show) echo "InvocationID=$(grep -c kill {folder}/asked)"
+show) echo "LoadState={load}"
+    echo "ExecMainStartTimestampMonotonic=$(($(cut -d. -f1 /proc/uptime) - {ago}))000000"
+    echo "InvocationID=$(grep -c kill {folder}/asked)"
     echo "ExecStopPost={{ path=/opt/x ; argv[]=/opt/x stop-servos ; pid=7 ; {ended} }}"
     echo "ExecStopPost={{ path=/bin/cat ; argv[]=/bin/cat ; pid=8 ; code=exited ; status=0 }}" ;;
 esac
@@ -236,7 +264,7 @@ def test_a_service_that_is_killed_comes_back_stopped(
     with ExitStack() as stack:
         first = stack.enter_context(Gateway(tmp_path, settings))
         systemctl = tmp_path / "systemctl"
-        systemctl.write_text(SYSTEMCTL.format(folder=tmp_path, pid=first.child.pid, ended=ended))
+        systemctl.write_text(SYSTEMCTL.format(folder=tmp_path, pid=first.child.pid, ended=ended, load="loaded", ago=0))
         systemctl.chmod(0o755)
         monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
 

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from gateway.errors import GatewayError
 from gateway.tools.drill.bench import Bench, FailedError, Figures, Skipped, demand
 from schemas.robot import LEGS
-from schemas.telemetry import Mode
+from schemas.telemetry import GatewayState, Mode
 
 STREAM_S: Final = 0.3
 SYSTEMCTL_S: Final = 20.0
@@ -19,8 +19,16 @@ _ENDED: Final = re.compile(r"stop-servos.* code=(\w+) ; status=(\d+)")
 _WRITTEN: Final = re.compile(r"Stop written to all six legs, (\d+) times each")
 
 
+START_S: Final = 15.0
+"""From the begin of the service's process to that of its uptime: loading Python, on a slow board."""
+
+
 class _Unit(NamedTuple):
     """What systemd says of the service."""
+
+    loaded: bool
+    begun_s: float
+    """When its process began, monotonic."""
 
     invocation: str
     """Another one after each start."""
@@ -33,7 +41,7 @@ def killed(bench: Bench) -> Figures:
     """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
     if not bench.restart:
         raise Skipped("only with --restart, on the robot itself")
-    before = _unit()
+    before = _unit_of(bench.client.state())
     demand(before.has_stop_servos, f"{UNIT} runs no stop-servos after its end, so it is not killed")
     bench.start()
     with bench.streaming():
@@ -68,11 +76,31 @@ def _ended(bench: Bench, before: _Unit) -> str:
     return seen.stop_servos
 
 
+def _unit_of(state: GatewayState) -> _Unit:
+    """The service of the gateway that is drilled. Raises Skipped where it is not of this machine."""
+    try:
+        unit = _unit()
+    except FailedError as failed:
+        raise Skipped(f"no systemd on this machine tells of a service ({failed}); run it on the robot") from failed
+    if not unit.loaded:
+        raise Skipped(f"this machine has no {UNIT}; run it on the robot")
+    if abs(time.monotonic() - state.uptime_s - unit.begun_s) > START_S:
+        raise Skipped(f"{UNIT} of this machine is not the gateway that answers; run it on the robot")
+    return unit
+
+
 def _unit() -> _Unit:
-    shown = _run("systemctl", "show", "--property=InvocationID,ExecStopPost", UNIT)
-    invocation = next((line for line in shown.splitlines() if line.startswith("InvocationID=")), "=").partition("=")[2]
+    properties = "LoadState,ExecMainStartTimestampMonotonic,InvocationID,ExecStopPost"
+    shown = _run("systemctl", "show", f"--property={properties}", UNIT)
+    found = dict(line.partition("=")[::2] for line in shown.splitlines())
     ended = _ENDED.search(shown)
-    return _Unit(invocation, "stop-servos" in shown, "" if ended is None else " ".join(ended.groups()))
+    return _Unit(
+        found.get("LoadState") == "loaded",
+        int(found.get("ExecMainStartTimestampMonotonic", 0)) / 1e6,
+        found.get("InvocationID", ""),
+        "stop-servos" in shown,
+        "" if ended is None else " ".join(ended.groups()),
+    )
 
 
 def _stops_written(invocation: str) -> int | None:
