@@ -12,7 +12,7 @@ from gateway.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free
 from gateway.errors import ConfigError, UnreachedError
 from gateway.tools.terminal import say
 
-NEEDS: Final = ("starlette", "uvicorn", "websockets", "segno")
+NEEDS: Final = ("websockets", "segno")
 LOOK_S: Final = 1.0
 
 

@@ -1,5 +1,8 @@
 """The console's one Zenoh session: what it hears goes to the event loop, newest first; what waits runs on threads.
 
+The threads exist from the beginning, four of them for STOP ALL and four for other Stops alone: whatever else waits, or
+has taken all that the system allows, a Stop finds one.
+
 Zenoh delivers into rings, which threads of this module empty. Between them and the loop stand one state and at most
 256 events, so neither a flood nor a busy loop takes memory.
 """
@@ -17,12 +20,15 @@ from typing import Any, Final, Protocol
 import zenoh
 from pydantic import ValidationError
 
-from gateway.client import AsyncClient, Client
+from gateway.client import Client
 from gateway.console.driving import Requests
 from gateway.console.messages import LinkMessage
+from gateway.console.stops import AT_ONCE
+from gateway.console.threads import Threads
 from gateway.core.calibration import Calibration
 from gateway.core.calibration_report import calibration_of
 from gateway.errors import GatewayError, UnreachedError, ZenohError
+from gateway.host.descriptors import Spare
 from gateway.tools import why
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState
@@ -39,6 +45,10 @@ WHY_EVERY_S: Final = 3.0
 """How often it is looked why nobody is heard: each look is a connection, which costs the robot something."""
 CLOSE_S: Final = 0.5
 """How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
+STOPS_AT_ONCE: Final = 4
+"""Stops of single legs; more of them wait for one that is answered, or given up after the timeout."""
+QUESTIONS_AT_ONCE: Final = 12
+"""Everything else: commands, the lease, the state, why nobody answers."""
 _MANY: Final = 256
 _ERRORS: Final = (GatewayError, zenoh.ZError, RuntimeError)
 
@@ -63,9 +73,15 @@ class GatewayLink:
         self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, listener: Listener
     ) -> None:
         """`connect` and `zenoh_config` as for `Client`; `source` is whom the gateway names for an emergency stop."""
-        self._client = AsyncClient(
-            connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False
+        self._connect = partial(
+            Client, connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False
         )
+        self._client: Client | None = None
+        self._stop_all = Threads(AT_ONCE, "STOP ALL")
+        self._stops = Threads(STOPS_AT_ONCE, "Stops")
+        self._questions = Threads(QUESTIONS_AT_ONCE, "ask")
+        asyncio.get_running_loop().set_default_executor(self._questions.executor)
+        self._spare = Spare()
         self._why_unreached = partial(why.unreached, connect, zenoh_config)
         self._why_unanswered = partial(why.unanswered, connect=connect, zenoh_config=zenoh_config)
         self._listener = listener
@@ -87,9 +103,10 @@ class GatewayLink:
         self._session().publish(key, payload)
 
     async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
-        """An acknowledged command; only with `again` it may be sent more than once. Raises ZenohError."""
-        self._session()
-        return await self._client.ask(key, payload, again=again)
+        """An acknowledged command; only with `again`, for a Stop, it is sent more than once. Raises GatewayError."""
+        client = self._session()
+        threads = self._stops if again else self._questions
+        return await threads.run(lambda: client.ask(key, payload, again=again))
 
     def lease_requests(self) -> Requests:
         """Questions about the lease. Raises ZenohError."""
@@ -97,23 +114,27 @@ class GatewayLink:
 
     async def calibration(self) -> Calibration:
         """What is in force. Raises GatewayError."""
-        self._session()
-        return calibration_of(await self._client.calibration())
+        return calibration_of(await asyncio.to_thread(self._session().calibration))
 
     async def state(self) -> GatewayState:
         """How the robot is now. Raises GatewayError."""
-        self._session()
-        return await self._client.state()
+        return await asyncio.to_thread(self._session().state)
 
     async def estop(self) -> Ack:
         """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError."""
         await self._open.wait()
-        return await self._client.estop()
+        client = self._session()
+        if not client.connected:
+            self._spare.give_up()  # another way to the gateway takes descriptors, and there may be no others
+        try:
+            return await self._stop_all.run(client.estop)
+        finally:
+            self._spare.fill()
 
     def _session(self) -> Client:
-        if not self._open.is_set():
+        if self._client is None:
             raise ZenohError("no gateway has been reached yet")
-        return self._client.client
+        return self._client
 
     # ---- what is heard
 
@@ -133,8 +154,8 @@ class GatewayLink:
             with suppress(*_ERRORS):
                 for subscriber in self._subscribers:
                     subscriber.undeclare()
-                if self._open.is_set():
-                    self._client.client.close()
+                if self._client is not None:
+                    self._client.close()
 
         thread = threading.Thread(target=undeclare, name="close", daemon=True)
         thread.start()
@@ -142,12 +163,12 @@ class GatewayLink:
 
     async def _try_to_open(self) -> bool:
         try:
-            await self._client.__aenter__()
+            self._client = await asyncio.to_thread(self._connect)
         except UnreachedError as error:
             self._tell("gone", self._link.detail or str(error))
             return False
         self._open.set()
-        session = self._client.client.session
+        session = self._client.session
         self._listen(session.declare_subscriber(keys.STATE, zenoh.handlers.RingChannel(2)), self._mail.state)
         self._listen(session.declare_subscriber(keys.EVENT, zenoh.handlers.RingChannel(_MANY)), self._mail.event)
         alive = session.liveliness().declare_subscriber(keys.ALIVE, zenoh.handlers.RingChannel(_MANY), history=True)
@@ -191,7 +212,7 @@ class GatewayLink:
         if age_ms > QUIET_MS and self._asking is None:
             self._asking = asyncio.create_task(self._ask_for_state())
         if age_ms > SILENT_MS:
-            linked = self._client.connected
+            linked = self._session().connected
             if linked and not self._ended:
                 self._tell("silent", self._link.detail or "the gateway is silent; it may hang")
             elif not linked:
@@ -201,7 +222,7 @@ class GatewayLink:
     async def _ask_for_state(self) -> None:
         try:
             with suppress(*_ERRORS):
-                state = await self._client.state(ANSWER_S)
+                state = await asyncio.to_thread(self._session().state, ANSWER_S)
                 self._ended = False
                 self._heard(state, time.monotonic_ns())
         finally:
@@ -215,8 +236,8 @@ class GatewayLink:
     async def _look(self) -> None:
         try:
             with suppress(*_ERRORS):
-                if self._open.is_set():
-                    found = await asyncio.to_thread(self._why_unanswered, self._client.client)
+                if self._client is not None:
+                    found = await asyncio.to_thread(self._why_unanswered, self._client)
                 else:
                     found = await asyncio.to_thread(self._why_unreached)
                 if found and self._link.status != "connected":

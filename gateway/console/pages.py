@@ -42,10 +42,10 @@ from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
 
 MAX_AGE_MS: Final = 500.0
 """The gateway's default (`limits.max_age_ms`). It cannot know how long a page's first command took; its pings tell."""
-MESSAGES_A_SECOND: Final = 300.0
-"""A page that drives each leg by a message of its own sends 120 setpoints a second."""
 MAX_QUESTIONS: Final = 16
 """Of one page, under way at once."""
+MAX_STOPS: Final = 32
+"""The same for Stops of legs and servos, of which the newest of a kind replaces the older ones."""
 KEPT_EVENTS: Final = 50
 """What a page that opens gets of the past."""
 
@@ -124,8 +124,8 @@ class Page:
         self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
-        self._tokens = MESSAGES_A_SECOND
-        self._counted_s = time.monotonic()
+        self._leg_stops: dict[tuple[str, str], asyncio.Task[None]] = {}
+        """By their key and what they stop; a newer one makes an older give way."""
 
     def tell(self, message: Stopping) -> None:
         """How far its stop has come."""
@@ -133,7 +133,6 @@ class Page:
 
     def take(self, text: str) -> None:
         """One message of the page's. Raises EndError for what no page of ours sends."""
-        self._count()
         try:
             message = FROM_PAGE.validate_json(text)
         except ValidationError as error:
@@ -148,6 +147,7 @@ class Page:
     def close(self) -> None:
         """The WebSocket is closed. A stop that it asked for goes on; the lease is given back."""
         self._driving.close()
+        self._stops.leave(self)
 
     def _do(self, message: Command | StopAll | Reset | Lease | Calibrate) -> None:
         match message:
@@ -174,7 +174,7 @@ class Page:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
         late = self._is_late(message.sent_ms)
         if message.only_stops:  # however old; and sent again until it is answered
-            self._ask(message.id, message.key, {**payload, "sent_ms": None}, again=True)
+            self._stop(message, {**payload, "sent_ms": None})
         elif late is not None:
             self._reject(message.id, message.key, late)
         elif message.id is not None:
@@ -199,12 +199,28 @@ class Page:
         else:
             self.outgoing.put(EventMessage(event=_rejection(self.source, key, detail)))
 
-    def _ask(self, message_id: int | None, key: str, payload: dict[str, Any], *, again: bool = False) -> None:
+    def _ask(self, message_id: int | None, key: str, payload: dict[str, Any]) -> None:
         if len(self._questions) >= MAX_QUESTIONS:
             raise EndError(f"{MAX_QUESTIONS} commands of this page wait for their acknowledgement")
-        question = asyncio.create_task(self._answer(message_id, key, payload, again=again))
+        question = asyncio.create_task(self._answer(message_id, key, payload, again=False))
         self._questions.add(question)
         question.add_done_callback(self._questions.discard)
+
+    def _stop(self, message: Command, payload: dict[str, Any]) -> None:
+        """Ask until it is answered or its time is over. A newer one that stops the same makes an older give way."""
+        kind = (message.key, message.payload.model_dump_json())
+        older = self._leg_stops.get(kind)
+        if older is None and len(self._leg_stops) >= MAX_STOPS:
+            raise EndError(f"{MAX_STOPS} Stops of this page wait for their acknowledgement")
+        question = asyncio.create_task(self._answer(message.id, message.key, payload, again=True))
+        self._leg_stops[kind] = question
+        question.add_done_callback(partial(self._stop_ended, kind))
+        if older is not None:
+            older.cancel()
+
+    def _stop_ended(self, kind: tuple[str, str], question: asyncio.Task[None]) -> None:
+        if self._leg_stops.get(kind) is question:
+            del self._leg_stops[kind]
 
     async def _answer(self, message_id: int | None, key: str, payload: dict[str, Any], *, again: bool) -> None:
         began_s = time.monotonic()
@@ -212,18 +228,13 @@ class Page:
         try:
             ack = await self._link.ask(key, payload, again=again)
             self._driving.judge(ack)
-        except GatewayError as failed:
-            error = str(failed)
+        except asyncio.CancelledError:
+            error = "a newer one of this page has taken its place"
+        except Exception as failed:  # also without memory or descriptors: the page has to know
+            error = str(failed) or repr(failed)
         if message_id is not None:
             took_ms = (time.monotonic() - began_s) * 1000
             self.outgoing.put(AckMessage(id=message_id, took_ms=took_ms, ack=ack, error=error))
-
-    def _count(self) -> None:
-        now_s = time.monotonic()
-        self._tokens = min(MESSAGES_A_SECOND, self._tokens + (now_s - self._counted_s) * MESSAGES_A_SECOND) - 1
-        self._counted_s = now_s
-        if self._tokens < 0:
-            raise EndError(f"more than {MESSAGES_A_SECOND:g} messages a second")
 
 
 def _rejection(source: str, key: str, detail: str) -> Event:

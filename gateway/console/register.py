@@ -12,6 +12,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,10 +22,8 @@ from gateway.console.messages import Role
 from gateway.errors import ConfigError
 
 SESSION_S: Final = 12 * 3600
-LINK_S: Final = 12 * 3600
-"""Of a link on loopback, which may stand in a terminal all day."""
-LINK_ELSEWHERE_S: Final = 600
-"""Of a link that goes to another machine, and may stand in a journal."""
+LINK_S: Final = 600
+"""Of a link that was not used: it may stand in a terminal that others see."""
 MAX_ENTRIES: Final = 256
 """Sessions, and links; the oldest make way."""
 MAX_BYTES: Final = 1_000_000
@@ -33,10 +32,12 @@ STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
 
 
 class Entry(BaseModel):
-    """A link or a session; `sha256` of its token."""
+    """A link, or a session: `sha256` of its token, which for a session is its cookie, and of its key."""
 
     model_config = ConfigDict(frozen=True)
     sha256: str
+    key_sha256: str = ""
+    """Of a session; empty for a link, and for a session of an earlier version: then no key fits."""
     role: Role
     created_s: float
     lives_s: float
@@ -46,11 +47,19 @@ class Entry(BaseModel):
         return self.created_s <= now_s < self.created_s + self.lives_s
 
 
+@dataclass(frozen=True)
+class SignIn:
+    """A new session: what the browser gets, and its entry."""
+
+    cookie: str
+    key: str
+    entry: Entry
+
+
 class _Entries(BaseModel):
     model_config = ConfigDict(frozen=True)
     url: str = ""
     """Of the console that runs, or ran last, at this port."""
-    link_s: float = LINK_ELSEWHERE_S
     role: Role = "observer"
     links: tuple[Entry, ...] = ()
     sessions: tuple[Entry, ...] = ()
@@ -60,28 +69,29 @@ class Register:
     """The links and sessions of the console at one port. For any thread and process."""
 
     def __init__(self, folder: Path, port: int, now_s: Callable[[], float] = time.time) -> None:
-        self._path = folder / f"console-{port}.json"
+        self.path = folder / f"console-{port}.json"
+        """Where they are kept."""
         self._now_s = now_s
         self._seen: tuple[int, int, int] | None = None
         self._entries = _Entries()
 
-    def begin(self, url: str, link_s: float, role: Role) -> None:
-        """A console begins at `url`; its links live for `link_s` and open pages of `role`. Raises ConfigError."""
+    def begin(self, url: str, role: Role) -> None:
+        """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError."""
         with self._changing() as change:
-            change(change().model_copy(update={"url": url, "link_s": link_s, "role": role}))
+            change(change().model_copy(update={"url": url, "role": role, "links": ()}))
 
     def new_link(self) -> str:
         """A link that works once. Raises ConfigError where no console has begun or the folder cannot be written."""
         if not self._read().url:
-            raise ConfigError(f"no console has run there: {self._path} is missing; start one, or name its --listen")
+            raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
         with self._changing() as change:
             now = change()
-            token, entry = self._new(now.role, now.link_s)
+            token, entry = self._new(now.role, LINK_S)
             change(now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]}))
         return f"{now.url}/?token={token}"
 
-    def exchange(self, token: str) -> tuple[str, Entry] | None:
-        """The token of a new session for a link's, which is void from now on; None for what is no valid link."""
+    def exchange(self, token: str) -> SignIn | None:
+        """A new session for a link's token, which is void from now on; None for what is no valid link."""
         found = _find(self._read().links, token, self._now_s())
         if found is None:
             return None
@@ -89,14 +99,21 @@ class Register:
             now = change()
             if found not in now.links:
                 return None  # somebody else was quicker
-            session, entry = self._new(found.role, SESSION_S)
+            cookie, entry = self._new(found.role, SESSION_S)
+            key = secrets.token_urlsafe(32)
+            entry = entry.model_copy(update={"key_sha256": _sha256(key)})
             links = tuple(link for link in now.links if link != found)
             change(now.model_copy(update={"links": links, "sessions": (*now.sessions, entry)[-MAX_ENTRIES:]}))
-        return session, entry
+        return SignIn(cookie, key, entry)
 
-    def session(self, token: str | None) -> Entry | None:
-        """The session of that token, if it is valid."""
-        return None if token is None else _find(self._read().sessions, token, self._now_s())
+    def cookie(self, cookie: str | None) -> Entry | None:
+        """The session of that cookie, if it is valid. It opens nothing that matters without the key."""
+        return None if cookie is None else _find(self._read().sessions, cookie, self._now_s())
+
+    def session(self, cookie: str | None, key: str | None) -> Entry | None:
+        """The session with that cookie and that key, if it is valid."""
+        found = self.cookie(cookie)
+        return found if found is not None and key is not None and found.key_sha256 == _sha256(key) else None
 
     def still_valid(self, session: Entry) -> bool:
         """Whether it has neither ended nor been revoked."""
@@ -116,7 +133,7 @@ class Register:
     def _read(self) -> _Entries:
         """The file as it is now; a missing or faulty one has no entries, so nobody is let in."""
         try:
-            found = self._path.stat()
+            found = self.path.stat()
         except OSError:
             self._seen, self._entries = None, _Entries()
             return self._entries
@@ -128,7 +145,7 @@ class Register:
 
     def _load(self) -> _Entries:
         try:
-            with self._path.open("rb") as file:
+            with self.path.open("rb") as file:
                 return _Entries.model_validate_json(file.read(MAX_BYTES))
         except (OSError, ValidationError):
             return _Entries()
@@ -136,12 +153,12 @@ class Register:
     @contextmanager
     def _changing(self) -> Iterator["_Change"]:
         try:
-            self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with _Change(self._path, self._load, self._now_s) as change:
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with _Change(self.path, self._load, self._now_s) as change:
                 yield change
         except OSError as error:
             raise ConfigError(
-                f"cannot write {self._path}: {error.strerror}; the console keeps its sessions there, "
+                f"cannot write {self.path}: {error.strerror}; the console keeps its sessions there, "
                 "so make the folder writable or name another (STATE_DIRECTORY)"
             ) from error
 
@@ -156,7 +173,7 @@ class _Change:
         self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
 
     def __enter__(self) -> "_Change":
-        self._like_the_folder(self._lock)
+        _like_the_folder(self._path, self._lock)
         fcntl.flock(self._lock, fcntl.LOCK_EX)
         return self
 
@@ -169,19 +186,25 @@ class _Change:
             links = tuple(link for link in found.links if link.is_valid(now_s))
             sessions = tuple(session for session in found.sessions if session.is_valid(now_s))
             return found.model_copy(update={"links": links, "sessions": sessions})
-        staged = self._path.with_name(f".{self._path.name}.{secrets.token_hex(4)}")
-        descriptor = os.open(staged, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-        with os.fdopen(descriptor, "w") as file:
-            self._like_the_folder(descriptor)
-            file.write(entries.model_dump_json())
-        staged.replace(self._path)
+        write_private(self._path, entries.model_dump_json())
         return entries
 
-    def _like_the_folder(self, descriptor: int) -> None:
-        """Give it the folder's owner: `sudo hexapod-gateway console --link` must not lock the service out."""
-        if os.geteuid() == 0:
-            folder = self._path.parent.stat()
-            os.fchown(descriptor, folder.st_uid, folder.st_gid)
+
+def write_private(path: Path, content: str) -> None:
+    """Replace a file, which nobody else may read, at once. Raises OSError."""
+    staged = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    descriptor = os.open(staged, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        _like_the_folder(path, descriptor)
+        file.write(content)
+    staged.replace(path)
+
+
+def _like_the_folder(path: Path, descriptor: int) -> None:
+    """Give it the folder's owner: `sudo hexapod-gateway console --link` must not lock the service out."""
+    if os.geteuid() == 0:
+        folder = path.parent.stat()
+        os.fchown(descriptor, folder.st_uid, folder.st_gid)
 
 
 def folder() -> Path:

@@ -6,49 +6,50 @@ import getpass
 import os
 import signal
 import socket
-import sys
 import threading
-import time
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import segno
-import uvicorn
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from gateway import certs
 from gateway.client import DEFAULT_ENDPOINT
 from gateway.console import register
-from gateway.console.app import Console
+from gateway.console.app import MAX_CLOSING, MAX_PAGES, Console
+from gateway.console.door import Door
+from gateway.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
 from gateway.console.link import GatewayLink
-from gateway.console.messages import MAX_BYTES, Role
+from gateway.console.messages import Role
 from gateway.console.pages import Pages
-from gateway.console.register import LINK_ELSEWHERE_S, LINK_S, Register
+from gateway.console.register import LINK_S, Register
 from gateway.console.site import DEFAULT_PORT, Site
 from gateway.console.stops import Stops
+from gateway.console.threads import STACK_BYTES
+from gateway.console.tls import server_context
 from gateway.edge.config_file import get
 from gateway.edge.session import client_config
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.geometry import load
+from gateway.host import descriptors, logs, realtime
+from gateway.settings import LogSettings
 from gateway.tools.terminal import hint, say, this_command
 
 BACKLOG: Final = 64
-MAX_CONNECTIONS: Final = 256
-"""Pages, and the files that they load; more of them get 503."""
+"""Connections that the kernel keeps until they are taken; it drops more."""
 DEAD_MS: Final = 15_000
 """A connection that takes nothing for so long is given up: a page that is frozen, or whose machine is gone."""
-END_S: Final = 1
-RECEIVE_BYTES: Final = MAX_BYTES
-"""Of the kernel's buffer: what has come from one page is taken at once, and meanwhile a STOP ALL of another waits."""
-SEND_BYTES: Final = 4096
-"""Of what waits for one page in this process, and in the kernel besides what is under way: some five states."""
-MAX_BYTES_A_SECOND: Final = 131_072.0
-"""From one page; one that drives each leg by a message of its own sends 40 000."""
+RECEIVE_BYTES: Final = 8192
+"""Of the kernel's buffer for each connection."""
+OWN_DESCRIPTORS: Final = 96
+"""For the Zenoh session, four more of them for STOP ALL and four for other Stops, the spare ones, and files."""
+DESCRIPTORS: Final = MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
+"""There are fewer places for connections than descriptors, whoever comes."""
 
 
 @dataclass(frozen=True)
@@ -72,69 +73,55 @@ def serve(options: Options) -> NoReturn:
         connect = DEFAULT_ENDPOINT
     person, role = _identity(connect, options.zenoh_config)
     geometry = load(options.geometry).model_dump(mode="json")
+    descriptors.ensure(DESCRIPTORS, "the console")
+    realtime.limit_malloc_arenas()
+    threading.stack_size(STACK_BYTES)
     with _listening(options.site) as listening:
+        logs.set_up(LogSettings())  # from now on nobody waits for whoever reads what is written here
         found = Register(register.folder(), options.site.port)
         role = _least(role, options.role)
-        found.begin(options.site.url, LINK_S if options.site.certificate is None else LINK_ELSEWHERE_S, role)
-        asyncio.run(_run(options, listening, found, found.new_link(), connect, person, role, geometry))
+        found.begin(options.site.url, role)
+        asyncio.run(_run(options, listening, found, connect, person, role, geometry))
 
 
 def show(link: str) -> None:
     """Print a link; for a browser on another machine with its QR code."""
     say(f"The console is at {link}")
-    if link.startswith("https:"):
-        say(f"The link works once, within {LINK_ELSEWHERE_S // 60} minutes.")
-        if os.isatty(1):
-            segno.make(link, error="l").terminal(compact=True)
+    say(f"The link works once, within {LINK_S // 60} minutes, and until the console is started again.")
+    if link.startswith("https:") and os.isatty(1):
+        segno.make(link, error="l").terminal(compact=True)
 
 
 async def _run(
     options: Options,
     listening: socket.socket,
     found: Register,
-    link: str,
     connect: str | None,
     person: str,
     role: Role,
     geometry: Any,
 ) -> NoReturn:
-    pages = Pages()
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    loop.set_exception_handler(report)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    site, pages = options.site, Pages()
     gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, pages)
     stops = Stops(gateway.estop)
-    console = Console(options.site, found, gateway, stops, pages, person=person, role=role, geometry=geometry)
-    server = _Server(
-        uvicorn.Config(
-            console.app(),
-            ws=_WebSocket,
-            http="h11",
-            lifespan="off",
-            log_config=None,
-            log_level="error",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            ws_max_size=MAX_BYTES,
-            ws_per_message_deflate=False,  # a page in a LAN needs no compression, a Pi needs its processor
-            limit_concurrency=MAX_CONNECTIONS,
-            timeout_graceful_shutdown=END_S,
-            ssl_certfile=options.site.certificate,
-            ssl_keyfile=options.site.key,
-        )
-    )
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, server.end)
+    console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
+    door = Door(site, Register(register.folder(), site.port), person=person, role=role)
+    context = server_context(site.certificate, site.key) if site.certificate and site.key else None
+    Front(listening, context, door, console.admit).start()
     watching = asyncio.create_task(gateway.run())
-    watching.add_done_callback(lambda _: server.end())
-    where = "" if options.site.port == DEFAULT_PORT else f" --listen {options.site.address}:{options.site.port}"
-    say(f"For another browser: {this_command()} console --link{where}")
-    if not options.listen_given and options.site.port != DEFAULT_PORT:
-        hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {options.site.port}.")
-    show(link)
-    if options.open_browser:
-        threading.Thread(target=partial(_open, link), daemon=True).start()
-    await server.serve(sockets=[listening])
-    failed = None if watching.cancelled() or not watching.done() else watching.exception()
+    watching.add_done_callback(lambda _: ended.set())
+    realtime.freeze_gc()
+    if not options.listen_given and site.port != DEFAULT_PORT:
+        hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {site.port}.")
+    _say_where(site, found)
+    with _opened(found) if options.open_browser else nullcontext():
+        await ended.wait()
+        await console.close()
+    failed = watching.exception() if watching.done() else None
     watching.cancel()
     await gateway.close()
     if stops.unconfirmed:
@@ -142,48 +129,33 @@ async def _run(
     if failed is not None:
         raise failed
     # Not by the interpreter's own end: it would wait for threads that ask a gateway which does not answer.
-    sys.stdout.flush()
+    logs.close()
     os._exit(0)
 
 
-class _WebSocket(WebSocketsSansIOProtocol):
-    """Gives up on a page that floods, also after it was told to go: it may not listen, and all it sends costs time.
-
-    And keeps little for one that reads slowly: what waits in buffers is the past, and the newest state waits behind it.
-    """
-
-    def __init__(self, *arguments: Any, **named: Any) -> None:
-        super().__init__(*arguments, **named)
-        self._allowed = MAX_BYTES_A_SECOND
-        self._counted_s = time.monotonic()
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self.transport.set_write_buffer_limits(high=SEND_BYTES)
-        connection: socket.socket = self.transport.get_extra_info("socket")
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, SEND_BYTES)
-
-    def data_received(self, data: bytes) -> None:
-        now_s = time.monotonic()
-        refilled = self._allowed + (now_s - self._counted_s) * MAX_BYTES_A_SECOND
-        self._allowed = min(MAX_BYTES_A_SECOND, refilled) - len(data)
-        self._counted_s = now_s
-        if self._allowed < 0:
-            self.transport.abort()
-        else:
-            super().data_received(data)
+def _say_where(site: Site, found: Register) -> None:
+    """A link goes to a terminal only: whatever else reads this, such as a journal, is read by others, and kept."""
+    where = "" if site.port == DEFAULT_PORT else f" --listen {site.address}:{site.port}"
+    say(f"For a{'nother' if os.isatty(1) else ''} browser: {this_command()} console --link{where}")
+    if os.isatty(1):
+        show(found.new_link())
+    else:
+        say(f"The console is at {site.url}")
 
 
-class _Server(uvicorn.Server):
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Not uvicorn's: it raises the signal again, and the exit code would be the signal's."""
+@contextmanager
+def _opened(found: Register) -> Iterator[None]:
+    """Open this machine's browser by a private file that goes on to a link: everybody sees a program's arguments."""
+    file = found.path.with_suffix(".html")
+    link = escape(found.new_link())
+    content = f'<!doctype html><title>Console</title><meta http-equiv="refresh" content="0; url={link}">'
+    register.write_private(file, content)
+    asyncio.get_running_loop().call_later(LINK_S, partial(file.unlink, missing_ok=True))
+    threading.Thread(target=partial(_open, file), name="browser", daemon=True).start()
+    try:
         yield
-
-    def end(self) -> None:
-        """Stop serving."""
-        self.force_exit = self.should_exit
-        self.should_exit = True
+    finally:
+        file.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -228,6 +200,6 @@ def _least(first: Role, second: Role) -> Role:
     return "operator" if first == second == "operator" else "observer"
 
 
-def _open(link: str) -> None:
-    if not webbrowser.open(link):
-        hint("no browser could be opened here; open the address above")
+def _open(file: Path) -> None:
+    if not webbrowser.open(file.as_uri()):
+        hint(f"no browser could be opened here; for a link: {this_command()} console --link")

@@ -1,7 +1,8 @@
 """STOP ALL: asked at once and ahead of everything, and again until the gateway confirms it.
 
 What counts for a press is an answer to a request that began after it: an earlier one may have been reset in between.
-A press outlives its page. Only the gateway's answer ends it.
+A press outlives its page. Only the gateway's answer ends it: whatever else comes of a request, also a fault in this
+program or a machine without memory, counts as no answer, and the next request follows.
 """
 
 import asyncio
@@ -11,14 +12,13 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from gateway.console.messages import Stopping
-from gateway.errors import GatewayError
 from schemas.telemetry import Ack
 
 AT_ONCE: Final = 4
-"""Requests under way at most; a key that is held down repeats some 30 times a second."""
+"""Requests under way at most, each on a thread that is kept for them; a key that is held repeats 30 times a second."""
 AGAIN_S: Final = 0.1
-MAX_PRESSES: Final = 64
-"""Of one page, unconfirmed; more of them are the same wish."""
+MAX_PRESSES: Final = 16
+"""Of one page, unconfirmed; the newest makes the oldest give way, for it asks for the same, later."""
 
 
 class Teller(Protocol):
@@ -30,7 +30,7 @@ class Teller(Protocol):
 
 @dataclass(eq=False)
 class _Press:
-    page: Teller
+    page: Teller | None
     id: int
     pressed_ns: int
     attempts: int = 0
@@ -40,7 +40,7 @@ class Stops:
     """All pages' stops."""
 
     def __init__(self, ask: Callable[[], Awaitable[Ack]]) -> None:
-        """`ask` requests the emergency stop and waits for its Ack, or raises GatewayError."""
+        """`ask` requests the emergency stop and waits for its Ack, or raises."""
         self._ask = ask
         self._unconfirmed: list[_Press] = []
         self._requests: set[asyncio.Task[None]] = set()
@@ -54,11 +54,22 @@ class Stops:
     def press(self, page: Teller, press_id: int) -> None:
         """A page asks for it, now."""
         press = _Press(page, press_id, time.monotonic_ns())
-        if sum(other.page is page for other in self._unconfirmed) < MAX_PRESSES:
-            self._unconfirmed.append(press)
+        mine = [other for other in self._unconfirmed if other.page is page]
+        if len(mine) >= MAX_PRESSES:
+            self._unconfirmed.remove(mine[0])
+        self._unconfirmed.append(press)
         if len(self._requests) < AT_ONCE:
             self._request()
         self._tell(press)
+
+    def leave(self, page: Teller) -> None:
+        """The page is gone: of its presses, and those of all that went before, the newest stands for all of them."""
+        for press in self._unconfirmed:
+            if press.page is page:
+                press.page = None
+        orphans = [press for press in self._unconfirmed if press.page is None]
+        for press in orphans[:-1]:
+            self._unconfirmed.remove(press)
 
     def _request(self) -> None:
         request = asyncio.get_running_loop().create_task(self._run())
@@ -67,10 +78,11 @@ class Stops:
 
     async def _run(self) -> None:
         began_ns = self._newest_began_ns = time.monotonic_ns()
+        ack, error = None, None
         try:
-            ack, error = await self._ask(), None
-        except GatewayError as failed:
-            ack, error = None, str(failed)
+            ack = await self._ask()
+        except Exception as failed:  # no thread, no memory, no descriptor: whatever it is, it is asked again
+            error = str(failed) or repr(failed)
         for press in [press for press in self._unconfirmed if press.pressed_ns <= began_ns]:
             press.attempts += 1
             if ack is not None:
@@ -83,6 +95,8 @@ class Stops:
             self._request()
 
     def _tell(self, press: _Press, ack: Ack | None = None, error: str | None = None) -> None:
+        if press.page is None:
+            return
         press.page.tell(
             Stopping(
                 id=press.id,

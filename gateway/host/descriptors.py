@@ -24,20 +24,20 @@ SPARES: Final = 3 * GIVEN_UP
 """Enough for three tries: Zenoh may take descriptors between their closing and the opening of the device."""
 
 
-def ensure() -> None:
+def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
     """Raise the soft limit as far as needed. Raises ConfigError where the hard limit is too low.
 
     With too few, Zenoh would open, but accept no clients, or no more of them.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _taken() + NEEDED
+    wanted = _taken() + needed
     if soft < wanted <= hard:
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
             soft = wanted
     if soft < wanted:
         raise ConfigError(
-            f"only {soft} files may be open at once, and the gateway needs {wanted} for itself and its clients; "
+            f"only {soft} files may be open at once, and {program} needs {wanted} for itself and its clients; "
             f"raise the limit: LimitNOFILE={wanted} in a service unit, `ulimit -n {wanted}` in a shell"
         )
 

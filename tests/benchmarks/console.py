@@ -24,7 +24,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from tests.support.child import Child
-from tests.support.console_process import Console
+from tests.support.console_process import Console, SignedIn
 from tests.support.gateway_process import Gateway
 
 PAGES: Final = 50
@@ -67,9 +67,9 @@ def measure(folder: Path, seconds: float, pages: int = PAGES) -> Figures:
     """Start a gateway and a console, and look for so long."""
     with Gateway(folder) as gateway, Console(folder, "--connect", gateway.endpoint) as console:
         before_mb = memory_mb(console.child.pid)
-        cookie = console.sign_in()
-        crowd = _Crowd(console.url, cookie)
-        flood = Child([sys.executable, "-m", "tests.benchmarks.console", console.url, cookie], os.environ)
+        session = console.sign_in()
+        crowd = _Crowd(console.url, session)
+        flood = Child([sys.executable, "-m", "tests.benchmarks.console", console.url, *session], os.environ)
         flood.wait_for_output("floods")
         asyncio.run(crowd.run(seconds, pages))
         after_mb = memory_mb(console.child.pid)
@@ -87,16 +87,16 @@ def memory_mb(pid: int) -> float:
 class _Crowd:
     """All pages; `ages_ms` are of those that read."""
 
-    def __init__(self, url: str, cookie: str) -> None:
+    def __init__(self, url: str, session: SignedIn) -> None:
         self._url = url
-        self._cookie = cookie
+        self._session = session
         self.ages_ms: list[float] = []
         self.stops_ms: list[float] = []
         self.round_trips_ms: list[float] = []
 
     async def run(self, seconds: float, pages: int) -> None:
         async with AsyncExitStack() as stack:
-            page = partial(open_page, self._url, self._cookie)
+            page = partial(open_page, self._url, self._session)
             sockets = [await stack.enter_async_context(page()) for _ in range(pages - 1)]
             frozen, stopping, *reading = sockets
             await frozen.send(json.dumps({"type": "alive", "now_ms": 0}))  # and never a recv
@@ -133,11 +133,12 @@ class _Crowd:
 
 
 @asynccontextmanager
-async def open_page(url: str, cookie: str) -> AsyncIterator[ClientConnection]:
+async def open_page(url: str, session: SignedIn) -> AsyncIterator[ClientConnection]:
     """A page's WebSocket. What nobody reads waits in the kernel."""
     async with connect(
         url.replace("http", "ws", 1) + "/ws",
-        additional_headers={"Cookie": cookie, "Origin": url},
+        additional_headers={"Cookie": session.cookie, "Origin": url},
+        subprotocols=session.subprotocols,
         compression=None,
         max_queue=1,
         close_timeout=0.1,
@@ -145,12 +146,12 @@ async def open_page(url: str, cookie: str) -> AsyncIterator[ClientConnection]:
         yield socket
 
 
-async def flood(url: str, cookie: str) -> None:
+async def flood(url: str, session: SignedIn) -> None:
     """Sends as fast as it can and reads nothing; is thrown out, and comes again."""
     print("floods", flush=True)
     while True:
         with suppress(ConnectionClosed):
-            async with open_page(url, cookie) as socket:
+            async with open_page(url, session) as socket:
                 while True:
                     await socket.send(json.dumps({"type": "alive", "now_ms": time.perf_counter() * 1000}))
         print("ended", flush=True)
@@ -159,6 +160,6 @@ async def flood(url: str, cookie: str) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        asyncio.run(flood(*sys.argv[1:]))
+        asyncio.run(flood(sys.argv[1], SignedIn(*sys.argv[2:])))
     with tempfile.TemporaryDirectory() as here:
         print(measure(Path(here), 30.0))

@@ -20,12 +20,13 @@ there = http.client.HTTPConnection(link.netloc)
 there.request("GET", f"/?{link.query}")
 answer = there.getresponse()
 answer.read()
-print(answer.status, answer.headers["Set-Cookie"].partition(";")[0])
+key = answer.headers["Location"].partition("#")[2]
+print(answer.status, answer.headers["Set-Cookie"].partition(";")[0], key)
 """
 SESSION = """
 import http.client, sys
 there = http.client.HTTPConnection("127.0.0.1:8080")
-there.request("GET", "/session", headers={"Cookie": sys.argv[1]})
+there.request("GET", "/session", headers={"Cookie": sys.argv[1], "X-Console-Key": sys.argv[2]})
 answer = there.getresponse()
 print(answer.status, answer.read().decode())
 """
@@ -44,11 +45,12 @@ def test_console(robot: InstalledGateway) -> None:
     python = f"/opt/{NAME}/venv/bin/python"
     box.run(python, "-c", LISTENS, timeout_s=20)
     link = box.run(NAME, "console", "--link").stdout.split()[4]
-    status, cookie = box.run(python, "-c", SIGN_IN, link).stdout.split()
+    assert "token=" not in box.run("journalctl", "--unit", CONSOLE, "--output=cat").stdout, "a journal is kept"
+    status, cookie, key = box.run(python, "-c", SIGN_IN, link).stdout.split()
     assert status == "303"
     unit.systemctl("restart")
     box.run(python, "-c", LISTENS, timeout_s=20)
-    assert box.run(python, "-c", SESSION, cookie).stdout.startswith("200"), "a restart signs nobody out"
+    assert box.run(python, "-c", SESSION, cookie, key).stdout.startswith("200"), "a restart signs nobody out"
 
     pid = unit.property("MainPID")
     status_of = box.read(f"/proc/{pid}/status")
@@ -60,7 +62,7 @@ def test_console(robot: InstalledGateway) -> None:
     assert "spidev" not in box.run(*inside, "ls", "/dev").stdout
 
     assert "1 session ended" in box.run(NAME, "console", "--revoke").stdout
-    assert box.run(python, "-c", SESSION, cookie).stdout.startswith("403")
+    assert box.run(python, "-c", SESSION, cookie, key).stdout.startswith("403")
 
     again = box.run(INSTALLER, *options).stdout.splitlines()
     assert f"keep /etc/{CONSOLE}/console.conf, your options" in again

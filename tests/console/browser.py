@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
+from tests.support.console_process import SignedIn
 from tests.support.gateway_process import Gateway
 
 CHROMIUM: Final = Path("/usr/bin/chromium")
@@ -26,6 +27,10 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
   return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more);
 };
 """
+KEEP_KEY: Final = """
+if (location.origin === "%s") localStorage.setItem("hexapod-console-key", "%s");
+"""
+"""What `enter.js` does in a browser that opens a link."""
 HIDE: Final = """
 Object.defineProperty(document, "visibilityState", { value: "hidden", configurable: true });
 document.dispatchEvent(new Event("visibilitychange"));
@@ -44,10 +49,11 @@ def put_to_rest(gateway: Gateway) -> None:
 class Visitor(AbstractContextManager["Visitor"]):
     """Opens pages of one console, each in a browser profile of its own; all are closed at the end."""
 
-    def __init__(self, browser: Browser, url: str, cookie: str) -> None:
+    def __init__(self, browser: Browser, url: str, session: SignedIn) -> None:
         self._browser = browser
         self._url = url
-        self._name, _, self._value = cookie.partition("=")
+        self._name, _, self._value = session.cookie.partition("=")
+        self._keep_key = KEEP_KEY % (url, session.key)
         self._stack = ExitStack()
         self.faults: list[str] = []
         """What the pages complained of; a connection that ends is no complaint."""
@@ -60,6 +66,7 @@ class Visitor(AbstractContextManager["Visitor"]):
             context = self._browser.new_context(**options)
             self._stack.callback(context.close)
         context.set_default_timeout(LATE_MS)
+        context.add_init_script(self._keep_key)
         context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
         if not webgl:
             context.add_init_script(WITHOUT_WEBGL)

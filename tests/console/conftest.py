@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, Playwright, sync_playwright
 
 from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor, put_to_rest
 from tests.hil.bed import missing_packages
-from tests.support.console_process import Console
+from tests.support.console_process import Console, SignedIn
 from tests.support.gateway_process import Gateway
 
 
@@ -52,13 +52,13 @@ def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 
 @pytest.fixture(scope="package")
-def cookie(console: Console) -> str:
+def session(console: Console) -> SignedIn:
     return console.sign_in()
 
 
 @pytest.fixture
-def visitor(browser: Browser, gateway: Gateway, console: Console, cookie: str) -> Iterator[Visitor]:
+def visitor(browser: Browser, gateway: Gateway, console: Console, session: SignedIn) -> Iterator[Visitor]:
     """Opens pages on a robot that is at rest; what they left behind is ended."""
-    with Visitor(browser, console.url, cookie) as pages:
+    with Visitor(browser, console.url, session) as pages:
         yield pages
     put_to_rest(gateway)

@@ -43,7 +43,7 @@ class Robot:
             self.gateway = stack.enter_context(Gateway(folder, {"watchdog": {"timeout_ms": TIMEOUT_MS}}, bed=self.bed))
             self.link = stack.enter_context(CutLink(self.gateway.endpoint))
             self.console = stack.enter_context(Console(folder, "--connect", self.link.endpoint))
-            self.cookie = self.console.sign_in()
+            self.session = self.console.sign_in()
             self.close = stack.pop_all().close
 
     def wait_for(self, leg: int, op: Op, angles: tuple[float, float, float], since: int = 0) -> None:
@@ -88,7 +88,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
 @pytest.fixture
 def pages(browser: Browser, robot: Robot) -> Iterator[Visitor]:
     """Opens pages on a robot that is at rest."""
-    with Visitor(browser, robot.console.url, robot.cookie) as visitor:
+    with Visitor(browser, robot.console.url, robot.session) as visitor:
         yield visitor
     put_to_rest(robot.gateway)
 
@@ -201,7 +201,7 @@ def test_another_tab_hides_the_page_and_stops_the_legs(playwright: Playwright, r
     try:
         address = chromium.wait_for_output("DevTools listening on ").split()[-1]
         browser = _connected(playwright, address)
-        with Visitor(browser, robot.console.url, robot.cookie) as visitor:
+        with Visitor(browser, robot.console.url, robot.session) as visitor:
             page = visitor.open(context=browser.contexts[0])
             since = hold(page, robot, 1, 4)
             page.context.new_page()
@@ -272,7 +272,7 @@ def test_a_cut_link_stops_the_legs_and_what_waited_moves_nothing(pages: Visitor,
 def test_a_console_that_is_killed_and_a_gateway_that_ends_stop_the_legs(browser: Browser, tmp_path: Path) -> None:
     robot = Robot(tmp_path)
     try:
-        with Visitor(browser, robot.console.url, robot.cookie) as pages:
+        with Visitor(browser, robot.console.url, robot.session) as pages:
             page = pages.open()
             since = hold(page, robot, 1, 4)
             robot.console.child.kill()

@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import ssl
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
@@ -10,11 +11,14 @@ from contextlib import AbstractContextManager, ExitStack
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import httpx
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 
+from gateway.console.door import KEY_HEADER, KEY_PREFIX, SUBPROTOCOL
+from gateway.console.register import Register
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, free_port
 
@@ -35,15 +39,17 @@ class Console(AbstractContextManager["Console"]):
         self.port = free_port() if port is None else port
         self.listen = ("--listen", f"127.0.0.1:{self.port}")
         self.env = {**os.environ, "STATE_DIRECTORY": str(folder), **(env or {})}
+        self._folder = folder
         self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
-        self.link = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
-        self.url = self.link.partition("/?")[0]
+        self.url = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
 
-    def sign_in(self, link: str = "") -> str:
-        """Exchange a link (by default the printed one) for the cookie, as `name=value`."""
-        answer = httpx.get(link or self.link)
-        assert answer.status_code == 303, answer.text
-        return answer.headers["set-cookie"].partition(";")[0]
+    def new_link(self) -> str:
+        """As `--link` prints it."""
+        return Register(self._folder, self.port).new_link()
+
+    def sign_in(self, link: str = "") -> "SignedIn":
+        """Exchange a link (by default a new one) for a session, as a browser does."""
+        return sign_in(link or self.new_link())
 
     def get(self, path: str = "/session", **headers: str) -> httpx.Response:
         """A request with these headers."""
@@ -56,9 +62,9 @@ class Console(AbstractContextManager["Console"]):
         child.close()
         return child
 
-    def page(self, cookie: str) -> "Page":
+    def page(self, session: "SignedIn") -> "Page":
         """Open a page."""
-        return Page(self.url, cookie)
+        return Page(self.url, session)
 
     def __enter__(self) -> Self:
         return self
@@ -69,10 +75,39 @@ class Console(AbstractContextManager["Console"]):
         self.child.close()
 
 
+class SignedIn(NamedTuple):
+    """What a browser keeps of a session: the cookie, as `name=value`, and the page's key."""
+
+    cookie: str
+    key: str
+
+    @property
+    def subprotocols(self) -> list[Subprotocol]:
+        """What its WebSocket offers."""
+        return [Subprotocol(SUBPROTOCOL), Subprotocol(f"{KEY_PREFIX}{self.key}")]
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """What its other requests carry."""
+        return {"Cookie": self.cookie, KEY_HEADER: self.key}
+
+
+NOBODY: Final = SignedIn("", "")
+
+
+def sign_in(link: str, verify: ssl.SSLContext | bool = True) -> SignedIn:
+    """Exchange a link for a session."""
+    answer = httpx.get(link, verify=verify)
+    assert answer.status_code == 303, answer.text
+    path, _, key = answer.headers["location"].partition("#")
+    assert path == "/enter.html"
+    return SignedIn(answer.headers["set-cookie"].partition(";")[0], key)
+
+
 class Page(AbstractContextManager["Page"]):
     """A page's WebSocket. What it hears is read when it is waited for."""
 
-    def __init__(self, url: str, cookie: str, origin: str = "") -> None:
+    def __init__(self, url: str, session: SignedIn, origin: str = "", verify: ssl.SSLContext | None = None) -> None:
         self._ids = itertools.count(1)
         self.heard: list[str] = []
         """Every message so far, as it came."""
@@ -81,7 +116,9 @@ class Page(AbstractContextManager["Page"]):
             self.socket: ClientConnection = stack.enter_context(
                 connect(
                     url.replace("http", "ws", 1) + "/ws",
-                    additional_headers={"Cookie": cookie, "Origin": origin or url},
+                    additional_headers={"Cookie": session.cookie, "Origin": origin or url},
+                    subprotocols=session.subprotocols,
+                    ssl=verify,
                     compression=None,
                     max_size=2**20,
                 )

@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from gateway.client import Client
 from schemas.robot import LEGS
 from tests.support.child import Child
-from tests.support.console_process import LINK, Console, Page
+from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
@@ -34,20 +34,19 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
 
 @pytest.fixture(scope="module")
 def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    browser = {"BROWSER": "echo opened %s"}
-    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint, "--open", env=browser) as running:
+    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def cookie(console: Console) -> str:
+def session(console: Console) -> SignedIn:
     return console.sign_in()
 
 
 @pytest.fixture
-def page(console: Console, cookie: str) -> Iterator[Page]:
+def page(console: Console, session: SignedIn) -> Iterator[Page]:
     """A page on a robot that is at rest."""
-    with console.page(cookie) as opened:
+    with console.page(session) as opened:
         state = opened.state(lambda state: state["mode"] in ("idle", "estopped"))
         if state["mode"] == "estopped":
             assert opened.reset(state["estop"])["ack"]["accepted"]
@@ -96,12 +95,12 @@ def test_what_was_delayed_on_its_way_is_rejected(page: Page) -> None:
     assert page.state()["mode"] == "idle"
 
 
-def test_stop_all_and_reset(page: Page, console: Console, cookie: str) -> None:
+def test_stop_all_and_reset(page: Page, console: Console, session: SignedIn) -> None:
     assert page.ask(LEG_3, START)["ack"]["accepted"]
     stopped = page.stop_all()
     assert stopped["stop_frames"] == len(LEGS)
     assert stopped["latency_us"] > 0
-    with console.page(cookie) as other:
+    with console.page(session) as other:
         other.wait("state", lambda message: message["state"]["estop"] == stopped["estop"])
         assert other.state()["mode"] == "estopped"
         assert other.wait("event", lambda message: message["event"]["kind"] == "estop_engaged")
@@ -120,75 +119,81 @@ def test_nobody_without_the_cookie(console: Console) -> None:
         assert console.get(path).status_code == 403
     assert "console --link" in console.get("/").text
     with pytest.raises(InvalidStatus, match="403"):
-        Page(console.url, "")
-
-
-def test_the_browser_is_opened_with_the_link(console: Console) -> None:
-    assert console.child.wait_for_output("opened ").split()[1] == console.link
+        Page(console.url, NOBODY)
 
 
 def test_the_cookie(console: Console) -> None:
     link = console.run("--link").stdout.split()[4]
     answer = httpx.get(link)
-    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    assert answer.status_code == 303
+    path, _, key = answer.headers["location"].partition("#")
+    assert path == "/enter.html"
     cookie = answer.headers["set-cookie"]
     assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
     assert httpx.get(link).status_code == 403, "it works once"
     name, _, value = cookie.partition(";")[0].partition("=")
-    assert console.get(Cookie=f"{name}={value}").json()["role"] == "operator"
-    assert console.get(Cookie=f"{name}={value[:-1]}").status_code == 403
-    assert console.get("/", **{"Sec-Fetch-Site": "cross-site"}).text.startswith("<!doctype html>"), "comes again"
+    assert console.get(**SignedIn(f"{name}={value}", key).headers).json()["role"] == "operator"
+    assert console.get(**SignedIn(f"{name}={value[:-1]}", key).headers).status_code == 403
+
+
+def test_the_cookie_alone_opens_nothing(console: Console, session: SignedIn) -> None:
+    """It goes to other ports of this host, too."""
+    other = console.sign_in()
+    for thief in (SignedIn(session.cookie, ""), SignedIn(session.cookie, other.key), SignedIn("", session.key)):
+        assert console.get(**thief.headers).status_code == 403
+        with pytest.raises(InvalidStatus, match="403"):
+            Page(console.url, thief)
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""])
-def test_dns_rebinding(console: Console, cookie: str, host: str) -> None:
+def test_dns_rebinding(console: Console, session: SignedIn, host: str) -> None:
     """A foreign name that points here gets nothing, not even with the cookie."""
-    answer = console.get(Host=host.format(port=console.port), Cookie=cookie)
+    answer = console.get(Host=host.format(port=console.port), **session.headers)
     assert answer.status_code == 403
-    assert console.get(f"/?token={console.link.partition('=')[2]}", Host=host).status_code == 403
+    assert console.get(f"/?token={console.new_link().partition('=')[2]}", Host=host).status_code == 403
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"])
-def test_a_foreign_origin(console: Console, cookie: str, origin: str) -> None:
+def test_a_foreign_origin(console: Console, session: SignedIn, origin: str) -> None:
     """A page of another origin in a browser that is signed in."""
     origin = origin.format(port=console.port)
-    assert console.get(Origin=origin, Cookie=cookie).status_code == 403
+    assert console.get(Origin=origin, **session.headers).status_code == 403
     with pytest.raises(InvalidStatus, match="403"):
-        Page(console.url, cookie, origin)
+        Page(console.url, session, origin)
 
 
-def test_headers(console: Console, cookie: str) -> None:
-    for answer in (console.get(Cookie=cookie), console.get("/nothing", Cookie=cookie), console.get()):
+def test_headers(console: Console, session: SignedIn) -> None:
+    for answer in (console.get(**session.headers), console.get("/nothing", **session.headers), console.get()):
         policy = answer.headers["content-security-policy"]
         assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
         assert "unsafe" not in policy
         assert answer.headers["x-content-type-options"] == "nosniff"
         assert "access-control-allow-origin" not in answer.headers
         assert "server" not in answer.headers
-    assert console.get("/../app.py", Cookie=cookie).status_code in (403, 404)
-    assert console.get("/%2e%2e/app.py", Cookie=cookie).status_code in (403, 404)
+    assert console.get("/../app.py", **session.headers).status_code in (403, 404)
+    assert console.get("/%2e%2e/app.py", **session.headers).status_code in (403, 404)
 
 
 def test_revoke_ends_open_pages(gateway: Gateway, tmp_path: Path) -> None:
     """Of a console of its own, since all sessions of that folder end."""
     with Console(tmp_path, "--connect", gateway.endpoint) as other:
-        cookie = other.sign_in()
-        with other.page(cookie) as page:
+        session = other.sign_in()
+        with other.page(session) as page:
             assert "1 session ended" in other.run("--revoke").stdout
             with pytest.raises(ConnectionClosed) as closed:
                 page.wait("never")
             assert closed.value.rcvd is not None
             assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1008, "signed out")
-        assert other.get(Cookie=cookie).status_code == 403
+        assert other.get(**session.headers).status_code == 403
 
 
 def test_a_session_outlives_the_console(gateway: Gateway, tmp_path: Path) -> None:
     port = free_port()
     with Console(tmp_path, "--connect", gateway.endpoint, port=port) as first:
-        cookie = first.sign_in()
+        session = first.sign_in()
         first.child.send_signal(signal.SIGTERM)
         assert first.child.wait() == 0
-    with Console(tmp_path, "--connect", gateway.endpoint, port=port) as second, second.page(cookie) as page:
+    with Console(tmp_path, "--connect", gateway.endpoint, port=port) as second, second.page(session) as page:
         assert page.state()["mode"] == "idle"
 
 
@@ -205,8 +210,8 @@ def test_a_session_outlives_the_console(gateway: Gateway, tmp_path: Path) -> Non
     ],
     ids=["unknown", "no leg", "forged source", "too long"],
 )
-def test_what_no_page_sends_ends_it(console: Console, cookie: str, message: dict[str, object]) -> None:
-    with console.page(cookie) as page:
+def test_what_no_page_sends_ends_it(console: Console, session: SignedIn, message: dict[str, object]) -> None:
+    with console.page(session) as page:
         page.send(**message)
         with pytest.raises(ConnectionClosed) as closed:
             page.wait("never")
@@ -215,30 +220,30 @@ def test_what_no_page_sends_ends_it(console: Console, cookie: str, message: dict
         assert closed.value.rcvd.reason
 
 
-def test_binary_ends_it(console: Console, cookie: str) -> None:
-    with console.page(cookie) as page:
+def test_binary_ends_it(console: Console, session: SignedIn) -> None:
+    with console.page(session) as page:
         page.socket.send(b"{}")
         with pytest.raises(ConnectionClosed, match="a page sends text"):
             page.wait("never")
 
 
-def test_a_flood_ends_it_and_delays_nobody(console: Console, cookie: str, page: Page) -> None:
+def test_a_flood_ends_it_and_delays_nobody(console: Console, session: SignedIn, page: Page) -> None:
     def run_wild(flood: Page) -> None:
         for _ in range(10_000):
             flood.send(type="alive", now_ms=flood.now_ms())
         flood.wait("never")
 
-    with console.page(cookie) as wild, pytest.raises(ConnectionClosed):
+    with console.page(session) as wild, pytest.raises(ConnectionClosed):
         run_wild(wild)
     assert page.stop_all()["stop_frames"] == len(LEGS)
 
 
 def test_an_observer_only_looks(gateway: Gateway, tmp_path: Path) -> None:
     with Console(tmp_path, "--connect", gateway.endpoint, "--role", "observer") as console:
-        cookie = console.sign_in()
-        assert console.get(Cookie=cookie).json()["role"] == "observer"
+        session = console.sign_in()
+        assert console.get(**session.headers).json()["role"] == "observer"
         for message in ({"type": "stop_all", "id": 1}, {"type": "lease", "id": 1, "do": "acquire"}):
-            with console.page(cookie) as page:
+            with console.page(session) as page:
                 page.state()
                 page.send(**message)
                 with pytest.raises(ConnectionClosed, match="this page only looks"):

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import pytest
 
-from tests.support.console_process import Console, Page
+from tests.support.console_process import Console, Page, SignedIn
 from tests.support.gateway_process import Gateway
 from tests.support.secured import Secured
 
@@ -29,21 +29,21 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
 
 
 @pytest.fixture(scope="module")
-def cookie(console: Console) -> str:
+def session(console: Console) -> SignedIn:
     return console.sign_in()
 
 
 @pytest.fixture
-def anna(console: Console, cookie: str) -> Iterator[Page]:
+def anna(console: Console, session: SignedIn) -> Iterator[Page]:
     """A page, while nobody drives."""
-    with console.page(cookie) as page:
+    with console.page(session) as page:
         page.state(lambda state: state["lease"]["holder"] is None)
         yield page
 
 
 @pytest.fixture
-def bert(console: Console, cookie: str) -> Iterator[Page]:
-    with console.page(cookie) as page:
+def bert(console: Console, session: SignedIn) -> Iterator[Page]:
+    with console.page(session) as page:
         yield page
 
 
@@ -129,9 +129,9 @@ def test_only_the_page_itself_renews_it(anna: Page, bert: Page) -> None:
     assert (lost["mine"], lost["accepted"]) == (False, False)
 
 
-def test_a_page_that_is_closed_gives_it_back(console: Console, cookie: str, bert: Page) -> None:
+def test_a_page_that_is_closed_gives_it_back(console: Console, session: SignedIn, bert: Page) -> None:
     began = datetime.now(UTC)
-    with console.page(cookie) as page:
+    with console.page(session) as page:
         assert lease(page, "acquire")["mine"]
     assert bert.event("lease_released", "lease_expired", since=began)["kind"] == "lease_released"
     assert lease(bert, "acquire")["mine"]

@@ -1,17 +1,16 @@
 """The console on TLS, at a gateway with certificates: what its certificate lets through, and no more."""
 
-import json
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
-from websockets.sync.client import connect
 
 from gateway import certs
+from gateway.console.register import Register
 from tests.support.child import Child
-from tests.support.console_process import LINK
+from tests.support.console_process import LINK, Page, SignedIn
 from tests.support.gateway_process import COMMAND, free_port
 from tests.support.secured import Secured
 
@@ -36,28 +35,27 @@ def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
     """The page has the rights of the console's certificate; its cookie goes over TLS only."""
     child = console(secured, tmp_path, person, port := free_port())
     try:
-        link = child.wait_for_output(LINK).removeprefix(LINK).strip()
+        assert child.wait_for_output(LINK).removeprefix(LINK).strip() == f"https://127.0.0.1:{port}"
+        link = Register(tmp_path, port).new_link()
         assert link.startswith(f"https://127.0.0.1:{port}/?token=")
         context = ssl.create_default_context(cafile=secured.folder / "ca.pem")
         with httpx.Client(verify=context) as browser:
-            cookie = browser.get(link).headers["set-cookie"]
+            entered = browser.get(link)
+            cookie = entered.headers["set-cookie"]
+            session = SignedIn(cookie.partition(";")[0], entered.headers["location"].partition("#")[2])
             assert cookie.startswith(f"__Host-hexapod-console-{port}=")
             assert {"Secure", "HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
-            answer = browser.get(f"https://127.0.0.1:{port}/session")
+            answer = browser.get(f"https://127.0.0.1:{port}/session", headers=session.headers)
             assert answer.json() == {"role": role, "person": person}
             assert f"connect-src 'self' wss://127.0.0.1:{port};" in answer.headers["content-security-policy"]
             rebound = browser.get(f"https://127.0.0.1:{port}/session", headers={"Host": f"localhost:{port}"})
             assert rebound.status_code == 403, "the certificate names the hosts"
-        headers = {"Cookie": cookie.partition(";")[0], "Origin": f"https://127.0.0.1:{port}"}
-        with connect(f"wss://127.0.0.1:{port}/ws", ssl=context, additional_headers=headers) as page:
-            hello = json.loads(page.recv(timeout=10))
+        url = f"https://127.0.0.1:{port}"
+        with Page(url, session, verify=context) as page:
+            hello = page.hello
             assert (hello["role"], hello["person"], hello["source"]) == (role, person, f"{person} (page 1)")
-            while (message := json.loads(page.recv(timeout=10)))["type"] != "state":
-                pass
+            page.state()
             if role == "operator":
-                page.send(json.dumps({"type": "stop_all", "id": 1}))
-                while not (message["type"] == "stop" and message["answered"]):
-                    message = json.loads(page.recv(timeout=10))
-                assert message["stop_frames"] == 6
+                assert page.stop_all()["stop_frames"] == 6
     finally:
         child.close()

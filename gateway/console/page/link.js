@@ -1,6 +1,8 @@
 // @ts-check
 /** The WebSocket to the console: messages in, messages out, and a new one wherever it ends. */
 
+import { headers, subprotocols } from "./key.js";
+
 const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 2000;
 const ALIVE_EVERY_MS = 1000;
@@ -72,7 +74,7 @@ export class Link {
     this.heardMs = performance.now();
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    const socket = new WebSocket(address);
+    const socket = new WebSocket(address, subprotocols());
     this.socket = socket;
     socket.addEventListener("open", () => {
       if (this.socket !== socket) return;
@@ -108,7 +110,7 @@ export class Link {
 /** Whether the console runs and only does not let this page in; the browser hides the answer to a WebSocket. */
 async function sessionTrouble() {
   try {
-    const answer = await fetch("session", { cache: "no-store" });
+    const answer = await fetch("session", { cache: "no-store", headers: headers() });
     return answer.ok ? "" : (await answer.text()).trim();
   } catch {
     return "the console does not answer";

@@ -1,0 +1,13 @@
+// @ts-check
+/** After a link was exchanged for a session: keeps its key, which came behind the # of the address, and goes on. */
+
+import { keep } from "./key.js";
+
+try {
+  const key = location.hash.slice(1);
+  if (key) keep(key);
+  location.replace("/");
+} catch {
+  const line = document.getElementById("enter");
+  if (line) line.textContent = "This browser keeps nothing for this page, so nobody can be signed in. Allow it, and open another link.";
+}
