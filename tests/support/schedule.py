@@ -14,6 +14,7 @@ ALONE: Final = (
     "hil/test_death.py",
     "hil/test_load.py",
     "hil/test_landing.py",
+    "attack/test_console_strangers.py",
     "zenoh/test_calibrate.py",
     "zenoh/test_calibrate_terminal.py",
     "zenoh/test_watch_terminal.py",

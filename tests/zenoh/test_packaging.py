@@ -85,8 +85,7 @@ def test_the_console_says_what_it_lacks(python: Path) -> None:
     said = subprocess.run([python, "-m", "gateway", "console"], check=False, capture_output=True, text=True)
     assert said.returncode == 2
     assert said.stderr == (
-        "hexapod-gateway: the console needs starlette, uvicorn, websockets, segno: "
-        "pip install 'hexapod-gateway[console]'\n"
+        "hexapod-gateway: the console needs websockets, segno: pip install 'hexapod-gateway[console]'\n"
     )
 
 

@@ -1,0 +1,177 @@
+"""A console on TLS on a robot, a page on one laptop, strangers on another: how soon is STOP ALL confirmed?
+
+`python -m tests.attack.console_door` prints the table of docs/security.md. It needs root, for network namespaces.
+"""
+
+import json
+import os
+import statistics
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from gateway import certs
+from gateway.console.register import Register
+from tests.net.namespaces import Network
+from tests.support.child import Child
+from tests.support.console_process import LINK, SignedIn
+from tests.support.gateway_process import COMMAND, Gateway
+
+PORT: Final = 8443
+GATEWAY: Final = "tcp/127.0.0.1:7447"
+PRESSES: Final = 50
+PAGE, STRANGERS = 0, 1
+"""The laptops."""
+CASES: Final = (
+    ("chunked", 5),
+    ("chunked", 20),
+    ("body", 40),
+    ("silent", 700),
+    ("half_open", 700),
+    ("handshake", 50),
+    ("slow_headers", 200),
+    ("huge_headers", 50),
+    ("get", 50),
+    ("link", 20),
+    ("upgrade", 50),
+    ("garbage", 100),
+)
+"""What strangers do, and on how many connections at once."""
+
+
+class PagePresses(AbstractContextManager["PagePresses"]):
+    """A page that is signed in, on a laptop."""
+
+    def __init__(self, laptop: Sequence[str], link: str, authority: Path) -> None:
+        """`laptop` goes before its command."""
+        self.child = Child([*laptop, sys.executable, "-m", "tests.attack.presses", link, str(authority)], os.environ)
+        try:
+            said = self.child.wait_for_output("signed in", 30)
+        except BaseException:
+            self.child.close()
+            raise
+        self.session = SignedIn(*json.loads(said.removeprefix("signed in ")))
+
+    def press(self, times: int) -> list[float]:
+        """How long each took, in ms."""
+        return [float(each) for each in json.loads(self.child.ask(str(times), 120))]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.child.close()
+
+
+class DoorStand(AbstractContextManager["DoorStand"]):
+    """The robot with gateway and console, and a page that is signed in."""
+
+    def __init__(self, folder: Path, prefix: Sequence[str] = ()) -> None:
+        """`prefix` goes before the console's command."""
+        with ExitStack() as stack:
+            self.network = stack.enter_context(Network(laptops=2))
+            hosts = [self.network.robot_address(laptop) for laptop in self.network.laptops]
+            certs.init(folder / "certs", hosts)
+            certs.console(folder / "certs", "web", hosts)
+            self.folder = folder
+            self.gateway = stack.enter_context(
+                Gateway(folder, {"zenoh": {"listen": [GATEWAY]}}, prefix=self.network.robot)
+            )
+            files = [f"--cert={folder}/certs/web.pem", f"--key={folder}/certs/web.key"]
+            command = [*COMMAND, "console", "--listen", f"0.0.0.0:{PORT}", *files, "--connect", GATEWAY]
+            self.console = Child(
+                [*self.network.robot, *prefix, *command], {**os.environ, "STATE_DIRECTORY": str(folder)}
+            )
+            stack.callback(self.console.close)
+            self.console.wait_for_output(LINK, 20)
+            self.page = stack.enter_context(self.another_page())
+            self._stack = stack.pop_all()
+
+    def another_page(self) -> PagePresses:
+        """One more, on the same laptop."""
+        link = Register(self.folder, PORT).new_link()
+        return PagePresses(self.network.laptop(PAGE), link, self.folder / "certs" / "ca.pem")
+
+    def press(self, times: int = PRESSES) -> list[float]:
+        """How long each took, in ms."""
+        return self.page.press(times)
+
+    @contextmanager
+    def attacked(self, kind: str, count: int) -> Iterator[Child]:
+        """Strangers are at it."""
+        address = self.network.robot_address(STRANGERS)
+        program = [sys.executable, "-m", "tests.attack.strangers", kind, address, str(PORT), str(count)]
+        child = Child([*self.network.laptop(STRANGERS), *program], os.environ)
+        try:
+            child.wait_for_output("made ", 20)
+            yield child
+        finally:
+            child.kill()
+            child.close()
+
+    def descriptors(self) -> int:
+        """How many files the console has open."""
+        return len(os.listdir(f"/proc/{self.console.pid}/fd"))
+
+    def threads(self) -> int:
+        """How many threads it has."""
+        return len(os.listdir(f"/proc/{self.console.pid}/task"))
+
+    def memory_mb(self) -> float:
+        """What it takes."""
+        status = Path(f"/proc/{self.console.pid}/status").read_text()
+        return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmRSS"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+
+def row(what: str, quiet_ms: Sequence[float], attacked_ms: Sequence[float]) -> str:
+    """One line of the table."""
+    return (
+        "| "
+        + " | ".join((what, *(f"{value:.0f}" for each in (quiet_ms, attacked_ms) for value in spread(each))))
+        + " |"
+    )
+
+
+def spread(took_ms: Sequence[float]) -> tuple[float, float]:
+    """The median, and the worst."""
+    return statistics.median(took_ms), max(took_ms)
+
+
+def main() -> None:
+    """Print the table."""
+    wanted = sys.argv[1:]
+    with tempfile.TemporaryDirectory() as folder, DoorStand(Path(folder)) as stand:
+        stand.press(10)
+        for kind, count in CASES:
+            if wanted and kind not in wanted:
+                continue
+            quiet_ms = stand.press()
+            with stand.attacked(kind, count) as strangers:
+                attacked_ms = stand.press()
+                print(
+                    row(f"{kind}, {count}", quiet_ms, attacked_ms),
+                    strangers.stdout.split()[-1],
+                    stand.descriptors(),
+                    stand.threads(),
+                    f"{stand.memory_mb():.0f} MB",
+                    flush=True,
+                )
+        print(stand.console.stderr[-2000:])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""Somebody who has no session and no certificate, at a console's door, again and again until killed.
+
+    python -m tests.attack.strangers KIND HOST PORT COUNT [plain]
+
+KIND is a name in `KINDS`, COUNT how many connections at once. It prints, each second, how many have been made so far.
+"""
+
+import asyncio
+import os
+import resource
+import ssl
+import sys
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import Final
+
+Connect = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
+
+CLIENT_HELLO_HALF: Final = bytes.fromhex("16030102000100") + bytes(200)
+"""The beginning of a handshake whose rest does not come."""
+
+
+class Stranger:
+    """Makes connections to one address."""
+
+    def __init__(self, host: str, port: int, *, tls: bool) -> None:
+        self.host = f"{host}:{port}"
+        self.made = 0
+        self._address = (host, port)
+        self._context: ssl.SSLContext | None = None
+        if tls:
+            self._context = ssl.create_default_context()
+            self._context.check_hostname = False
+            self._context.verify_mode = ssl.CERT_NONE
+
+    async def open(self, *, tcp_only: bool = False) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """A connection, with TLS unless it is only to be opened."""
+        opened = await asyncio.open_connection(*self._address, ssl=None if tcp_only else self._context)
+        self.made += 1
+        return opened
+
+    # ---- each once; they are repeated
+
+    async def chunked(self) -> None:
+        """A POST whose body does not end, also after the 403."""
+        head = f"POST / HTTP/1.1\r\nHost: {self.host}\r\nTransfer-Encoding: chunked\r\n\r\n"
+        await self._send_on(head, b"1\r\nx\r\n" * 10_000)
+
+    async def body(self) -> None:
+        """A GET with a body of a terabyte."""
+        await self._send_on(
+            f"GET / HTTP/1.1\r\nHost: {self.host}\r\nContent-Length: 1000000000000\r\n\r\n", bytes(50_000)
+        )
+
+    async def silent(self) -> None:
+        """Says nothing."""
+        reader, writer = await self.open(tcp_only=True)
+        with suppress(OSError):
+            await reader.read()
+        writer.transport.abort()
+
+    async def half_open(self) -> None:
+        """Half of a handshake."""
+        reader, writer = await self.open(tcp_only=True)
+        writer.write(CLIENT_HELLO_HALF)
+        with suppress(OSError):
+            await reader.read()
+        writer.transport.abort()
+
+    async def handshake(self) -> None:
+        """A handshake, and good-bye."""
+        _, writer = await self.open()
+        writer.transport.abort()
+
+    async def slow_headers(self) -> None:
+        """A byte at a time."""
+        await self._send_on(f"GET / HTTP/1.1\r\nHost: {self.host}\r\nX-Slow: ", b"x", pause_s=0.005)
+
+    async def huge_headers(self) -> None:
+        """Headers without an end."""
+        await self._send_on(f"GET / HTTP/1.1\r\nHost: {self.host}\r\n", b"X-Large: " + b"y" * 4000 + b"\r\n")
+
+    async def get(self) -> None:
+        """A request like that of a page, and its answer."""
+        await self._ask("GET / HTTP/1.1\r\nHost: {host}\r\nCookie: hexapod-console-8080=nonsense\r\n\r\n")
+
+    async def link(self) -> None:
+        """A link that nobody has made."""
+        await self._ask("GET /?token=0123456789012345678901234567890123456789012 HTTP/1.1\r\nHost: {host}\r\n\r\n")
+
+    async def upgrade(self) -> None:
+        """A WebSocket without a session."""
+        await self._ask(
+            "GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: https://{host}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+            "Sec-WebSocket-Protocol: hexapod-console, key.0123456789\r\n\r\n"
+        )
+
+    async def garbage(self) -> None:
+        """Random bytes instead of a handshake or a request."""
+        reader, writer = await self.open(tcp_only=True)
+        with suppress(OSError):
+            writer.write(os.urandom(3000))
+            await reader.read()
+        writer.transport.abort()
+
+    async def _send_on(self, head: str, more: bytes, pause_s: float = 0.0) -> None:
+        """Until the other side closes; its answer alone does not end it."""
+        reader, writer = await self.open()
+        answer = asyncio.create_task(reader.read())
+        with suppress(OSError):
+            writer.write(head.encode())
+            while not answer.done():
+                writer.write(more)
+                await writer.drain()
+                await asyncio.sleep(pause_s)
+        writer.transport.abort()
+        answer.cancel()
+
+    async def _ask(self, request: str) -> None:
+        reader, writer = await self.open()
+        with suppress(OSError):
+            writer.write(request.format(host=self.host).encode())
+            await reader.read()
+        writer.transport.abort()
+
+
+KINDS: Final = {
+    "chunked": Stranger.chunked,
+    "body": Stranger.body,
+    "silent": Stranger.silent,
+    "half_open": Stranger.half_open,
+    "handshake": Stranger.handshake,
+    "slow_headers": Stranger.slow_headers,
+    "huge_headers": Stranger.huge_headers,
+    "get": Stranger.get,
+    "link": Stranger.link,
+    "upgrade": Stranger.upgrade,
+    "garbage": Stranger.garbage,
+}
+
+
+async def attack(kind: str, host: str, port: int, count: int, *, tls: bool) -> None:
+    """Never ends."""
+    stranger = Stranger(host, port, tls=tls)
+
+    async def again_and_again() -> None:
+        while True:
+            with suppress(OSError, EOFError):
+                await KINDS[kind](stranger)
+            await asyncio.sleep(0)
+
+    tasks = [asyncio.create_task(again_and_again()) for _ in range(count)]
+    while True:
+        await asyncio.wait(tasks, timeout=1.0)
+        print("made", stranger.made, flush=True)
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_NOFILE, (4096, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+    name, address, number, at_once, *more = sys.argv[1:]
+    asyncio.run(attack(name, address, int(number), int(at_once), tls=not more))

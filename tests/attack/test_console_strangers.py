@@ -1,0 +1,45 @@
+"""Strangers at the console's door, over TLS from another network namespace: STOP ALL comes as at rest.
+
+`python -m tests.attack.console_door` measures it; here the bounds are wide, for machines that are busy. Before the
+console had a thread for strangers, each of these took it from 0.3 to 4.9 s.
+"""
+
+from collections.abc import Iterator
+
+import pytest
+
+from gateway.console.app import MAX_CLOSING, MAX_PAGES
+from gateway.console.front import MAX_SIGNED_IN, MAX_UNKNOWN
+from tests.attack.console_door import CASES, DoorStand, spread
+
+pytestmark = pytest.mark.net
+
+PRESSES = 20
+USUAL_MS = 100
+WORST_MS = 400
+OWN = 96
+"""Descriptors besides those of connections."""
+THREADS = 100
+"""The service unit allows 128 (TasksMax)."""
+MEMORY_MB = 150
+"""It allows 192 (MemoryMax)."""
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DoorStand]:
+    with DoorStand(tmp_path_factory.mktemp("door"), ["prlimit", "--nofile=512", "--"]) as running:
+        running.press(3)
+        yield running
+
+
+@pytest.mark.parametrize(("kind", "count"), CASES)
+def test_stop_all_beside_strangers(stand: DoorStand, kind: str, count: int) -> None:
+    with stand.attacked(kind, count):
+        took_ms = stand.press(PRESSES)
+        descriptors, threads, memory_mb = stand.descriptors(), stand.threads(), stand.memory_mb()
+    usual_ms, worst_ms = spread(took_ms)
+    assert usual_ms < USUAL_MS
+    assert worst_ms < WORST_MS
+    assert descriptors <= MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN
+    assert threads < THREADS
+    assert memory_mb < MEMORY_MB

@@ -1,0 +1,79 @@
+"""How a browser gets in, stays in, and what a page of somebody else's gets of it."""
+
+import http.server
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+from websockets.exceptions import InvalidStatus
+
+from tests.console.browser import LATE_MS, WITHOUT_WEBGL
+from tests.support.console_process import Console, SignedIn
+from tests.support.console_process import Page as Thief
+
+
+@pytest.fixture
+def victim(browser: Browser, console: Console) -> Iterator[Page]:
+    """A page in a browser of its own, which has just opened a link."""
+    context = browser.new_context()
+    context.set_default_timeout(LATE_MS)
+    context.add_init_script(WITHOUT_WEBGL)
+    page = context.new_page()
+    page.goto(console.new_link())
+    expect_live(page)
+    yield page
+    context.close()
+
+
+def expect_live(page: Page) -> None:
+    expect(page.locator("body")).to_have_attribute("data-live", "yes")
+
+
+def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> None:
+    assert victim.url == f"{console.url}/", "neither the link nor the key stays in the address"
+    victim.reload()
+    expect_live(victim)
+    second = victim.context.new_page()
+    second.goto(console.url)
+    expect_live(second)
+
+
+def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, console: Console) -> None:
+    """Of another user of this machine, opened by somebody who is signed in; see docs/security.md."""
+    with listening() as (port, cookies):
+        there = victim.context.new_page()
+        there.goto(f"http://127.0.0.1:{port}/")
+        assert there.evaluate("localStorage.length") == 0
+        assert f"hexapod-console-{console.port}=" in cookies[0], "a browser sends it to all ports"
+    for key in ("", "0" * 43):
+        thief = SignedIn(cookies[0], key)
+        assert console.get(**thief.headers).status_code == 403
+        with pytest.raises(InvalidStatus, match="403"):
+            Thief(console.url, thief)
+
+
+def test_without_its_key_a_page_says_how_to_go_on(victim: Page) -> None:
+    victim.evaluate("localStorage.clear()")
+    victim.reload()
+    expect(victim.locator("#stop-known")).to_contain_text("You are not signed in")
+
+
+@contextmanager
+def listening() -> Iterator[tuple[int, list[str]]]:
+    """A web server of somebody else's at another port; the cookies that it got."""
+    cookies: list[str] = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            cookies.append(self.headers.get("Cookie", ""))
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(b"<!doctype html><title>Free kittens</title>")
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_port, cookies
+        server.shutdown()
