@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from gateway.errors import ConfigError
+from gateway.protocol.frames import centidegrees
 from gateway.protocol.framing import Framing
 from schemas.robot import SERVO_IDS
 
@@ -31,6 +32,7 @@ class Section(BaseModel):
 
 
 Finite = Field(allow_inf_nan=False)
+AngleDeg = Annotated[float, Finite, Field(ge=0, le=180)]
 
 
 class ZenohSettings(Section):
@@ -54,6 +56,22 @@ class SpiSettings(Section):
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 50.0
     # At most ten seconds: until then a controller that is out of sync hears no Set and no first Stop.
     resync_ms: Annotated[float, Finite, Field(ge=0, le=10_000)] = 1000.0
+    # None: what the framing says.
+    avoid_deg: tuple[AngleDeg, ...] | None = None
+
+    @property
+    def avoid_cdeg(self) -> tuple[int, int] | None:
+        """Wire angles that are never sent, in hundredths of a degree: from the first up to, without, the second."""
+        if self.avoid_deg is None:
+            return self.framing.avoid_cdeg
+        return (centidegrees(self.avoid_deg[0]), centidegrees(self.avoid_deg[1])) if self.avoid_deg else None
+
+    @field_validator("avoid_deg")
+    @classmethod
+    def _interval(cls, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if angles and (len(angles) != 2 or angles[0] >= angles[1]):
+            raise ValueError("write where it begins and where it ends, such as [1.0, 4.0], or [] for none")
+        return angles
 
     @field_validator("device")
     @classmethod
@@ -61,9 +79,6 @@ class SpiSettings(Section):
         if not device.startswith("/") or "\0" in device:
             raise ValueError("write the path of a device, such as /dev/spidev0.0")
         return device
-
-
-AngleDeg = Annotated[float, Finite, Field(ge=0, le=180)]
 
 
 class ServoLimits(Section):
@@ -305,8 +320,7 @@ def _environment() -> _Environment:
                 value = json.loads(text)
             except (ValueError, RecursionError):
                 found.faults.append(
-                    f"{variable}: {_echo(text)} will not do: write the list as JSON, such as "
-                    + """'["tcp/127.0.0.1:7447"]'"""
+                    f"{variable}: {_echo(text)} will not do: write the list as JSON, such as '{_LISTS[place]}'"
                 )
                 continue
         found.variables[place] = variable
@@ -317,7 +331,11 @@ def _environment() -> _Environment:
     return found
 
 
-_LISTS: Final = (("zenoh", "listen"), ("zenoh", "connect"))
+_LISTS: Final = {
+    ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
+    ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
+    ("spi", "avoid_deg"): "[1.0, 4.0]",
+}
 _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
 
 

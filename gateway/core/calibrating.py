@@ -88,6 +88,10 @@ class Calibrating:
             calibration = event.change.applied_to(before)
         except CalibrationError as error:
             return [Rejected(event.number, Reason.INVALID, str(error))]
+        for servo_id, angle_cdeg in calibration.landing_cdeg.items():
+            why_not = self._reach.why_avoided(calibration, servo_id, angle_cdeg)
+            if why_not is not None:
+                return [Rejected(event.number, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
         changed = changed_servos(self.in_force, calibration)
         for servo_id in sorted(changed):
             if servos[servo_id].will_run:

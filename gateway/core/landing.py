@@ -2,7 +2,7 @@
 
 This is motion that nobody asks for at that moment, so it is as narrow as can be: it goes from where the last frame left
 a servo to the landing pose that a person has recorded, at an even pace, and ends at a time known when it begins.
-Nothing may start a servo in it, turn it round, or make it longer.
+Nothing may start a servo in it, turn it round, or make it longer or faster.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,18 +20,26 @@ class Landing(NamedTuple):
     """A landing under way: for each running servo where it was and where it goes, in hundredths of a degree."""
 
     began_ns: int
-    arrives_ns: int
-    """From then on each servo is told its last angle; two rate slots before the end, so that a frame can say it."""
+    length_ns: int
+    """How long the way takes. A landing that began in time arrives two rate slots before its end, so that a frame can
+    say it."""
+    period_ns: int
+    """A rate slot: by more than this, no frame goes on."""
     ends_ns: int
     """When all six legs get their Stop, wherever they are."""
     ways_cdeg: Mapping[int, tuple[int, int]]
 
-    def angle_cdeg(self, servo_id: int, now_ns: int) -> int:
-        """Where the servo is to be now. It never lies outside the two ends of its way."""
+    def next_part_ns(self, part_ns: int, now_ns: int) -> int:
+        """Which part of the way a leg's next frame says, if its last one said `part_ns`: in the time that it takes.
+
+        What a stall cost is not made up for: the servos would leap, and nobody has asked for any of this.
+        """
+        return min(now_ns - self.began_ns, part_ns + self.period_ns, self.length_ns)
+
+    def angle_cdeg(self, servo_id: int, part_ns: int) -> int:
+        """Where the servo is to be then. It never lies outside the two ends of its way."""
         first, last = self.ways_cdeg[servo_id]
-        if now_ns >= self.arrives_ns:
-            return last
-        return first + (last - first) * (now_ns - self.began_ns) // (self.arrives_ns - self.began_ns)
+        return first + (last - first) * part_ns // self.length_ns
 
     def moves(self, servos: Iterable[_Servo]) -> bool:
         """Whether one of these servos runs and is not yet where it goes."""
@@ -40,6 +48,11 @@ class Landing(NamedTuple):
         )
 
 
-def landing(now_ns: int, ends_ns: int, period_ns: int, ways_cdeg: Mapping[int, tuple[int, int]]) -> Landing:
-    """A landing that begins now. `period_ns` is a leg's rate slot; where there is time for few, all arrive at once."""
-    return Landing(now_ns, max(now_ns, ends_ns - 2 * period_ns), ends_ns, ways_cdeg)
+def landing(
+    now_ns: int, ends_ns: int, landing_ns: int, period_ns: int, ways_cdeg: Mapping[int, tuple[int, int]]
+) -> Landing:
+    """A landing that begins now. `period_ns` is a leg's rate slot; where there is time for few, one frame says all.
+
+    One that begins late, since the machine stalled, is no faster than one of `landing_ns`: it is stopped on its way.
+    """
+    return Landing(now_ns, max(period_ns, landing_ns - 2 * period_ns), period_ns, ends_ns, ways_cdeg)

@@ -24,6 +24,8 @@ class Rules:
     unnumbered_reset_ns: int = 2 * NS_PER_S
     """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
+    avoid_cdeg: tuple[int, int] | None = None
+    """Wire angles that are never sent: from the first up to, not including, the second."""
     max_speed_cdeg_s: dict[int, int] = field(default_factory=dict)
     """Servos that go no faster than this from one frame to the next (Behaviour 11)."""
     landing_ns: int = 0
@@ -51,6 +53,8 @@ class Servo:
     """Where it is bound for, while its speed is limited and it is not there yet."""
     since_ns: int = 0
     """From when the time for its next step counts."""
+    passing_cdeg: int | None = None
+    """Where it would be on its way through angles that are not sent, and at whose near end it waits."""
     repeats_left: int = 0
     repeat_ns: int = 0
     stopped_ns: int | None = None
@@ -84,6 +88,8 @@ class Leg:
     expired: bool = False
     source: str | None = None
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
+    landed_ns: int = 0
+    """Which part of the way down its frames have said."""
     due_ns: int = NEVER
     """When its deadline, its rate slot or a repeated Stop comes; like the next two as of the last `Legs.look`."""
     repeat_ns: int = NEVER

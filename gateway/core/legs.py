@@ -269,15 +269,26 @@ class Legs:
                 if speed_cdeg_s is None or servo.angle_cdeg is None:
                     servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
                 else:
-                    angle, servo.since_ns = step(servo.angle_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns)
-                    servo.waiting = ServoOp(servo.waiting.op, angle)
-                    servo.target_cdeg = None if angle == target_cdeg else target_cdeg
+                    angle_cdeg = self._step(servo, servo.angle_cdeg, target_cdeg, speed_cdeg_s, now_ns)
+                    servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
+                    servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
             said.append((servo, servo.waiting))
         if len(said) > 1:
             for servo in leg.servos:
                 if servo.waiting is None:
                     servo.since_ns = now_ns  # the frame tells it its angle again, and the next step counts from here
         return said
+
+    def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
+        """Where the next frame takes a running servo whose speed is limited."""
+        crosses = self._reach.crosses(servo.servo_id, stands_cdeg, target_cdeg)
+        from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
+        at_cdeg, servo.since_ns = step(
+            from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
+        )
+        sent_cdeg = self._reach.near_side(servo.servo_id, stands_cdeg, at_cdeg)
+        servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
+        return sent_cdeg
 
     # ---- landing
 
@@ -288,10 +299,10 @@ class Legs:
             for servo in self.servos.values()
             if servo.angle_cdeg is not None
         }
-        self.landing = landing(now_ns, ends_ns, self._rules.period_ns, ways)
+        self.landing = landing(now_ns, ends_ns, self._rules.landing_ns, self._rules.period_ns, ways)
         self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
-            leg.source = None
+            leg.source, leg.landed_ns = None, 0
         return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg fell silent")
 
     def land(self, now_ns: int) -> list[Effect]:
@@ -299,13 +310,17 @@ class Legs:
         effects: list[Effect] = []
         if self.landing is None or now_ns < self.land_ns:
             return effects
-        self.land_ns = now_ns + self._rules.period_ns
+        self.land_ns += self._rules.period_ns  # not from now on: what a timer is late would add up
+        if self.land_ns <= now_ns:
+            self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
             if not leg.slots.is_open(now_ns):
                 continue
+            leg.landed_ns = self.landing.next_part_ns(leg.landed_ns, now_ns)
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
-                    angle_cdeg = self.landing.angle_cdeg(servo.servo_id, now_ns)
+                    angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
+                    angle_cdeg = self._reach.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
                     if angle_cdeg != servo.angle_cdeg:
                         servo.waiting, servo.waiting_number = ServoOp(OP_SET, angle_cdeg), NO_COMMAND
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
@@ -334,6 +349,7 @@ class Legs:
         self.stops = True
         servo.angle_cdeg = servo.target_cdeg = None
         servo.repeats_left = self._rules.repeats
+        servo.passing_cdeg = None
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
     def _empty_start_queue(self, own: int | None = None) -> list[Effect]:
@@ -369,6 +385,7 @@ class Legs:
         rejected = dict.fromkeys(servo.waiting_number for servo in servos if servo.waiting is not None)
         for servo in servos:
             servo.target_cdeg = None  # nor does it go on to where an earlier command sent it
+            servo.passing_cdeg = None
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_number in rejected:
                 servo.waiting = None

@@ -20,6 +20,17 @@ class Framing(enum.StrEnum):
         return (frame_bytes,)
 
     @property
+    def avoid_cdeg(self) -> tuple[int, int] | None:
+        """Wire angles that are not sent by default, in hundredths of a degree: from the first up to the second, which
+        is not one of them.
+
+        The published firmware takes the whole degrees for an operation, and the operation for a servo's id, in what
+        follows a lost byte. Ids 1 to 3 with operations 1 to 3 end in a null handle: it receives nothing until it is
+        reset, and its servos stay on.
+        """
+        return (1_00, 4_00) if self is Framing.LENGTH_PREFIXED else None
+
+    @property
     def preamble(self) -> tuple[bytes, ...]:
         """The transfers that synchronise a controller which still awaits an announced body; none for PLAIN.
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 
+from gateway.core.calibrating import Calibrating
 from gateway.core.events import Effect
-from gateway.core.leg import NO_COMMAND, Leg, Servo
+from gateway.core.leg import NO_COMMAND, Leg, Rules, Servo
 from gateway.core.legs import Legs
+from gateway.core.reach import Reach
 from gateway.core.supervisor import Supervisor
-from gateway.protocol.frames import ServoOp
+from gateway.protocol.frames import MAX_ANGLE_CDEG, ServoOp
 from schemas.telemetry import Cause, Reason
 
 
@@ -64,8 +66,60 @@ class LandsAtOnce(Legs):
     def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
         effects = super().begin_landing(now_ns, ends_ns, pose_cdeg)
         if self.landing is not None:
-            self.landing = self.landing._replace(arrives_ns=now_ns)
+            self.landing = self.landing._replace(length_ns=1, period_ns=1)
         return effects
+
+
+class MakesUpForAStall(Legs):
+    """After a stall, a landing leaps to where it would be."""
+
+    def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
+        effects = super().begin_landing(now_ns, ends_ns, pose_cdeg)
+        if self.landing is not None:
+            self.landing = self.landing._replace(period_ns=ends_ns)
+        return effects
+
+
+class LandsFasterWhereItIsLate(Legs):
+    """A landing that begins late is in time all the same."""
+
+    def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
+        effects = super().begin_landing(now_ns, ends_ns, pose_cdeg)
+        if self.landing is not None:
+            length_ns = max(1, ends_ns - now_ns - 2 * self.landing.period_ns)
+            self.landing = self.landing._replace(length_ns=length_ns)
+        return effects
+
+
+class SendsWhatIsAvoided(Reach):
+    """A way leads through angles that are never sent."""
+
+    def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
+        del servo_id, from_cdeg
+        return angle_cdeg
+
+
+class CrossesAtOnce(Reach):
+    """A way that leads to angles that are never sent goes on behind them at once."""
+
+    def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
+        near_cdeg = super().near_side(servo_id, from_cdeg, angle_cdeg)
+        if near_cdeg == angle_cdeg:
+            return angle_cdeg
+        return super().near_side(servo_id, MAX_ANGLE_CDEG if from_cdeg < angle_cdeg else 0, angle_cdeg)
+
+
+def avoiding(reach: type[Reach]) -> type[Supervisor]:
+    """A supervisor with another reach."""
+
+    class Planted(Supervisor):
+        def __init__(self, rules: Rules) -> None:
+            super().__init__(rules)
+            self._reach = reach(rules)
+            self.calibrating = Calibrating(self._reach)
+            self.legs = Legs(rules, self._reach)
+
+    return Planted
 
 
 class Jumps(Legs):

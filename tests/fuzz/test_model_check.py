@@ -25,6 +25,8 @@ WHOLE_ROBOT = BY_NAME["two legs, one silent leg stops both"]
 STAGGERED = BY_NAME["two legs, started one after the other"]
 SPEED = BY_NAME["one leg, a limited speed"]
 LANDING = BY_NAME["two legs, landing"]
+AVOIDED = BY_NAME["one servo, angles that are never sent, and a limited speed"]
+AVOIDED_LANDING = BY_NAME["one leg, angles that are never sent, and landing"]
 CALIBRATED = BY_NAME["one leg, a servo of which is calibrated"]
 
 
@@ -122,6 +124,11 @@ def test_parts_without_a_bug_keep_every_promise() -> None:
             "is started|nothing moves unasked|nobody asked|set although",
         ),
         (LANDING, planted.with_legs(planted_motion.LandsAtOnce), "leaves its straight line"),
+        (LANDING, planted.with_legs(planted_motion.MakesUpForAStall), "leaves its straight line"),
+        (LANDING, planted.with_legs(planted_motion.LandsFasterWhereItIsLate), "leaves its straight line"),
+        (AVOIDED, planted_motion.avoiding(planted_motion.SendsWhatIsAvoided), "where it must not go"),
+        (AVOIDED_LANDING, planted_motion.avoiding(planted_motion.SendsWhatIsAvoided), "where it must not go"),
+        (AVOIDED, planted_motion.avoiding(planted_motion.CrossesAtOnce), "no faster than its speed"),
         (SPEED, planted.with_legs(planted_motion.Jumps), "no faster than its speed"),
         (SPEED, planted.with_legs(planted_motion.TakesOneStep), "wakes up in time"),
         (SPEED, planted.with_legs(planted_motion.TimeCountsTwice), "no faster than its speed"),

@@ -32,8 +32,8 @@ REACH = Subject(
         ),
         Mutant("limits[0] <= angle_cdeg <= limits[1]:", "limits[0] <= angle_cdeg:", "the largest angle is ignored"),
         Mutant(
-            "return self.calibration.why_not(servo_id, angle_cdeg)",
-            "return None",
+            "return calibration.why_not(servo_id, angle_cdeg) or ",
+            "return ",
             "an angle that the servo does not have ends the gateway",
         ),
         Mutant(
@@ -42,13 +42,13 @@ REACH = Subject(
             "a trimmed servo goes where it would without its trim",
         ),
         Mutant(
-            "bool(self._limits_cdeg or calibration.servos)",
-            "bool(self._limits_cdeg)",
+            "bool(self._limits_cdeg or calibration.servos or self._avoid_cdeg)",
+            "bool(self._limits_cdeg or self._avoid_cdeg)",
             "calibrated limits are ignored where the settings have none",
         ),
         Mutant(
-            "bool(self._limits_cdeg or calibration.servos)",
-            "bool(calibration.servos)",
+            "bool(self._limits_cdeg or calibration.servos or self._avoid_cdeg)",
+            "bool(calibration.servos or self._avoid_cdeg)",
             "the settings' limits are ignored where nothing is calibrated",
         ),
         Mutant(

@@ -20,10 +20,26 @@ SPEED = Subject(
             "most_cdeg = speed_cdeg_s * now_ns // NS_PER_S",
             "a servo jumps after a pause",
         ),
-        Mutant("if abs(way_cdeg) <= most_cdeg:", "if way_cdeg <= most_cdeg:", "every way down is a jump"),
-        Mutant("if abs(way_cdeg) <= most_cdeg:", "if abs(way_cdeg) < most_cdeg:", "the last step is one too many"),
-        Mutant("if abs(way_cdeg) <= most_cdeg:", "if False:", "a servo swings about its target for ever"),
+        Mutant(
+            "if abs(way_cdeg) <= min(most_cdeg, slot_cdeg):",
+            "if way_cdeg <= min(most_cdeg, slot_cdeg):",
+            "every way down is a jump",
+        ),
+        Mutant(
+            "if abs(way_cdeg) <= min(most_cdeg, slot_cdeg):",
+            "if abs(way_cdeg) < min(most_cdeg, slot_cdeg):",
+            "the last step is one too many",
+        ),
+        Mutant(
+            "if abs(way_cdeg) <= min(most_cdeg, slot_cdeg):", "if False:", "a servo swings about its target for ever"
+        ),
         Mutant("return Step(to_cdeg, now_ns)", "return Step(to_cdeg, since_ns)", "the next way begins with a jump"),
+        Mutant(
+            "if abs(way_cdeg) <= min(most_cdeg, slot_cdeg):",
+            "if abs(way_cdeg) <= most_cdeg:",
+            "a servo leaps to a near target after a stall",
+        ),
+        Mutant("    if most_cdeg > slot_cdeg:\n", "    if False:\n", "a servo leaps after a stall"),
         Mutant(
             "-(-most_cdeg * NS_PER_S // speed_cdeg_s)",
             "most_cdeg * NS_PER_S // speed_cdeg_s",
@@ -47,21 +63,16 @@ LANDING = Subject(
         "tests/unit/test_supervisor_machine.py",
     ),
     mutants=(
-        Mutant("        if now_ns >= self.arrives_ns:\n", "        if False:\n", "a late frame goes past the pose"),
+        Mutant("first + (last - first) * part_ns", "first - (last - first) * part_ns", "a landing stretches the legs"),
         Mutant(
-            "        if now_ns >= self.arrives_ns:\n",
-            "        if now_ns > self.arrives_ns:\n",
-            "a landing without time divides by none, and the gateway ends in it",
+            "return min(now_ns - self.began_ns, part_ns + self.period_ns,",
+            "return min(now_ns - self.began_ns,",
+            "a landing leaps after a stall",
         ),
         Mutant(
-            "            return last\n", "            return first\n", "the robot springs back up before it is stopped"
+            "return min(now_ns - self.began_ns, part_ns", "return min(part_ns", "frames in a burst are ahead of time"
         ),
-        Mutant(
-            "first + (last - first) * (now_ns - self.began_ns)",
-            "first - (last - first) * (now_ns - self.began_ns)",
-            "a landing stretches the legs",
-        ),
-        Mutant("* (now_ns - self.began_ns) //", "* now_ns //", "a landing begins with a jump"),
+        Mutant(", self.length_ns)", ")", "a late frame goes past the pose"),
         Mutant(
             "servo.angle_cdeg is not None and servo.angle_cdeg != self.ways_cdeg[servo.servo_id][1] for servo in servos",
             "servo.angle_cdeg is not None for servo in servos",
@@ -77,12 +88,12 @@ LANDING = Subject(
             "servo.angle_cdeg != self.ways_cdeg[servo.servo_id][1] for servo in servos",
             "a servo that was stopped in the landing is waited for, and is in no way",
         ),
-        Mutant("ends_ns - 2 * period_ns", "ends_ns", "a robot is stopped before it has arrived"),
+        Mutant("landing_ns - 2 * period_ns", "landing_ns", "a robot is stopped before it has arrived"),
+        Mutant("landing_ns - 2 * period_ns", "ends_ns - now_ns - 2 * period_ns", "a landing that begins late leaps"),
         Mutant(
-            "max(now_ns, ends_ns - 2 * period_ns)",
-            "ends_ns - 2 * period_ns",
-            "a short landing runs backwards",
-            equivalent="a time that has passed has passed: it is compared with now, and nothing else",
+            "max(period_ns, landing_ns - 2 * period_ns)",
+            "landing_ns - 2 * period_ns",
+            "a landing without time divides by none, and the gateway ends in it",
         ),
     ),
 )

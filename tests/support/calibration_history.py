@@ -119,7 +119,23 @@ class CalibrationHistory:
     def allows(self, servo_id: int, angle_cdeg: int) -> bool:
         """Whether the settings and the calibration both let a servo go there."""
         low, high = self._rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
-        return low <= angle_cdeg <= high and self.whole.allows(servo_id, angle_cdeg)
+        within = low <= angle_cdeg <= high and self.whole.allows(servo_id, angle_cdeg)
+        return within and not self._avoids(self.whole, servo_id, angle_cdeg)
+
+    def _avoids(self, whole: Whole, servo_id: int, angle_cdeg: int) -> bool:
+        """Whether it is one of the angles that are never on the wire."""
+        low, high = self._rules.avoid_cdeg or (0, 0)
+        return low <= whole.servos.get(servo_id, AS_DRAWN).wire_cdeg(angle_cdeg) < high
+
+    def gap(self, servo_id: int, from_cdeg: int, to_cdeg: int) -> tuple[int, int] | None:
+        """The last angle before those that are never on the wire, and the first behind them; None: none lie between."""
+        servo = self.whole.servos.get(servo_id, AS_DRAWN)
+        low, high = self._rules.avoid_cdeg or (0, 0)
+        below, above = servo.user_cdeg(low - 1), servo.user_cdeg(high)
+        from_below, to_below = servo.wire_cdeg(from_cdeg) < low, servo.wire_cdeg(to_cdeg) < low
+        if not high or from_below == to_below:
+            return None
+        return (below, above) if from_below else (above, below)
 
     def landing_cdeg(self) -> dict[int, int]:
         """The landing pose, as far as it may be gone to."""
@@ -166,6 +182,8 @@ class CalibrationHistory:
         reason = closed or self._reason(event)
         if reason is None and after is None:
             reason = Reason.INVALID
+        if reason is None and after is not None and any(self._avoids(after, *p) for p in after.landing_cdeg.items()):
+            reason = Reason.JOINT_LIMIT
         changed = frozenset[int]()
         if reason is None and after is not None:
             servos = {*self.whole.servos, *after.servos}

@@ -12,7 +12,7 @@ from gateway.core.supervisor import Supervisor
 from tests.support.calibration_history import CalibrationHistory
 
 _KNOWN: Final = [
-    {"_limits_cdeg", "_landing_cdeg", "calibration", "wire", "limited"},
+    {"_limits_cdeg", "_landing_cdeg", "_avoid_cdeg", "calibration", "wire", "limited"},
     {"_reach", "fault", "guards", "_on_its_way", "_delay"},  # _delay: words for people, which decide nothing
 ]
 _FIELDS: Final = [set(vars(part)) for part in (Reach(Rules()), Calibrating(Reach(Rules())))]

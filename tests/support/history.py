@@ -71,6 +71,8 @@ class ServoHistory:
     """Where an answered command sends it, while its speed is limited and it is not there."""
     said_ns: int = 0
     """When a frame last named it."""
+    edge_ns: int | None = None
+    """Since when it is on its way across angles that are never sent."""
     owed: int = 0
     owed_ns: int = 0
     stopped_ns: int | None = None
@@ -87,6 +89,7 @@ class ServoHistory:
             self.want and (self.want.op, self.want.angle_cdeg, rank[self.want.number]),
             self.bound_cdeg,
             speed_age_ns(self.said_ns, now_ns, rules) if self.on else None,
+            speed_age_ns(self.edge_ns, now_ns, rules) if self.on and self.edge_ns is not None else None,
             self.owed and (self.owed, self.owed_ns - now_ns),
             self.stopped_by if self.stopped_ns == instant_ns else None,
         )
@@ -101,7 +104,7 @@ class ServoHistory:
 
     def stop(self, by: str, instant_ns: int) -> None:
         """A Stop that somebody asked for ends what was wanted."""
-        self.want = self.bound_cdeg = None
+        self.want = self.bound_cdeg = self.edge_ns = None
         self.stopped_by = (self.stopped_by if self.stopped_ns == instant_ns else frozenset()) | {by}
         self.stopped_ns = instant_ns
 

@@ -77,13 +77,16 @@ _servo_fields = _getter(
     "waiting_number",
     "target_cdeg",
     "since_ns",
+    "passing_cdeg",
     "repeats_left",
     "repeat_ns",
     "stopped_ns",
     "stopped_by",
 )
 # The last three follow from the others: `take` sees to that.
-_leg_fields = _getter(Leg, "number", "servos", "slots", "heard_ns", "expired", "source", "due_ns", "repeat_ns", "runs")
+_leg_fields = _getter(
+    Leg, "number", "servos", "slots", "heard_ns", "expired", "source", "landed_ns", "due_ns", "repeat_ns", "runs"
+)
 _slots_fields = _getter(RateSlots, "period_ns", "oldest_ns", "next_ns")
 _queue_fields = _getter(StartQueue, "pause_ns", "next_ns", "legs")
 _pending_fields = _getter(_PendingCommand, "targets", "coalesced")
@@ -176,6 +179,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
             (
                 min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
                 leg.expired,
+                legs.landing and leg.landed_ns,
                 max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
                 max(leg.slots.next_ns - now_ns, 0),
                 tuple(
@@ -183,6 +187,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, rank[servo.waiting_number]),
                         servo.target_cdeg,
+                        servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         # A bus that opens again is told to stop everything anew.
                         supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),

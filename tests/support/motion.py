@@ -1,8 +1,8 @@
 """What a judge of the supervisor demands of motion that takes time: limited speeds, and landings. See `oracle.py`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from fractions import Fraction
+from typing import Self
 
 from gateway.core.events import Transmit
 from gateway.core.landing import Landing
@@ -11,36 +11,70 @@ from gateway.core.pacing import NS_PER_S
 from gateway.protocol.frames import Op
 from tests.support.history import ServoHistory, demand
 
+Gap = Callable[[int, int, int], tuple[int, int] | None]
+"""Of a servo, and of where it goes from and to: `CalibrationHistory.gap`."""
 
-def stepped(servo: ServoHistory, servo_id: int, angle_cdeg: int, target_cdeg: int, now_ns: int, rules: Rules) -> None:
+
+def stepped(
+    servo: ServoHistory, servo_id: int, angle_cdeg: int, target_cdeg: int, now_ns: int, rules: Rules, gap: Gap
+) -> None:
     """A frame takes a servo to `angle_cdeg`, towards its target. Raise Violation where it is too far or too little."""
     speed_cdeg_s = rules.max_speed_cdeg_s.get(servo_id)
     if speed_cdeg_s is None or servo.written_cdeg is None:
         demand(angle_cdeg == target_cdeg, f"{servo_id}: the newest target is sent")
         return
-    most_cdeg = speed_cdeg_s * (now_ns - servo.said_ns) // NS_PER_S
+    slot_cdeg = -(-speed_cdeg_s * rules.period_ns // NS_PER_S)
+    most_cdeg = min(speed_cdeg_s * (now_ns - servo.said_ns) // NS_PER_S, slot_cdeg)
     gone_cdeg, way_cdeg = angle_cdeg - servo.written_cdeg, target_cdeg - servo.written_cdeg
-    demand(abs(gone_cdeg) <= most_cdeg + 1, f"{servo_id} goes no faster than its speed: {gone_cdeg}, not {most_cdeg}")
     on_its_way = gone_cdeg * way_cdeg >= 0 and abs(gone_cdeg) <= abs(way_cdeg)
     demand(on_its_way, f"{servo_id} goes towards the newest target")
-    demand(gone_cdeg == way_cdeg or abs(gone_cdeg) >= most_cdeg, f"{servo_id} goes as far as its speed allows")
+    edges = gap(servo_id, servo.written_cdeg, target_cdeg)
+    if edges is None:
+        servo.edge_ns = None
+    elif angle_cdeg == edges[0]:  # it waits there until it would be beyond
+        servo.edge_ns = servo.said_ns if servo.edge_ns is None else servo.edge_ns
+    if edges is not None and gap(servo_id, angle_cdeg, target_cdeg) is None:
+        since_ns = servo.said_ns if servo.edge_ns is None else servo.edge_ns
+        beyond_cdeg, all_cdeg = abs(angle_cdeg - edges[1]), speed_cdeg_s * (now_ns - since_ns) // NS_PER_S
+        demand(beyond_cdeg <= most_cdeg + 1, f"{servo_id} goes no faster than its speed behind the gap")
+        demand(abs(gone_cdeg) <= all_cdeg + 1, f"{servo_id} goes across the gap no faster than its speed")
+        servo.edge_ns = None
+    else:
+        what = f"{servo_id} goes no faster than its speed: {gone_cdeg}, not {most_cdeg}"
+        demand(abs(gone_cdeg) <= most_cdeg + 1, what)
+        waits = edges is not None and angle_cdeg == edges[0]
+        enough = gone_cdeg == way_cdeg or waits or abs(gone_cdeg) >= most_cdeg
+        demand(enough, f"{servo_id} goes as far as its speed allows")
     servo.bound_cdeg = None if gone_cdeg == way_cdeg else target_cdeg
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class LandingHistory:
-    """A landing: when it began and must end, and for each running servo where it was and where it goes."""
+    """A landing: when it began and must end, for each running servo where it was and where it goes, and which part of
+    its way each leg has been told: what a frame may say at most is a rate slot's more."""
 
     began_ns: int
     ends_ns: int
     ways_cdeg: Mapping[int, tuple[int, int]]
+    parts_ns: dict[int, int]
+
+    def clone(self) -> Self:
+        """A copy."""
+        return type(self)(self.began_ns, self.ends_ns, self.ways_cdeg, dict(self.parts_ns))
 
     def key(self, now_ns: int) -> tuple[object, ...]:
         """What of it still matters."""
-        return now_ns - self.began_ns, self.ends_ns - now_ns, tuple(self.ways_cdeg.items())
+        parts = tuple(sorted(self.parts_ns.items()))
+        return now_ns - self.began_ns, self.ends_ns - now_ns, tuple(self.ways_cdeg.items()), parts
 
-    def judge(self, transmit: Transmit, servos: Mapping[int, ServoHistory], now_ns: int, rules: Rules) -> None:
+    def judge(
+        self, transmit: Transmit, servos: Mapping[int, ServoHistory], now_ns: int, rules: Rules, gap: Gap
+    ) -> None:
         """A frame of a landing: running servos only, each on its straight line, or told again where it is."""
+        leg = transmit.frame.leg
+        length_ns = max(rules.period_ns, rules.landing_ns - 2 * rules.period_ns)
+        least_ns = self.parts_ns.get(leg, 0)
+        part_ns = self.parts_ns[leg] = min(now_ns - self.began_ns, least_ns + rules.period_ns, length_ns)
         for servo_id, op in transmit.frame.servos:
             servo = servos[servo_id]
             if op.op is Op.STOP:
@@ -48,12 +82,16 @@ class LandingHistory:
                 continue
             demand(servo.on and op.op is Op.SET, f"{servo_id} is started by a landing")
             first, last = self.ways_cdeg[servo_id]
-            length_ns = max(1, self.ends_ns - self.began_ns - 2 * rules.period_ns)
-            part = min(Fraction(1), Fraction(now_ns - self.began_ns, length_ns))
-            off_cdeg = abs(first + (last - first) * part - op.angle_cdeg)
-            if servo_id in rules.max_speed_cdeg_s and op.angle_cdeg != servo.written_cdeg:
-                line_cdeg = round(first + (last - first) * part)
-                stepped(servo, servo_id, op.angle_cdeg, op.angle_cdeg, now_ns, rules)
+            stood_cdeg = servo.written_cdeg or 0
+            line_cdeg = first + (last - first) * part_ns // length_ns
+            edges = gap(servo_id, stood_cdeg, last)
+            if edges is not None and min(edges) < line_cdeg < max(edges):
+                line_cdeg = edges[0]
+            off_cdeg = abs(line_cdeg - op.angle_cdeg)
+            crosses = gap(servo_id, stood_cdeg, line_cdeg) is not None
+            if servo_id in rules.max_speed_cdeg_s and (op.angle_cdeg != stood_cdeg or crosses):
+                target_cdeg = line_cdeg if crosses else op.angle_cdeg
+                stepped(servo, servo_id, op.angle_cdeg, target_cdeg, now_ns, rules, gap)
                 between = sorted((servo.written_cdeg or 0, line_cdeg))
                 demand(between[0] - 1 <= op.angle_cdeg <= between[1] + 1, f"{servo_id} follows its line")
             else:
@@ -63,5 +101,5 @@ class LandingHistory:
 
 def landing_key(landing: Landing, now_ns: int) -> tuple[object, ...]:
     """What of a supervisor's landing can still matter, relative to now."""
-    times = (at_ns - now_ns for at_ns in (landing.began_ns, landing.arrives_ns, landing.ends_ns))
+    times = (at_ns - now_ns for at_ns in (landing.began_ns, landing.ends_ns))
     return *times, tuple(landing.ways_cdeg.items())

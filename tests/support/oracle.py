@@ -226,7 +226,7 @@ class Oracle(RobotHistory):
                 ways[servo_id] = servo.written_cdeg, pose_cdeg.get(servo_id, servo.written_cdeg)
         for leg in self.legs.values():
             leg.source = None
-        self.landing = LandingHistory(now_ns, ends_ns, ways)
+        self.landing = LandingHistory(now_ns, ends_ns, ways, {})
         return True
 
     def _unasked(self, transmit: Transmit, now_ns: int) -> None:
@@ -237,7 +237,7 @@ class Oracle(RobotHistory):
         demand(self.landing is not None, "nothing moves unasked but a landing")
         self.legs[leg_of(transmit.frame.servos[0][0])].moved(now_ns, self.rules.period_ns)
         if self.landing is not None:
-            self.landing.judge(transmit, self.servos, now_ns, self.rules)
+            self.landing.judge(transmit, self.servos, now_ns, self.rules, self.calibration.gap)
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
@@ -329,7 +329,7 @@ class Oracle(RobotHistory):
             else:
                 wanted, target = (Op.SET, servo.bound_cdeg or 0) if servo.want is None else servo.want[:2]
                 demand(op.op is wanted, f"{servo_id}: the newest target is sent")
-                stepped(servo, servo_id, op.angle_cdeg, target, now_ns, self.rules)
+                stepped(servo, servo_id, op.angle_cdeg, target, now_ns, self.rules, self.calibration.gap)
             if not servo.on:
                 self.energise(leg_number, now_ns)
             servo.written_cdeg, servo.want, servo.owed, servo.said_ns = op.angle_cdeg, None, 0, now_ns

@@ -52,6 +52,7 @@ class RobotHistory:
         other.legs = {number: leg.clone() for number, leg in self.legs.items()}
         other.servos = {servo_id: servo.clone() for servo_id, servo in self.servos.items()}
         other.pending = dict(self.pending)
+        other.landing = self.landing and self.landing.clone()
         other.lease, other.calibration = self.lease.clone(), self.calibration.clone()
         return other
 

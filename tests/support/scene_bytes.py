@@ -38,7 +38,7 @@ async def _play(framing: Framing) -> Robot:
     await asyncio.sleep(0.1)
     robot.put(keys.RESET, {"estop": 1})
     robot.controller.fail_next(1)
-    robot.put(keys.leg_command(5), leg("start", 1, 2, 3))
+    robot.put(keys.leg_command(5), leg("start", 5, 6, 7))
     await asyncio.sleep(0.2)  # opened again
     robot.put(keys.servo_command(53), servo("start", 6.14))
     robot.conductor.shut_down()

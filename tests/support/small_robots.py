@@ -171,6 +171,27 @@ CONFIGURATIONS: Final = (
         calm=True,
     ),
     Configuration(
+        "one servo, angles that are never sent, and a limited speed",
+        _rules(repeats=0, avoid_cdeg=(40_00, 130_00), max_speed_cdeg_s={11: 180_00 * NS_PER_S // (8 * TICK)}),
+        (1,),
+        tuple(("servo", ((11, op),)) for op in (ServoOp(Op.START, 0), ServoOp(Op.SET, 180_00), ServoOp(Op.SET, 90_00))),
+        (TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+    ),
+    Configuration(
+        "one leg, angles that are never sent, and landing",
+        _rules(repeats=0, landing_ns=8 * TICK, landing_cdeg={11: 180_00, 12: 90_00}, avoid_cdeg=(40_00, 130_00)),
+        (1,),
+        (
+            *(("leg", ((11, ServoOp(op, angle)), (12, START))) for op, angle in ((Op.START, 0), (Op.SET, 150_00))),
+            *_ONE_SERVO[2:4],
+        ),
+        (0, TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+    ),
+    Configuration(
         "two legs, landing",
         _rules(repeats=0, landing_ns=8 * TICK, landing_cdeg={11: HIGH}),
         (1, 2),

@@ -94,6 +94,7 @@ def test_the_speed_limit_is_below_the_servos_and_never_holds_the_gait_back() -> 
     """At a steady 50 Hz each frame carries what was commanded; after a late one the lag is made up within the next."""
     speeds_cdeg_s = {int(name): round(100 * servo.max_speed_deg_s) for name, servo in SETTINGS.limits.servos.items()}
     assert 0 < max(speeds_cdeg_s.values()) / 100 < MG996R_DEG_S
+    period_ns = PERIOD_MS * NS_PER_MS
     for late_ms in (0, 10):
         at, since_ns = cdeg_at(0), 0
         for frame in range(1, FRAMES):
@@ -101,7 +102,7 @@ def test_the_speed_limit_is_below_the_servos_and_never_holds_the_gait_back() -> 
             wanted = cdeg_at(due_ms)
             now_ns = (due_ms + (late_ms if frame % 10 == 0 else 0)) * NS_PER_MS
             reached = {
-                servo_id: step(at[servo_id], wanted[servo_id], speed, since_ns, now_ns).angle_cdeg
+                servo_id: step(at[servo_id], wanted[servo_id], speed, since_ns, now_ns, period_ns).angle_cdeg
                 for servo_id, speed in speeds_cdeg_s.items()
             }
             if not late_ms or frame % 10 != 1:

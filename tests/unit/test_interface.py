@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 
 from gateway.cli import app
 from gateway.errors import ConfigError
-from gateway.settings import ServoLimits, Settings, load
+from gateway.protocol.framing import Framing
+from gateway.settings import ServoLimits, Settings, SpiSettings, load
 from schemas import keys
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand
@@ -131,6 +132,10 @@ def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -
             with pytest.raises(ConfigError, match=r"spi\.framing"):
                 load(tmp_path / "empty.toml")
             assert default == f'none; `"{load(tmp_path / "empty.toml", simulated=True).spi.framing}"` with `--sim`'
+        elif name == "spi.avoid_deg":
+            with_each = [SpiSettings(framing=framing).avoid_cdeg for framing in Framing]
+            assert with_each == [None, (1_00, 4_00)]
+            assert default == "`[1.0, 4.0]` with `length-prefixed`; `[]` with `plain`"
         else:
             assert json.loads(default.strip("`")) == json.loads(json.dumps(field.default)), name
         assert limits == ends(field), name

@@ -133,7 +133,7 @@ async def test_nothing_is_recorded_between_a_stop_and_its_frame(
     there: list[list[Any]] = []
     monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
     before = len(contents(folder))
-    robot.put(LEG_3, leg("stop") if only_stops else leg("start", 1, 1, 1))
+    robot.put(LEG_3, leg("stop") if only_stops else leg("start", 9, 9, 9))
     first = not only_stops and framing is Framing.LENGTH_PREFIXED
     assert [isinstance(found[-1], form.CommandRecord) for found in there] == [first] * len(there)
     assert {len(found) for found in there} == {before + first}

@@ -94,7 +94,7 @@ async def test_servos() -> None:
 
 
 @pytest.mark.virtual_time
-@pytest.mark.parametrize(("speed", "first_deg", "last_deg"), [(0, 100, 100), (100, 95, 100), (50, 92.5, 97.5)])
+@pytest.mark.parametrize(("speed", "first_deg", "last_deg"), [(0, 100, 100), (60, 91.2, 97.8), (50, 91, 96.5)])
 async def test_max_speed_deg_s(speed: float, first_deg: float, last_deg: float) -> None:
     robot = await started_and_quiet(limits={"servos": {"31": {"max_speed_deg_s": speed}}})
     assert robot.ask(LEG_3, START).accepted
@@ -104,6 +104,26 @@ async def test_max_speed_deg_s(speed: float, first_deg: float, last_deg: float) 
     assert robot.conductor.state().legs[2].servos[0].angle_deg == pytest.approx(first_deg, abs=0.01)
     await asyncio.sleep(0.11)
     assert robot.conductor.state().legs[2].servos[0].angle_deg == pytest.approx(last_deg, abs=0.6)
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    ("spi", "angle_deg", "accepted"),
+    [
+        ({"framing": "length-prefixed"}, 3.99, False),
+        ({"framing": "length-prefixed"}, 1, False),
+        ({"framing": "length-prefixed"}, 0.99, True),
+        ({"framing": "length-prefixed"}, 4, True),
+        ({"framing": "length-prefixed", "avoid_deg": []}, 2, True),
+        ({"framing": "length-prefixed", "avoid_deg": [0.5, 6]}, 5.99, False),
+        ({"framing": "plain"}, 2, True),
+        ({"framing": "plain", "avoid_deg": [1, 4]}, 2, False),
+    ],
+)
+async def test_avoid_deg(spi: dict[str, object], angle_deg: float, accepted: bool) -> None:
+    robot = await started_and_quiet(spi=spi)
+    ack = robot.ask(LEG_3, leg("start", 90, 90, angle_deg))
+    assert (ack.accepted, ack.reason) == (accepted, None if accepted else Reason.JOINT_LIMIT)
 
 
 @pytest.mark.virtual_time
