@@ -11,6 +11,9 @@ What it takes from that firmware (docs/protocol.md):
   at time 0 of the clock. The published firmware then still executes what has arrived, with zeros for the rest, so half
   of a ONE SERVO Start starts its servo. The controller that follows the document drops it.
 * A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
+* The firmware dies (`dead`) of a record with an id of 1 to 3, which is a null handle, and of a 65th byte in its receive
+  buffer, behind which its SPI handle lies (most builds do). It then receives nothing until somebody resets it, and its
+  servos stay as they are, energised. The controller that follows the document does not die.
 """
 
 import collections
@@ -37,6 +40,8 @@ _RECORDS_BY_LEN_AND_TYPE: Final = {  # where each servo's four bytes begin
     (ONE_LEG_LEN, ONE_LEG_TYPE): (2, 6, 10),
     (ONE_SERVO_LEN, ONE_SERVO_TYPE): (2,),
 }
+_NULL_HANDLES: Final = (1, 2, 3)
+"""Ids whose entry before the firmware's table of timers is 0. Other ids read something else past its ends."""
 _DONE: Final = {Op.START: "started at", Op.SET: "set to"}
 
 
@@ -65,6 +70,8 @@ class SimulatedController:
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         self.executed = 0
         self.corruptions: collections.Counter[str] = collections.Counter()
+        self.dead: str | None = None
+        """What it died of; it receives nothing until `reset`."""
         self._announced = framing is Framing.LENGTH_PREFIXED
         self._clock = clock
         self._sleep = sleep
@@ -161,6 +168,15 @@ class SimulatedController:
         """Let the next transfer take that long."""
         self._stall_s = duration_s
 
+    def reset(self) -> None:
+        """Somebody presses its reset button: it awaits a length, and all servos are off."""
+        self.dead = None
+        self._body.clear()
+        self._body_len = 0
+        self._move(self._clock())
+        for servo in self._servos.values():
+            servo.energised, servo.pulse_us = False, None
+
     def heal(self) -> None:
         """End all faults."""
         self._failing_transfers = 0
@@ -172,7 +188,7 @@ class SimulatedController:
 
     def _receive(self, data: bytes, now_ns: int) -> None:
         position = 0
-        while position < len(data):
+        while position < len(data) and self.dead is None:
             if self._body_len == 0:
                 self._expect(data[position], now_ns)
                 position += 1
@@ -180,6 +196,9 @@ class SimulatedController:
                 missing = self._body_len - len(self._body)
                 self._body += data[position : position + missing]
                 position += missing
+                if self._announced and len(self._body) > _RECEIVE_BUFFER_LEN:
+                    self._die(f"{len(self._body)} bytes in a buffer of {_RECEIVE_BUFFER_LEN} overwrote its SPI handle")
+                    return
             if 0 < self._body_len == len(self._body):
                 self._interpret(now_ns)
 
@@ -193,7 +212,7 @@ class SimulatedController:
         self._give_up_ns = (tick + RECEIVE_TIMEOUT_TICKS) * TICK_NS - self._tick_phase_ns
 
     def _expire_receive(self, now_ns: int) -> None:
-        if self._body_len == 0 or now_ns < self._give_up_ns:
+        if self._body_len == 0 or now_ns < self._give_up_ns or self.dead is not None:
             return
         if self._announced:
             self._body += bytes(self._body_len - len(self._body))
@@ -210,7 +229,11 @@ class SimulatedController:
         if records is None:
             return
         self._move(now_ns)
-        changes = [self._drive(*body[start : start + 4]) for start in records]
+        changes = []
+        for start in records:
+            changes.append(self._drive(*body[start : start + 4]))
+            if self.dead is not None:
+                return
         self.executed += 1
         if self._on_change is not None:
             self._on_change("; ".join(changes))
@@ -222,6 +245,8 @@ class SimulatedController:
         if index >= len(SERVO_IDS):
             what = f"servo id {servo_id} indexed entry {index} of a servo table of {len(SERVO_IDS)}"
             self.corruptions[what] += 1
+            if self._announced and servo_id in _NULL_HANDLES:
+                self._die(f"servo id {servo_id} with operation {op} is a null handle")
             return what
         driven_id = SERVO_IDS[index]
         if driven_id != servo_id:
@@ -235,6 +260,11 @@ class SimulatedController:
         servo.pulse_us = pulse_us(whole_deg, hundredths)
         change = f"servo {driven_id} {_DONE[Op(op)]} {whole_deg + hundredths / 100:.2f}°, {servo.pulse_us} µs"
         return change if servo.energised else f"{change}, and stays off"
+
+    def _die(self, why: str) -> None:
+        self.dead = why
+        if self._on_change is not None:
+            self._on_change(f"the controller is dead until it is reset: {why}")
 
     def _move(self, now_ns: int) -> None:
         reach_deg = MAX_SPEED_DEG_S * (now_ns - self._moved_ns) / 1e9

@@ -1,4 +1,4 @@
-"""python -m tests.deaf [--every N]: every byte of a minute lost once, every gap stretched; some minutes each."""
+"""python -m tests.deaf [--every N]: each byte of a minute lost once, doubled once, each gap stretched; minutes each."""
 
 import argparse
 import logging
@@ -12,21 +12,27 @@ PHASES_NS = (0, 437_000)
 
 
 def main() -> int:
-    """Print the figures; 1 where a Stop was missed together with its first repeat, or a servo left on."""
+    """Print the figures; 1 where a lost byte or a stall cost a Stop with its first repeat, or the controller.
+
+    A doubled byte may cost both (docs/deaf.md).
+    """
     parser = argparse.ArgumentParser(description="Lost bytes and stalls, on the simulated controller.")
     parser.add_argument("--every", type=int, default=1, help="one fault in so many (default: all)")
-    parser.add_argument("--only", choices=("bytes", "gaps"))
+    parser.add_argument("--only", choices=("bytes", "doubled", "gaps"))
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)  # what a stalled gateway says is not what is looked for
     begun_s, bad = time.monotonic(), False
     log = recorded()
     print(f"{len(log)} transfers, {sum(len(each.data) for each in log)} bytes in a minute")
     for phase_ns in PHASES_NS:
-        if options.only != "gaps":
+        if options.only in (None, "bytes"):
             lost = lose_bytes(log, every=options.every, tick_phase_ns=phase_ns)
-            bad |= bool(lost.stops_after_repeat)
+            bad |= bool(lost.stops_after_repeat or lost.dead)
             print(f"bytes lost, ticks at {phase_ns} ns: {lost.text}", flush=True)
-        if options.only != "bytes":
+        if options.only in (None, "doubled"):
+            doubled = lose_bytes(log, every=options.every, tick_phase_ns=phase_ns, doubled=True)
+            print(f"bytes doubled, ticks at {phase_ns} ns: {doubled.text}", flush=True)
+        if options.only in (None, "gaps"):
             in_pause = phase_ns > 0
             where = "in the bus's pauses" if in_pause else "just before the first bit"
             for stall_ms, stalled in stretch_gaps(

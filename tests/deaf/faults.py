@@ -1,6 +1,7 @@
 """Each byte of a minute lost once, each gap stretched once: what becomes of it on the simulated controller."""
 
 import copy
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ END_NS = BEGIN_NS + 60_500 * MS
 AFTER_NS = 2_000 * MS
 """How long a scene is watched after a stall: twice what a stream may take."""
 STALLS_MS = (900, 1100, 3000)
+_SOME_BYTES = re.compile(r"^\d+ bytes in ")
 
 
 @dataclass(slots=True)
@@ -34,6 +36,8 @@ class Tally:
     deaf_ms: float = 0.0
     deaf_longest: str = ""
     corruptions: int = 0
+    dead: Counter[str] = field(default_factory=Counter)
+    """What the controller died of, and how often."""
     unasked: Counter[str] = field(default_factory=Counter)
     unasked_ms: dict[str, list[float]] = field(default_factory=dict)
 
@@ -59,7 +63,7 @@ class Tally:
             f"  frames missed {self.missed} (at most {self.most_missed} of a fault),"
             f" of them first Stops {self.missed_first_stops}, repeated Stops {len(self.stops_after_repeat)}",
             f"  longest deaf {self.deaf_ms:.0f} ms ({self.deaf_longest}); servos left on {len(self.left_on)};"
-            f" corruptions {self.corruptions}",
+            f" corruptions {self.corruptions}; controllers dead {self.dead.total()}",
         ]
         for what, count in sorted(self.unasked.items()):
             times_ms = sorted(self.unasked_ms[what])
@@ -67,6 +71,7 @@ class Tally:
                 f"  {what}: {count} faults, {len(times_ms)} servos,"
                 f" for {times_ms[len(times_ms) // 2]:.0f} ms (median), {times_ms[-1]:.0f} ms (longest)"
             )
+        lines += [f"  dead: {why}, {count} faults" for why, count in self.dead.most_common(5)]
         return "\n".join([*lines, *self.stops_after_repeat[:5], *self.left_on[:5]])
 
 
@@ -84,8 +89,10 @@ def recorded() -> list[Written]:
     return scene.log
 
 
-def lose_bytes(log: list[Written], *, every: int = 1, first: int = 0, tick_phase_ns: int = 0) -> Tally:
-    """Lose each byte once; with `every`, one in so many."""
+def lose_bytes(
+    log: list[Written], *, every: int = 1, first: int = 0, tick_phase_ns: int = 0, doubled: bool = False
+) -> Tally:
+    """Lose each byte once, or double it; with `every`, one in so many."""
     clock, tally = _Clock(), Tally()
     controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
     watcher = Watcher(controller)
@@ -100,9 +107,16 @@ def lose_bytes(log: list[Written], *, every: int = 1, first: int = 0, tick_phase
             controller.transfers.clear()
             faulty: Watcher = copy.deepcopy(watcher, {id(clock): clock})
             faulty.fault_ns = written.at_ns
-            _play_on(log, index, position, states, clock, faulty)
+            spoilt = written.data[: position + doubled] + written.data[position + (not doubled) :]
+            _play_on(log, index, spoilt, states, clock, faulty)
+            if faulty.controller.dead is not None:
+                tally.dead[_SOME_BYTES.sub("", faulty.controller.dead)] += 1
             tally.corruptions += faulty.controller.corruptions.total()
-            tally.add(f"byte {position} of [{written.data.hex()}], transfer {index}", _place(written.data), faulty)
+            tally.add(
+                f"byte {position} of [{written.data.hex()}], transfer {index}",
+                _place(written.data, doubled=doubled),
+                faulty,
+            )
             clock.now_ns = written.at_ns
         controller.transfer(written.data)
         watcher.saw(written.at_ns, written.data, repeat=written.repeat)
@@ -110,8 +124,9 @@ def lose_bytes(log: list[Written], *, every: int = 1, first: int = 0, tick_phase
     return tally
 
 
-def _place(data: bytes) -> str:
-    return "a zero lost" if data == ZERO else "an announcement lost" if len(data) == 1 else "half a body"
+def _place(data: bytes, *, doubled: bool) -> str:
+    fault = "doubled" if doubled else "lost"
+    return f"a zero {fault}" if data == ZERO else f"an announcement {fault}" if len(data) == 1 else f"of a body {fault}"
 
 
 def _states(log: list[Written], clock: _Clock, controller: SimulatedController) -> list[State]:
@@ -126,14 +141,16 @@ def _states(log: list[Written], clock: _Clock, controller: SimulatedController) 
 
 
 def _play_on(
-    log: list[Written], index: int, position: int, states: list[State], clock: _Clock, watcher: Watcher
+    log: list[Written], index: int, spoilt: bytes, states: list[State], clock: _Clock, watcher: Watcher
 ) -> None:
-    """Play the rest with that byte lost, until nothing is left of the fault."""
+    """Play the rest with that transfer spoilt, until nothing is left of the fault, or of the controller."""
     controller = watcher.controller
     for place in range(index, len(log)):
         at_ns, data, repeat = log[place]
         clock.now_ns = at_ns
-        controller.transfer(data if place > index else data[:position] + data[position + 1 :])
+        controller.transfer(data if place > index else spoilt)
+        if controller.dead is not None:
+            break
         watcher.saw(at_ns, data, repeat=repeat)
         if len(data) > 1 and not controller.missing and not watcher.astray and pulses(controller) == states[place]:
             break

@@ -40,7 +40,7 @@ def _put(at_ms: float, key: str, payload: dict[str, Any]) -> Message:
 def _angles(leg: int, at_ms: float) -> list[float]:
     """A gait: each joint swings, to the hundredth of a degree, so that many values come on the wire."""
     phase = at_ms / 800 * 2 * math.pi + leg * math.pi / 3
-    return [round(90 + swing * math.sin(phase + joint), 2) for joint, swing in enumerate((25.3, 40.7, 88.9))]
+    return [round(90 + swing * math.sin(phase + joint), 2) for joint, swing in enumerate((25.3, 40.7, 85.9))]
 
 
 def _leg(op: str, leg: int, at_ms: float) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def _three_legs(begin_ms: int, end_ms: int, chance: random.Random) -> Iterator[M
         if count % 5 == 0:
             servo = chance.choice((41, 42, 43))
             op = chance.choice(("start", "start", "set", "stop"))
-            more = {} if op == "stop" else {"angle_deg": round(chance.uniform(0, 180), 2)}
+            more = {} if op == "stop" else {"angle_deg": round(chance.uniform(4, 180), 2)}
             yield _put(at_ms + 1, keys.servo_command(servo), {"op": op, **more})
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
@@ -331,6 +331,49 @@ def test_an_id_that_is_none_may_drive_another_servo(bench: Bench, servo_id: int,
     assert bench.controller.energised == {driven_id}
 
 
+@pytest.mark.parametrize("servo_id", [1, 2, 3])
+@pytest.mark.parametrize("op", [1, 2, 3])
+def test_ids_of_1_to_3_kill_the_published_firmware_until_it_is_reset(prefixed: Bench, servo_id: int, op: int) -> None:
+    prefixed.send(START_LEG_1)
+    prefixed.send(bytes((6, 2, servo_id, op, 90, 0)))
+    assert prefixed.controller.dead == f"servo id {servo_id} with operation {op} is a null handle"
+    prefixed.now_ns += 2_000 * MS
+    prefixed.send(bytes((14, 1, 11, 2, 0, 0, 12, 2, 0, 0, 13, 2, 0, 0)))
+    assert prefixed.controller.energised == {11, 12, 13}, "nothing stops it any more"
+    prefixed.controller.reset()
+    assert prefixed.controller.energised == set()
+    prefixed.send(START_LEG_1)
+    assert prefixed.controller.energised == {11, 12, 13}
+
+
+@pytest.mark.parametrize(("servo_id", "op"), [(1, 0), (2, 4), (3, 14), (0, 1), (4, 1), (9, 3)])
+def test_other_ids_and_operations_do_not(prefixed: Bench, servo_id: int, op: int) -> None:
+    prefixed.send(bytes((6, 2, servo_id, op, 90, 0)))
+    assert prefixed.controller.dead is None
+
+
+def test_a_controller_after_the_document_does_not_die(plain: Bench) -> None:
+    plain.send(bytes((6, 2, 1, 1, 90, 0)))
+    assert plain.controller.dead is None
+
+
+def test_it_dies_of_the_65th_byte_of_a_body_and_not_of_its_announcement(prefixed: Bench) -> None:
+    """Two bare frames announce 90 bytes, which its timeout still ends; fifteen are too many."""
+    prefixed.transfer(bytes((90,)))
+    prefixed.transfer(bytes(64))
+    assert prefixed.controller.dead is None
+    prefixed.transfer(b"\0")
+    assert prefixed.controller.dead == "65 bytes in a buffer of 64 overwrote its SPI handle"
+
+
+def test_its_timeout_ends_a_long_body_that_is_not_there_yet(prefixed: Bench) -> None:
+    prefixed.transfer(bytes((90,)))
+    prefixed.transfer(bytes(64))
+    prefixed.now_ns += 1_000 * MS
+    prefixed.send(START_LEG_1)
+    assert prefixed.controller.energised == {11, 12, 13}
+
+
 def test_an_unknown_operation_touches_nothing(bench: Bench) -> None:
     bench.send(bytes((6, 2, 0, 4, 90, 0)))
     assert bench.said == ["operation 4 ignored"]
@@ -362,6 +405,7 @@ def test_a_second_of_silence_brings_any_controller_back_in_step(
     for pause_ms, data in sent:
         bench.now_ns += pause_ms * MS
         bench.transfer(data)
+    assume(bench.controller.dead is None)
     bench.now_ns += 1_000 * MS
     bench.send(START_LEG_1)
     assert bench.controller.energised >= {11, 12, 13}

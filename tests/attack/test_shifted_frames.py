@@ -1,0 +1,61 @@
+"""A byte that is lost or doubled in any legal frame: does the published firmware die of it?"""
+
+import pytest
+
+from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp
+from gateway.protocol.framing import Framing
+from gateway.spi.simulator import SimulatedController
+from tests.deaf.shifts import BUFFER_LEN, KILLS, faults, lost_and_doubled, neighbours, worst
+
+AVOID = Framing.LENGTH_PREFIXED.avoid_cdeg
+ALL_FAULTS = [(servos, what, stream) for servos in (1, 3) for what, stream in faults(servos)]
+
+
+def test_no_legal_frame_with_one_byte_lost_or_doubled_has_an_id_that_kills() -> None:
+    assert AVOID == (1_00, 4_00)
+    found = {what: worst(stream, AVOID).killing for _, what, stream in ALL_FAULTS}
+    assert len(ALL_FAULTS) == 2 * (7 + 15)
+    assert not any(found.values()), found
+
+
+def test_neither_has_any_traffic_behind_it_wherever_the_firmware_begins_to_read() -> None:
+    """A record's id and operation are neighbours on the wire; no two neighbours are both 1 to 3."""
+    assert not [pairs for pairs in neighbours(AVOID) if any(KILLS.issuperset(pair) for pair in pairs)]
+
+
+def test_what_remains_is_a_doubled_byte_that_pushes_out_hundredths_of_65_to_99() -> None:
+    lengths = {what: worst(stream, AVOID).lengths for _, what, stream in ALL_FAULTS}
+    assert all(lengths[what] == frozenset(range(100)) for what in lengths if what.endswith("doubled"))
+    assert not any(lengths[what] for what in lengths if what.endswith("lost"))
+    assert max(range(100)) > BUFFER_LEN
+
+
+@pytest.mark.parametrize(
+    ("avoid_cdeg", "deadly"), [(None, True), ((1_00, 3_00), True), ((1_01, 4_00), True), ((1_00, 4_00), False)]
+)
+def test_without_the_limit_or_with_a_narrower_one_it_does(avoid_cdeg: tuple[int, int] | None, deadly: bool) -> None:
+    """So the search finds what there is, and the interval is no wider than it must be."""
+    found = [what for _, what, stream in ALL_FAULTS if worst(stream, avoid_cdeg).killing]
+    assert bool(found) is deadly
+    assert not [what for what in found if what.endswith("doubled")]
+
+
+@pytest.mark.parametrize("whole_deg", [0, 1, 2, 3, 4, 90])
+@pytest.mark.parametrize("op", [Op.START, Op.SET])
+def test_the_simulated_controller_dies_of_what_the_rule_says(op: Op, whole_deg: int) -> None:
+    """Of each frame with such an angle, each byte lost and doubled, and the next frame behind it."""
+    command, other = ServoOp(op, 100 * whole_deg + 50), ServoOp(Op.SET, 90_00)
+    frames: list[OneLeg | OneServo] = [
+        OneServo(32, command),
+        OneLeg(3, (command, other, other)),
+        OneLeg(3, (other, other, command)),
+    ]
+    for frame in frames:
+        died = set()
+        for what, data in lost_and_doubled(frame):
+            controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: 0)
+            controller.transfer(data)
+            controller.transfer(b"\x0e")
+            if controller.dead is not None:
+                died.add(what)
+        assert bool(died) is (whole_deg in KILLS), (frame, died)
