@@ -319,6 +319,11 @@ def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
+def without_secrets(text: str) -> str:
+    """The sender's own text without what may be the token of a lease."""
+    return _SECRET.sub("(hex digits)", text)
+
+
 def _name(name: str) -> str:
     """A short, plain name as it is; any other quoted."""
     return name if _PLAIN_NAME.fullmatch(name) and not _SECRET.search(name) else _echo(name)
@@ -329,5 +334,5 @@ def _echo(value: object) -> str:
     if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
         # Thousands of digits take long to write out.
         return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
-    text = _SECRET.sub("(hex digits)", json.dumps(value))
+    text = without_secrets(json.dumps(value))
     return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

@@ -106,6 +106,7 @@ def read(path: Path, most: int = MAX_SLOTS) -> Content:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_BYTES:
             raise NoRingError(f"{path}: it is no black box")
+        _check_owner(found, path)
         written = written_by_anyone(fd)  # first: a gateway that ends meanwhile has written all
         with os.fdopen(fd, "rb", closefd=False) as file:
             data = file.read(found.st_size)
@@ -118,6 +119,13 @@ def read(path: Path, most: int = MAX_SLOTS) -> Content:
     except form.DamagedError as error:
         raise NoRingError(f"{path}: {error}") from error
     return Content(records, damaged, missing, written)
+
+
+def _check_owner(found: os.stat_result, path: Path) -> None:
+    """In a folder such as /dev/shm anybody may have put the file where the link in ours leads. Raises NoRingError."""
+    trusted = (path.lstat().st_uid, os.geteuid(), 0)
+    if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
 
 
 def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:

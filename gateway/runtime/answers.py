@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 from gateway.core.events import Completed, Transmit
-from gateway.core.intents import MAX_KEY
+from gateway.core.intents import echo_of
 from gateway.core.message import Reply
 from gateway.recorder.recorder import Recorder
 from gateway.runtime.metrics import Metrics
@@ -66,7 +66,7 @@ class Answers:
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Tell of a message that is rejected without being taken: on a key that nothing reads, or about the lease."""
-        self.reject(key[:MAX_KEY], source, None, reason, detail)
+        self.reject(echo_of(key), source, None, reason, detail)
 
     def reject(
         self,

@@ -31,7 +31,7 @@ from gateway.core.events import (
     Transmit,
 )
 from gateway.core.intake import Intent, Rejection
-from gateway.core.intents import MAX_KEY, intent_of
+from gateway.core.intents import echo_of, intent_of
 from gateway.core.losses import DETAIL, Losses
 from gateway.core.message import Outbox, Received, Reply, Verb
 from gateway.core.staleness import Staleness
@@ -201,7 +201,7 @@ class Conductor:
         intent = intent_of(received)
         if isinstance(intent, Rejection):
             self.answers.reject(
-                received.expression[:MAX_KEY], received.source, received.reply, intent.reason, intent.detail
+                echo_of(received.expression), received.source, received.reply, intent.reason, intent.detail
             )
             return
         source = intent.source or received.source

@@ -3,7 +3,6 @@
 import logging
 import os
 import signal
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -121,8 +120,8 @@ def _find(folder: Path) -> list[_Found]:
     except reader.NoRingError as error:
         if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
             raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
-        if not found and not isinstance(error.__cause__, FileNotFoundError):
-            sys.stderr.write(f"hexapod-gateway: {error}\n")
+        if not isinstance(error.__cause__, FileNotFoundError):
+            hint(f"hexapod-gateway: {error}")
         return list(found.values())
     for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
         path = found[incident.name].path if incident.name in found else None

@@ -72,7 +72,7 @@ CONDUCTOR = Subject(
             "what a deadline stops is started by what the same tick had taken",
         ),
         Mutant(
-            "received.expression[:MAX_KEY]", "received.expression", "an event repeats what a stranger sent, at length"
+            "echo_of(received.expression)", "received.expression", "an event repeats what a stranger sent, at length"
         ),
         Mutant(
             "source = intent.source or received.source",

@@ -35,9 +35,7 @@ INTAKE = Subject(
         ),
         Mutant("+ (intent.estop is not None)", "+ 1", "a reset may give a name twice"),
         Mutant("fields += intent.lease is not None", "fields += 1", "a name given twice passes where no lease is"),
-        Mutant(
-            '_SECRET.sub("(hex digits)", json.dumps(value))', "json.dumps(value)", "an event shows a misplaced token"
-        ),
+        Mutant("without_secrets(json.dumps(value))", "json.dumps(value)", "an event shows a misplaced token"),
         Mutant('if where == "lease" and', 'if where == "leash" and', "an event shows most of a token"),
         Mutant("and not _SECRET.search(name)", "", "an event shows a token that stands where a name should"),
         Mutant(

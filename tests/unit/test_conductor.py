@@ -388,3 +388,17 @@ async def test_an_answer_that_cannot_be_sent_harms_nobody() -> None:
     robot: Robot = await started_and_quiet()
     robot.put(LEG_3, leg("start", 1, 2, 3), verb=Verb.GET, reply=lambda _: None)
     assert robot.controller.energised == {31, 32, 33}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    "key", ["hexapod/leg/{}/cmd", "hexapod/{}/cmd", "hexapod/" + "x" * 86 + "{}/cmd", "{0}/{0}/cmd"]
+)
+async def test_a_rejection_repeats_no_token_that_stands_in_a_key(key: str) -> None:
+    robot = Robot()
+    token = "0123456789abcdef" * 2
+    ack = robot.ask(key.format(token), {})
+    robot.conductor.answers.reject_unread(key.format(token), None, "nothing reads this key")
+    rejections = robot.events(Kind.COMMAND_REJECTED)
+    assert len(rejections) == 2
+    assert not any(token in report.model_dump_json() for report in (ack, *rejections))
