@@ -64,19 +64,20 @@ class Keeper:
         self._due_ns = min(open_until, default=None)
         cut_ns, self._from_ns = self._from_ns, min(content.records.times_ns[:1], default=0)
         further_back = self._from_ns < cut_ns
+        names = [each.name for each in found]
         made = [
-            self._keep(each, content, anew=further_back and each.begin_ns < cut_ns)
-            for each in found
+            self._keep(each, content, names[place:], anew=further_back and each.begin_ns < cut_ns)
+            for place, each in enumerate(found, 1)
             if each.whole or not whole_only
         ]
         return [path for path in made if path is not None]
 
-    def _keep(self, incident: Incident, content: reader.Content, *, anew: bool) -> Path | None:
+    def _keep(self, incident: Incident, content: reader.Content, later: list[str], *, anew: bool) -> Path | None:
         if kept.is_kept(self._folder, incident) and not anew:
             return None
         again = kept.path_of(self._folder, incident).exists()
         try:
-            path = kept.keep(self._folder, incident, content.records)
+            path = kept.keep(self._folder, incident, content.records, later, over=self._clock() > incident.end_ns)
             kept.prune(self._folder)
         except OSError as error:
             if incident.name not in self._failed:

@@ -1,6 +1,11 @@
-"""The folder of incidents: one MCAP file each, written whole or not at all, the newest ones kept."""
+"""The folder of incidents: one MCAP file each, written whole or not at all, the newest ones kept.
+
+Which is the newest stands in a file of its own, `order`: a Raspberry Pi has no clock that goes on while it is off, so
+what happened later may have an earlier time, in its name and as its file's time.
+"""
 
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -21,6 +26,10 @@ MAX_FILES: Final = 100
 MAX_BYTES: Final = 200_000_000
 SUFFIX: Final = ".mcap"
 _UNFINISHED: Final = ".new"
+_ORDER: Final = "order"
+"""A line for each incident, oldest first: its id, and whether its file was written after the incident's end."""
+_MAX_ORDER_BYTES: Final = 64 * 1024
+_OVER, _OPEN = "over", "open"
 
 
 _CHANNELS: Final[dict[str, type[BaseModel]]] = {
@@ -45,14 +54,15 @@ class Kept(NamedTuple):
 
 
 def kept(folder: Path) -> list[Kept]:
-    """The incidents in a folder, oldest first."""
+    """The incidents in a folder, in the order in which they happened."""
     found = []
     with suppress(OSError):
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             if is_id(path.stem):
                 with suppress(OSError):
                     found.append(Kept(path.stem, path, path.stat().st_size))
-    return found
+    places = {name: place for place, name in enumerate(_order(folder), 1)}
+    return sorted(found, key=lambda each: places.get(each.name, 0))  # of an earlier version: before all, by their time
 
 
 def path_of(folder: Path, incident: Incident) -> Path:
@@ -74,8 +84,11 @@ def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) 
                 recording.add(message.topic, message.content, message.time_ns)
 
 
-def keep(folder: Path, incident: Incident, records: Records) -> Path:
-    """Write an incident into the folder; it is there whole, or as it was. Raises OSError."""
+def keep(folder: Path, incident: Incident, records: Records, later: Sequence[str] = (), *, over: bool = True) -> Path:
+    """Write an incident into the folder; it is there whole, or as it was. Raises OSError.
+
+    `later`: the ids of those that happened after it; `over`: whether all its time is over.
+    """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     path = path_of(folder, incident)
     unfinished = path.with_suffix(_UNFINISHED)
@@ -84,6 +97,7 @@ def keep(folder: Path, incident: Incident, records: Records) -> Path:
         write(unfinished, incident, records, overwrite=False)
         _sync(unfinished)
         unfinished.replace(path)
+        _note(folder, incident.name, later, _OVER if over else _OPEN)
         _sync(folder)
     except BaseException:
         unfinished.unlink(missing_ok=True)
@@ -97,6 +111,9 @@ def is_kept(folder: Path, incident: Incident) -> bool:
         written_ns = path_of(folder, incident).stat().st_mtime_ns
     except OSError:
         return False
+    noted = _order(folder).get(incident.name)
+    if noted is not None:
+        return not incident.whole or noted == _OVER
     return not incident.whole or written_ns > incident.end_ns + incident.wall_offset_ns
 
 
@@ -107,6 +124,33 @@ def prune(folder: Path) -> None:
         files, size = files + 1, size + each.size
         if files > MAX_FILES or size > MAX_BYTES:
             each.path.unlink()
+
+
+def _order(folder: Path) -> dict[str, str]:
+    """The ids of incidents in the order in which they happened, and of each whether it was over when it was written."""
+    try:
+        with (folder / _ORDER).open(encoding="ascii", errors="replace") as file:
+            lines = file.read(_MAX_ORDER_BYTES).splitlines()
+    except OSError:
+        return {}
+    found = (line.partition(" ") for line in lines)
+    return {name: state for name, _, state in found if is_id(name)}
+
+
+def _note(folder: Path, incident: str, later: Sequence[str], state: str) -> None:
+    """Note an incident's place: where it was, else before the first of `later`, else at the end. Raises OSError."""
+    order = [(name, was) for name, was in _order(folder).items() if (folder / f"{name}{SUFFIX}").exists()]
+    names = [name for name, _ in order]
+    if incident in names:
+        place = names.index(incident)
+        del order[place]
+    else:
+        place = next((place for place, name in enumerate(names) if name in later), len(names))
+    order.insert(place, (incident, state))
+    new = folder / f"{_ORDER}{_UNFINISHED}"
+    new.write_text("".join(" ".join(line) + "\n" for line in order), encoding="ascii")
+    _sync(new)
+    new.replace(folder / _ORDER)
 
 
 def _sync(path: Path) -> None:

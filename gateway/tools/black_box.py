@@ -113,7 +113,7 @@ def _folder(settings: Settings) -> Path:
 
 
 def _find(folder: Path) -> list[_Found]:
-    """All incidents, oldest first."""
+    """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
     found = {each.name: _Found(each.name, each.path, None, None) for each in kept.kept(folder / place.INCIDENTS)}
     try:
         content = reader.read(folder / place.RING)
@@ -124,10 +124,12 @@ def _find(folder: Path) -> list[_Found]:
             hint(f"hexapod-gateway: {error}")
         return list(found.values())
     for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
-        path = found[incident.name].path if incident.name in found else None
-        if path is None or not kept.is_kept(folder / place.INCIDENTS, incident):
-            found[incident.name] = _Found(incident.name, path, incident, content)
-    return [found[name] for name in sorted(found)]
+        before = found.pop(incident.name, None)  # what is in the ring is newer than what is there no more
+        if before is None or not kept.is_kept(folder / place.INCIDENTS, incident):
+            path = None if before is None else before.path
+            before = _Found(incident.name, path, incident, content)
+        found[incident.name] = before
+    return list(found.values())
 
 
 def _one(settings: Settings, name: str) -> _Found:
