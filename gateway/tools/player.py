@@ -10,6 +10,8 @@ import gc
 import sys
 import threading
 import time
+from array import array
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, Final
@@ -22,7 +24,8 @@ from gateway.client import Client
 from gateway.client.lease import NOT_OURS
 from gateway.errors import ConfigError, GatewayError, RejectedError, StoppedError
 from gateway.host.realtime import prefer_all_threads, prefer_thread
-from gateway.recordings.replaying import NS_PER_MS, Plan, Sent, Step, Written
+from gateway.recordings.comparing import NS_PER_MS, Frames, Sent, Written
+from gateway.recordings.replaying import Expected, Plan, Step
 from gateway.tools.ending import on_end_signals
 from schemas.keys import EVENT, FRAME
 from schemas.telemetry import Cause, Event, FrameRecord, Kind
@@ -40,8 +43,10 @@ LAST_NS: Final = 100 * NS_PER_MS
 replay had failed; it takes milliseconds to be read, and at the default rate 20 ms to its rate slot."""
 NO_FRAMES_NS: Final = 2000 * NS_PER_MS
 """A gateway that publishes frames has published one by then."""
+MOST_AHEAD: Final = 100
+"""Steps that are read before their time: two seconds of a gait. A chunk of the file takes 2 ms."""
 FREE_NS: Final = 2 * NS_PER_MS
-"""Before the next command there must be so much time for a frame to be looked at, which takes 20 µs."""
+"""Before the next command there must be so much time for a frame to be looked at, which takes 20 µs, or for a step."""
 MOST_UNREAD: Final = 65536
 """Frames that nobody has looked at yet: minutes of them."""
 PROGRESS_S: Final = 0.5
@@ -55,22 +60,38 @@ class Player:
     """Sends the steps in their time, hears what comes of it, and leaves all legs stopped."""
 
     def __init__(
-        self, client: Client, recorded: Plan, speed: float, *, needs_frames: bool, on_time: bool = False
+        self,
+        client: Client,
+        recorded: Plan,
+        steps: Iterator[Step],
+        speed: float,
+        *,
+        expected: Expected | None,
+        on_time: bool = False,
     ) -> None:
-        """`on_time`: real-time priority, where it is granted; not where a real robot's Stop could wait for it."""
+        """`recorded` says what `steps` come to. They are read while others are sent, and `expected` grows with them.
+
+        `on_time`: real-time priority, where it is granted; not where a real robot's Stop could wait for it.
+        """
         self._client = client
         self._plan = recorded
+        self._steps = steps
+        self._ahead: deque[Step] = deque()
         self._speed = speed
-        self._needs_frames = needs_frames
+        self._expected = expected
+        self._needs_frames = expected is not None
         self._on_time = on_time
         self._ended: Exception | None = None
         self._wake = threading.Event()
         self._over = threading.Event()
         self._frames: Any = None
         self._begun_ns = 0
-        self.written: list[Written] = []
-        self.sent: list[Sent] = []
-        """Of each step, by the recording's clock."""
+        self.written = Frames()
+        self.sent = Sent()
+        self.late_ns = array("q")
+        """Of each step, how long after its time it was handed to Zenoh."""
+        self.slipped_ns = 0
+        """By how much all that is still to come is later than in the recording."""
 
     def run(self, lease: Mapping[str, str]) -> None:
         """Commands carry the `lease` that this user has acquired beforehand.
@@ -98,32 +119,33 @@ class Player:
         try:
             if self._on_time:
                 prefer_thread(PRIORITY)
-            slipped_ns = self._play(lease)
-            if slipped_ns is not None and not self._needs_frames:
+            if not self._play(lease):
+                return
+            if self._expected is None:
                 self._wait_until(time.monotonic_ns() + LAST_NS)
-            elif slipped_ns is not None:
-                last_ns = self._plan.expected[-1].at_ns + slipped_ns
-                self._wait_until(self._begun_ns + last_ns + round(AFTERWARDS_S * 1e9))
-                while self._look_at_a_frame():
-                    pass
+                return
+            last_ns = self._expected.frames.at_ns[-1] + self.slipped_ns
+            self._wait_until(self._begun_ns + last_ns + round(AFTERWARDS_S * 1e9))
+            while self._look_at_a_frame():
+                pass
         except GatewayError as error:
             self._end(error)
         finally:
             self._over.set()
 
-    def _play(self, lease: Mapping[str, str]) -> int | None:
-        """By how much all was later in the end; None: something has ended it."""
-        slipped_ns = 0
-        for step in self._plan.steps:
-            due_ns = self._begun_ns + slipped_ns + round(step.at_ns / self._speed)
+    def _play(self, lease: Mapping[str, str]) -> bool:
+        """False: something has ended it."""
+        while self._ahead or self._read_a_step():
+            step = self._ahead.popleft()
+            due_ns = self._begun_ns + self.slipped_ns + round(step.at_ns / self._speed)
             if not self._wait_until(due_ns):
-                return None
+                return False
             late_ns = time.monotonic_ns() - due_ns
             if late_ns > LATE_NS:
                 self._end(StoppedError(f"this machine fell {late_ns / 1e6:.0f} ms behind; all legs are stopped", ()))
-                return None
+                return False
             if late_ns > SLIP_NS:
-                slipped_ns += late_ns
+                self.slipped_ns += late_ns
             self._publish(step, lease)
             if self._needs_frames and not self.written and due_ns - self._begun_ns > NO_FRAMES_NS:
                 self._end(
@@ -132,17 +154,26 @@ class Player:
                         "HEXAPOD_TELEMETRY__FRAMES=true"
                     )
                 )
-        return slipped_ns
+        return True
+
+    def _read_a_step(self) -> bool:
+        """Read one more of those to come; False: there is none, or enough of them are read."""
+        step = next(self._steps, None) if len(self._ahead) < MOST_AHEAD else None
+        if step is not None:
+            self._ahead.append(step)
+        return step is not None
 
     def _publish(self, step: Step, lease: Mapping[str, str]) -> None:
         payload = {**step.payload(), **lease}
         begun_ns = time.monotonic_ns() - self._begun_ns
         self._client.publish(step.key, payload)
-        self.sent.append(Sent(begun_ns, time.monotonic_ns() - self._begun_ns))
+        done_ns = time.monotonic_ns() - self._begun_ns
+        self.sent.append(begun_ns, done_ns)
+        self.late_ns.append(done_ns - step.at_ns)
 
     def _wait_until(self, due_ns: int) -> bool:
         """Look at the frames that were heard meanwhile. False: something has ended it."""
-        while (left_ns := due_ns - time.monotonic_ns()) > FREE_NS and self._look_at_a_frame():
+        while due_ns - time.monotonic_ns() > FREE_NS and (self._look_at_a_frame() or self._read_a_step()):
             pass
         while (left_ns := due_ns - time.monotonic_ns()) > 0:
             if self._wake.wait(left_ns / 1e9):

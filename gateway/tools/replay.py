@@ -1,20 +1,23 @@
 """`replay`: the frames of a recording as commands again, in their time; and whether the gateway writes the same."""
 
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from gateway.core.calibration import Calibration
 from gateway.core.calibration_report import calibration_of
 from gateway.errors import ConfigError, LeaseError
 from gateway.recordings import Losses, read
-from gateway.recordings.replaying import NS_PER_MS, Plan, compare, plan
+from gateway.recordings.comparing import NS_PER_MS, Frames, compare
+from gateway.recordings.replaying import Expected, Plan, Step, steps_of, survey
 from gateway.recordings.user_angles import UserAngles, user_bytes
 from gateway.tools.driving import drives, rejected
 from gateway.tools.player import Player, without_pauses
 from gateway.tools.reach import Connection
 from gateway.tools.rest import why_not_at_rest
-from gateway.tools.terminal import hint, say
+from gateway.tools.terminal import Progress, hint, say
+from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState
 
 SOURCE: Final = "hexapod-gateway replay"
@@ -27,8 +30,8 @@ def replay(
     """Replay `path` and return the exit code. Raises ConfigError, RejectedError, StoppedError, ZenohError."""
     if check and speed != 1:
         raise ConfigError("--check compares times, so it goes with --speed 1")
-    angles, losses = UserAngles(), Losses()
-    recorded = plan(angles.frames(read(path, losses)), watchdog_too=speed != 1)
+    recording = _Recording(path, watchdog_too=speed != 1)
+    recorded, angles, losses = recording.survey()
     _look_at(path, recorded, losses)
     with connect() as client:
         state = client.state()
@@ -41,18 +44,45 @@ def replay(
             raise ConfigError(f"{path}: {losses}. A real robot would leap over them, so nothing is sent")
         if not state.simulated:
             _ask(recorded, speed, agreed=agreed)
-        player = Player(client, recorded, speed, needs_frames=check, on_time=check and state.simulated)
+        expected = Expected() if check else None
+        steps = recording.steps(expected)
+        player = Player(client, recorded, steps, speed, expected=expected, on_time=check and state.simulated)
         try:
             with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
                 player.run(lease)
         except LeaseError as error:
             return rejected(error)
-    said = f"{len(recorded.steps)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
-    if not check:
+    said = f"{len(player.sent)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
+    if expected is None:
         say(f"replayed: {said}")
         return 0
-    player.written = [frame._replace(data=user_bytes(target, frame.data)) for frame in player.written]
-    return _report(recorded, player, said, tolerance_ms)
+    return _report(expected, player, target, said, tolerance_ms)
+
+
+class _Recording:
+    """A recording's steps, read from the file each time: an hour of them as objects would take 600 MB."""
+
+    def __init__(self, path: Path, *, watchdog_too: bool) -> None:
+        self._path = path
+        self._watchdog_too = watchdog_too
+
+    def survey(self) -> tuple[Plan, UserAngles, Losses]:
+        """What it comes to, which is known before anything moves."""
+        angles, losses = UserAngles(), Losses()
+        with Progress() as progress:
+            plan = survey(
+                self._frames(angles, losses),
+                lambda plan: progress.show(f"reading {self._path}: {plan.duration_ns / 1e9:.0f} s of it"),
+            )
+        return plan, angles, losses
+
+    def steps(self, expected: Expected | None) -> Iterator[Step]:
+        """The steps to send; what the gateway then writes is added to `expected`."""
+        frames = self._frames(UserAngles(), Losses())
+        return steps_of(frames, watchdog_too=self._watchdog_too, expected=expected)
+
+    def _frames(self, angles: UserAngles, losses: Losses) -> Iterator[Mapping[str, Any]]:
+        return angles.frames(read(self._path, losses, (STATE, CALIBRATION, FRAME)))
 
 
 def _same_angles(path: Path, angles: UserAngles, target: Calibration) -> None:
@@ -74,7 +104,7 @@ def _look_at(path: Path, recorded: Plan, losses: Losses) -> None:
         hint(f"{path}: {losses}; the replay leaves them out, too.")
     if losses.cut_off:
         hint(f"{path}: was cut off; what had been written by then is replayed.")
-    if not recorded.steps:
+    if not recorded.legs:
         raise ConfigError(
             f"{path}: has no frames that commands caused; record with telemetry.frames = true at the gateway"
         )
@@ -107,7 +137,7 @@ def _fit(state: GatewayState, recorded: Plan, speed: float) -> None:
 
 def _ask(recorded: Plan, speed: float, *, agreed: bool) -> None:
     """A real robot moves only with consent."""
-    legs = sorted({frame.servos[0][0] // 10 for step in recorded.steps for frame in step.frames})
+    legs = sorted(recorded.legs)
     what = (
         f"This is a real robot. Its legs {', '.join(map(str, legs))} will go to where the recording begins at once, as "
         f"fast as they can, and then move for {recorded.duration_ns / speed / 1e9:.0f} s. Ctrl-C stops them."
@@ -123,24 +153,36 @@ def _ask(recorded: Plan, speed: float, *, agreed: bool) -> None:
         raise ConfigError("nothing was sent")
 
 
-def _report(recorded: Plan, player: Player, said: str, tolerance_ms: float) -> int:
-    frames = len(recorded.expected)
-    written = player.written[:frames]
-    found = compare(recorded, player.sent, written, tolerance_ms)
+def _report(expected: Expected, player: Player, target: Calibration, said: str, tolerance_ms: float) -> int:
+    written = _in_its_time(expected.frames, player, target)
+    found = compare(expected.frames, expected.recorded_ns, player.sent, written, tolerance_ms)
     for difference in found.differences:
         say(difference)
     say(
         f"{'the same' if found.passes else 'NOT the same'}: {said}; {found.frames} frames expected, "
-        f"{len(written)} written, {found.swapped} overtaken by another leg's, "
+        f"{len(written)} written, {found.same} of them the same, {found.swapped} overtaken by another leg's, "
         f"at most {found.worst_ms:.2f} ms from their time (p99 {found.p99_ms:.2f} ms)"
     )
     if found.beyond:
         say(f"{found.beyond} frames are more than {tolerance_ms:g} ms from it, the worst at {found.worst_at_s:.3f} s")
-    late_ms = sorted(
-        (sent.done_ns - step.at_ns) / NS_PER_MS for step, sent in zip(recorded.steps, player.sent, strict=True)
-    )
+    late_ms = sorted(late_ns / NS_PER_MS for late_ns in player.late_ns)
     hint(
         f"Times are counted from when each command was sent: this machine was at most {late_ms[-1]:.2f} ms late "
         f"(p99 {late_ms[len(late_ms) * 99 // 100]:.2f} ms)."
     )
     return 0 if found.passes else 1
+
+
+def _in_its_time(expected: Frames, player: Player, target: Calibration) -> Frames:
+    """What was written, in users' angles, without the repeats of Stops that the recording ended before."""
+    count = len(player.written)
+    if count:
+        begun_ns = player.written.at_ns[0] - expected.at_ns[0]
+        end_ns = begun_ns + expected.at_ns[-1] + player.slipped_ns
+        while count > len(expected) and player.written.at_ns[count - 1] > end_ns:
+            count -= 1
+    found = Frames()
+    for place in range(count):
+        frame = player.written.frame(place)
+        found.append(frame._replace(data=user_bytes(target, frame.data)))
+    return found

@@ -2,7 +2,12 @@
 
 import shutil
 import sys
+import time
 from pathlib import Path
+from typing import Final, Self
+
+PROGRESS_S: Final = 0.2
+"""How often a line of progress changes."""
 
 
 def this_command() -> str:
@@ -22,6 +27,31 @@ def say(text: str) -> None:
     """A line of result, on stdout."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
+
+
+class Progress:
+    """One line on the terminal that changes while something takes long; nothing where there is no terminal."""
+
+    def __init__(self) -> None:
+        self._shown_s = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """The line is empty again."""
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+    def show(self, text: str) -> None:
+        """Show this, unless something was shown just now. A line that wraps would be written below itself each time."""
+        now_s = time.monotonic()
+        if now_s - self._shown_s < PROGRESS_S or not sys.stderr.isatty():
+            return
+        self._shown_s = now_s
+        sys.stderr.write(f"\r\x1b[K{text[: shutil.get_terminal_size().columns - 1]}")
+        sys.stderr.flush()
 
 
 def hint(text: str) -> None:
