@@ -23,6 +23,7 @@ from gateway.edge.doorkeeper import Doorkeeper
 from gateway.edge.inbox import Inbox
 from gateway.edge.lease_desk import LeaseDesk, checker_of
 from gateway.edge.outbox import ZenohOutbox
+from gateway.edge.rings import put_depth
 from gateway.edge.session import open_session, service_config
 from gateway.edge.strangers import Strangers
 from gateway.edge.upkeep import Upkeep
@@ -172,7 +173,7 @@ async def _run(
         session = opening.result()
         outbox.open(session)
         with owner:  # its threads hear at once, and have to wait until it is connected
-            inbox = _inbox(session, loop, conductor, checker, settings.lease.ttl_ms, calibrations)
+            inbox = _inbox(session, loop, conductor, checker, settings, calibrations)
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
@@ -240,11 +241,11 @@ def _inbox(
     loop: asyncio.AbstractEventLoop,
     conductor: Conductor,
     checker: "ProofChecker | None",
-    ttl_ms: float,
+    settings: Settings,
     calibrations: Calibrations,
 ) -> Inbox:
     """What comes in, connected with the conductor."""
-    desk = LeaseDesk(LeaseAnswers(conductor, ttl_ms), checker, wall_clock=wall_clock)
+    desk = LeaseDesk(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
     inbox = Inbox(
         session,
         loop,
@@ -257,6 +258,7 @@ def _inbox(
             CALIBRATION_CMD: CalibrationDesk(calibrations).note,
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
         },
+        depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
     )
     conductor.take = inbox.take
     conductor.instant_open = lambda: inbox.instant_open

@@ -147,6 +147,8 @@ class CommandCounts(Report):
     accepted: Count
     rejected: Count
     coalesced: Count
+    overflows: Annotated[Count, Field(description="times that messages of one key were lost before they were read")] = 0
+    lost: Annotated[Count, Field(description="messages that were lost in these, at least")] = 0
 
 
 class SpiReport(Report):

@@ -37,6 +37,8 @@ class Command:
     """For people: it decides nothing that is sent."""
     lease: str | None = field(default=None, repr=False)
     """The token that it carries."""
+    lost: bool = False
+    """Nobody's command: Stops that stand for messages of the channel which were lost."""
 
 
 @value
@@ -179,6 +181,7 @@ class Announce:
     source: str | None = None
     key: str | None = None
     legs: tuple[int, ...] = ()
+    reason: Reason | None = None
 
 
 @value

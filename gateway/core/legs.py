@@ -7,6 +7,7 @@ commands are thereby done.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from gateway.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
 from gateway.core.landing import Landing, landing
@@ -17,6 +18,8 @@ from gateway.core.speed import step
 from gateway.protocol.frames import OP_SET, OP_STOP, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
+
+_LOST: Final = "messages of the same key were lost, and a stop may be among them"
 
 
 @dataclass(slots=True)
@@ -163,7 +166,9 @@ class Legs:
         taken: list[Effect] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
-            if leg.source != command.source:
+            if command.lost:
+                leg.source = None
+            elif leg.source != command.source:
                 taken += _taken_over(leg, command.source)
             moves = False
             for _, op in targets:
@@ -186,6 +191,8 @@ class Legs:
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
         effects = _stops(leg, servos, Cause.COMMAND, (command.number,))
+        if command.lost:
+            effects += self.drop(servos, Reason.OVERFLOW, _LOST)
         for servo in servos:
             effects += self._replaced(servo)
             servo.note_stop(command.channel, self.instant_ns)

@@ -13,7 +13,7 @@ from schemas.keys import COMMAND_KEYS
 
 DETAIL: Final = (
     "messages were lost on the way to the gateway: more came at once than it keeps, and a stop may be among them, "
-    "so it counts as received"
+    "so it counts as received; start again when the link carries what is sent"
 )
 
 

@@ -23,7 +23,7 @@ class Verb(StrEnum):
     DELETE = "delete"
     GET = "get"
     LOST = "lost"
-    """It stands for puts that were lost before those that follow: a Stop may be among them."""
+    """It stands for puts that were lost before those that follow, at least `size` of them: a Stop may be among them."""
 
 
 _GET: Final = Verb.GET

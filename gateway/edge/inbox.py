@@ -26,7 +26,7 @@ from gateway.core.message import Received, Reply, Verb
 from gateway.edge.desk import Reader
 from gateway.edge.receiver import Deal, ReceiverThread
 from gateway.edge.replies import ReplySender
-from gateway.edge.rings import PUT_DEPTH, RING_DEPTH, Receive, Rings
+from gateway.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.host.ownership import Ownership, OwnersTimer
 from gateway.host.realtime import LOOP_PRIORITY
 from schemas.command import MAX_PAYLOAD_BYTES
@@ -71,12 +71,15 @@ class Inbox:
         on_estop: Callable[[Received], None],
         on_state_query: Callable[[Reply], None],
         readers: Mapping[str, Reader] = MappingProxyType({}),
+        depth: int = LEAST_PUT_DEPTH,
     ) -> None:
         """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given.
 
-        `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet.
+        `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet. `depth`: how
+        many puts of a key are kept (`put_depth`).
         """
         self._loop = loop
+        self._passed_over = depth - RING_DEPTH  # of a full ring
         self._wake = on_wakeup
         self._engage = on_estop
         self._estops: deque[Received] = deque()
@@ -100,13 +103,13 @@ class Inbox:
 
         receivers: dict[str, tuple[Receive[_Item], Receive[_Item]]] = {
             key: (
-                self._subscriber(session, key, PUT_DEPTH).try_recv,
+                self._subscriber(session, key, depth).try_recv,
                 self._queryable(session, key, RING_DEPTH).try_recv,
             )
             for key in COMMAND_KEYS
             if key != ESTOP
         }
-        self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), _words_of_stop)
+        self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), _words_of_stop, depth)
         self._wakeups = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
@@ -143,7 +146,7 @@ class Inbox:
         """
         taken: dict[str, int] = {}
         for key, each in self._take_commands():
-            received = _lost(key) if each is None else each
+            received = _lost(key, self._passed_over) if each is None else each
             while self._estops:
                 yield self._estops.popleft()
             if received.target is not None and received.verb is not _LOST:
@@ -327,8 +330,8 @@ def _words_of_stop(received: Received) -> bytes | None:
     return words if b"stop" in words or b"\\" in words else None
 
 
-def _lost(key: str) -> Received:
-    return Received(key, key, COMMAND_KEYS[key], Verb.LOST, b"", 0, "zenoh/bytes", None, time.monotonic_ns())
+def _lost(key: str, count: int) -> Received:
+    return Received(key, key, COMMAND_KEYS[key], Verb.LOST, b"", count, "zenoh/bytes", None, time.monotonic_ns())
 
 
 def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | None = None) -> Received:

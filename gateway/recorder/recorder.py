@@ -47,6 +47,9 @@ INCIDENTS: Final = {
     Kind.LANDING: "landing",
     Kind.ESTOP_ENGAGED: "estop",
     Kind.BUS_FAULT: "bus-fault",
+    Kind.OVERFLOW: "overflow",
+    Kind.LEASE_TAKEN: "lease-taken",
+    Kind.STOPPED_OUTSIDE: "stopped-outside",
 }
 """Events that are kept as incidents, and how their ids end."""
 MISTAKE: Final = "mistake"

@@ -23,6 +23,9 @@ _WHAT: Final = {
     "landing": "a leg was silent, and the robot went to its landing pose",
     "estop": "somebody requested an emergency stop",
     "bus-fault": "the SPI bus failed",
+    "overflow": "messages were lost on the way to the gateway, and legs were stopped for it",
+    "lease-taken": "somebody took the lease from its holder, and all legs were stopped",
+    "stopped-outside": "stop-servos stopped all legs past the gateway",
     "mistake": "a mistake in the gateway ended it",
     "crash": "the gateway ended without a word",
 }
@@ -32,6 +35,9 @@ _EVENTS: Final[dict[object, str]] = {
     Kind.ESTOP_RESET: "emergency stop reset",
     Kind.BUS_FAULT: "bus fault",
     Kind.BUS_RECOVERED: "bus recovered",
+    Kind.OVERFLOW: "overflow",
+    Kind.LEASE_TAKEN: "lease taken",
+    Kind.STOPPED_OUTSIDE: "stopped outside",
 }
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
 """Events that are told after their Stops are written, though what they tell of came before."""

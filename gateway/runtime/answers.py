@@ -91,7 +91,7 @@ class Answers:
         if reply is not None:
             ack = Ack(accepted=False, reason=reason, detail=detail, written=list(written) or None)
             reply(ack.model_dump_json().encode())
-        left_out = self._sources.rejections.admit(source, self._clock())
+        left_out = self._sources.admit(Kind.COMMAND_REJECTED, source, self._clock())
         if left_out is not None:
             self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out, legs_of(servos))
 

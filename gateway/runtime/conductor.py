@@ -197,6 +197,8 @@ class Conductor:
             return
         if received.verb is _LOST:
             self._losses.note(received.key)
+            self.metrics.overflows += 1
+            self.metrics.lost += received.size
             return
         intent = intent_of(received)
         if isinstance(intent, Rejection):
@@ -233,9 +235,10 @@ class Conductor:
         key, targets = self._losses.take()
         stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
-            self._tell(Kind.OVERFLOW, DETAIL, None, key, Reason.OVERFLOW, legs=legs_of(stops))
             self._pending[number := next(self._numbers)] = key, None, None, stops
-            self._step(Command(number, f"put {key}", stops), instant_ns)
+            self._step(Command(number, f"put {key}", stops, lost=True), instant_ns)
+            overflow = Announce(Kind.OVERFLOW, DETAIL, None, key, legs_of(stops), Reason.OVERFLOW)
+            self._sources.announce(overflow, self._clock(), self._tell)
 
     def too_old(
         self, intent: Intent | CalibrationIntent, source: str | None, now_ns: int, instant_ns: int

@@ -13,6 +13,10 @@ class Metrics:
 
     accepted: int = 0
     coalesced: int = 0
+    overflows: int = 0
+    """How often messages of a key were lost, as more came at once than are kept."""
+    lost: int = 0
+    """Messages that were then passed over without being decoded: at least so many were lost."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
     watchdog_stops: Latency = field(default_factory=Latency)

@@ -73,6 +73,10 @@ class _Numbers(Collector):
         yield CounterMetricFamily(
             f"{_PREFIX}_commands_coalesced", "Accepted commands that a newer one replaced", metrics.coalesced
         )
+        yield CounterMetricFamily(
+            f"{_PREFIX}_overflows", "Times that messages of one key were lost before they were read", metrics.overflows
+        )
+        yield CounterMetricFamily(f"{_PREFIX}_messages_lost", "Messages lost in these, at least", metrics.lost)
         rejected = CounterMetricFamily(f"{_PREFIX}_commands_rejected", "Commands rejected", labels=["reason"])
         for reason in Reason:
             rejected.add_metric([reason], metrics.rejected[reason])

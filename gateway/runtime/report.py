@@ -72,7 +72,11 @@ def report(
         simulated=simulated,
         legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
         commands=CommandCounts(
-            accepted=metrics.accepted, rejected=metrics.rejected.total(), coalesced=metrics.coalesced
+            accepted=metrics.accepted,
+            rejected=metrics.rejected.total(),
+            coalesced=metrics.coalesced,
+            overflows=metrics.overflows,
+            lost=metrics.lost,
         ),
         spi=SpiReport(
             device="simulated controller" if simulated else settings.spi.device,

@@ -12,25 +12,25 @@ from schemas.telemetry import Kind, Reason
 Tell = Callable[[Kind, str, str | None, str | None, Reason | None, int, tuple[int, ...]], None]
 
 
-_LIMITED: Final = frozenset(
-    {
-        Kind.SOURCE_CHANGED,
-        Kind.LEASE_ACQUIRED,
-        Kind.LEASE_RELEASED,
-        Kind.LEASE_TAKEN,
-        Kind.LEASE_ASKED,
-        Kind.CALIBRATED,
-    }
+LIMITED: Final = (
+    Kind.COMMAND_REJECTED,
+    Kind.SOURCE_CHANGED,
+    Kind.OVERFLOW,
+    Kind.LEASE_ACQUIRED,
+    Kind.LEASE_RELEASED,
+    Kind.LEASE_TAKEN,
+    Kind.LEASE_ASKED,
+    Kind.CALIBRATED,
 )
-"""What others can bring about as often as they like."""
+"""What others can bring about as often as they like. Each kind has a limit of its own, so that none is left out for
+another's sake: two people who fight for a leg hide no takeover."""
 
 
 class Sources:
-    """Names the source of what is announced, and says how often legs that change hands are told."""
+    """Names the source of what is announced, and limits how often each source is reported for each kind."""
 
     def __init__(self) -> None:
-        self.rejections = RejectionLimit()
-        self._handovers = RejectionLimit()
+        self._limits = {kind: RejectionLimit() for kind in LIMITED}
         self._unread: Received | None = None
         self._estop: str | None = None
 
@@ -47,8 +47,13 @@ class Sources:
         return self._estop
 
     def announce(self, announce: Announce, now_ns: int, tell: Tell) -> None:
-        """Tell it, with its source; of legs and leases that change hands at most ten a second and source."""
+        """Tell it, with its source, unless too many of this kind were."""
         source = self.estop if announce.kind is Kind.ESTOP_ENGAGED else announce.source
-        left_out = self._handovers.admit(source, now_ns) if announce.kind in _LIMITED else 0
+        left_out = self.admit(announce.kind, source, now_ns)
         if left_out is not None:
-            tell(announce.kind, announce.detail, source, announce.key, None, left_out, announce.legs)
+            tell(announce.kind, announce.detail, source, announce.key, announce.reason, left_out, announce.legs)
+
+    def admit(self, kind: Kind, source: str | None, now_ns: int) -> int | None:
+        """How many events of this kind and source were left out before this one; None: leave this one out, too."""
+        limit = self._limits.get(kind)
+        return 0 if limit is None else limit.admit(source, now_ns)

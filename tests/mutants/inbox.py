@@ -47,7 +47,7 @@ INBOX = Subject(
             "an emergency stop's answer waits behind an asker who does not read",
         ),
         Mutant(
-            "self._subscriber(session, key, PUT_DEPTH).try_recv",
+            "self._subscriber(session, key, depth).try_recv",
             "self._subscriber(session, key, 1).try_recv",
             "a start and the set behind it: only one is taken",
         ),
@@ -72,8 +72,8 @@ INBOX = Subject(
             "with a dead reply sender the service says that it hears",
         ),
         Mutant(
-            "            received = _lost(key) if each is None else each\n            while self._estops:\n                yield self._estops.popleft()\n",
-            "            received = _lost(key) if each is None else each\n",
+            "            received = _lost(key, self._passed_over) if each is None else each\n            while self._estops:\n                yield self._estops.popleft()\n",
+            "            received = _lost(key, self._passed_over) if each is None else each\n",
             "an emergency stop waits for all that was taken before",
         ),
         Mutant(
@@ -241,8 +241,8 @@ RINGS = Subject(
             "of two messages of a key, the second waits",
         ),
         Mutant(
-            "key: (Ring(key, 2 * places[key], put, PUT_DEPTH), Ring(key, 2 * places[key] + 1, get, RING_DEPTH))",
-            "key: (Ring(key, -2 * places[key], put, PUT_DEPTH), Ring(key, -2 * places[key] + 1, get, RING_DEPTH))",
+            "key: (Ring(key, 2 * places[key], put, depth), Ring(key, 2 * places[key] + 1, get, RING_DEPTH))",
+            "key: (Ring(key, -2 * places[key], put, depth), Ring(key, -2 * places[key] + 1, get, RING_DEPTH))",
             "several keys apply in the wrong order",
         ),
         Mutant(

@@ -118,9 +118,8 @@ LEGS = Subject(
             "a frame that moves goes out before a repeated Stop",
         ),
         Mutant(
-            "effects = _stops(leg, servos, Cause.COMMAND, (command.number,))\n        for servo in servos:\n"
-            "            effects += self._replaced(servo)\n",
-            "effects = _stops(leg, servos, Cause.COMMAND, (command.number,))\n        for servo in servos:\n",
+            "        for servo in servos:\n            effects += self._replaced(servo)\n            servo.note_stop(command",
+            "        for servo in servos:\n            servo.note_stop(command",
             "an older start comes after the Stop",
         ),
         Mutant(

@@ -6,6 +6,7 @@ from itertools import pairwise
 import pytest
 
 from gateway.core.message import Verb
+from gateway.core.rejection_limit import SOURCES, TOLD_PER_S
 from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
 from schemas import keys
 from schemas.robot import LEGS
@@ -309,6 +310,36 @@ async def test_a_fight_for_a_leg_is_told_ten_times_a_second_and_source() -> None
     robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
     robot.put(LEG_3, leg("set", 1, 2, 3, source="ben"))
     assert robot.events(Kind.SOURCE_CHANGED)[-1].left_out == 40
+
+
+async def test_no_kind_of_event_is_left_out_for_another_kinds_sake() -> None:
+    """Two people fight for a leg, and then one of them takes the lease and calibrates."""
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    for number in range(40):
+        robot.put(LEG_3, leg("set", 1, 2, 3, source=("ben", "anna")[number % 2]))
+        robot.put(LEG_3, b"{", source="ben")
+    assert robot.lease("acquire", "anna").accepted
+    token = robot.lease("take", "ben").lease
+    assert token is not None
+    robot.calibrate({"servos": {"41": {"trim_deg": 1}}, "source": "ben", "lease": token})
+    for kind in (Kind.LEASE_ACQUIRED, Kind.LEASE_TAKEN, Kind.CALIBRATED):
+        assert [event.left_out for event in robot.events(kind)] == [0], kind
+    await asyncio.sleep(1)
+    robot.put(LEG_3, b"{", source="ben")
+    assert robot.events()[-1].left_out == 30, "of its own kind alone"
+
+
+async def test_many_made_up_names_hide_no_other_kind_and_bring_no_more_than_their_share() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    for number in range(2000):
+        robot.lease("ask", f"nobody {number}")  # rejected: nobody holds it
+    assert len(robot.events(Kind.COMMAND_REJECTED)) <= (SOURCES + 1) * TOLD_PER_S
+    robot.lease("acquire", "anna")
+    robot.lease("take", "ben")
+    assert [event.kind for event in robot.events()[-2:]] == [Kind.LEASE_ACQUIRED, Kind.LEASE_TAKEN]
 
 
 @pytest.mark.parametrize(("payload", "source"), [

@@ -209,6 +209,26 @@ async def test_a_start_that_is_newer_than_what_was_lost_keeps_its_servos_running
     assert robot.controller.energised == {31}
 
 
+async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_for_it() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 90, 90, 90, source="anna"))
+    waiting = robot.get(LEG_3, leg("set", 91, 91, 91, source="anna"))
+    assert not waiting, "its leg's rate slot has not come"
+    robot.controller.transfers.clear()
+    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
+    robot.conductor.tick()
+    assert [frame for _, frame in robot.frames] == [stop_leg(3)]
+    assert [ack.reason for ack in waiting] == [Reason.OVERFLOW]
+    assert not robot.events(Kind.SOURCE_CHANGED)
+    state = robot.conductor.state()
+    assert state.legs[2].source is None
+    assert (state.commands.overflows, state.commands.lost) == (1, 50)
+    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
+    robot.conductor.tick()
+    assert len(robot.events(Kind.OVERFLOW)) == 1, "nothing ran any more"
+    assert robot.conductor.state().commands.overflows == 2
+
+
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
 async def test_a_start_by_another_way_does_not_undo_a_stop_that_may_have_been_lost(verb: Verb) -> None:
     """Nobody knows which of the two is older."""

@@ -11,6 +11,8 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway.core.calibration import Calibration, ServoCalibration
+from gateway.core.events import StoppedOutside
+from gateway.core.message import Verb
 from gateway.errors import SpiError
 from gateway.geometry import load
 from gateway.protocol.frames import decode
@@ -98,6 +100,41 @@ async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
 
 
 LANDING = {"watchdog": {"landing_ms": 500, "repeats": 0, "landing": {"31": 30.0}}}
+
+
+def overflow(robot: Robot) -> None:
+    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
+    robot.conductor.tick()
+
+
+def takeover(robot: Robot) -> None:
+    assert robot.lease("acquire", "anna").accepted
+    assert robot.lease("take", "bert").accepted
+
+
+def stop_servos(robot: Robot) -> None:
+    robot.conductor._step(StoppedOutside(at_work=True))
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("what", "happens", "line"), [
+    ("overflow", overflow, "overflow: messages were lost on the way to the gateway"),
+    ("lease-taken", takeover, "lease taken: bert has stopped all legs and taken the lease from anna"),
+    ("stopped-outside", stop_servos, "stopped outside: stop-servos stopped all servos past the gateway"),
+])  # fmt: skip
+async def test_what_else_stops_legs_is_an_incident(
+    folder: Path, what: str, happens: Callable[[Robot], None], line: str
+) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    happens(robot)
+    robot.put(LEG_3, {"servos": [servo("stop")] * 3})  # or the watchdog's would be another
+    await asyncio.sleep(1)
+    assert robot.conductor.state().incident == f"20260921-141320-123-{what}"
+    lines = told(folder)
+    assert f"-{what}: " in lines[0]
+    assert [each for each in lines if line in each], lines
+    assert [each for each in lines if "Stop written to" in each and "startup" not in each], lines
 
 
 @pytest.mark.virtual_time

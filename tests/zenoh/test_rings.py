@@ -14,7 +14,7 @@ import pytest
 from gateway.core.events import BusOpened, Command, Transmit
 from gateway.core.leg import Rules
 from gateway.core.supervisor import Supervisor
-from gateway.edge.rings import PASSES, PUT_DEPTH, RING_DEPTH, Rings
+from gateway.edge.rings import LEAST_PUT_DEPTH, PASSES, RING_DEPTH, Rings, put_depth
 from gateway.protocol.frames import STOP, Op, ServoOp, servo_ids_of
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, leg_command, servo_command
 
@@ -55,7 +55,7 @@ class Deliveries:
     rings: dict[tuple[str, str], deque[Message]] = field(default_factory=dict)
 
     def receiver(self, key: str, verb: str) -> Callable[[], Message | None]:
-        ring = self.rings.setdefault((key, verb), deque(maxlen=PUT_DEPTH if verb == "put" else RING_DEPTH))
+        ring = self.rings.setdefault((key, verb), deque(maxlen=LEAST_PUT_DEPTH if verb == "put" else RING_DEPTH))
 
         def receive() -> Message | None:
             while self.due and self.due[0][0] <= self.reads:
@@ -233,7 +233,7 @@ def thinned(waiting: list[tuple[ServoOp, int]], verb: str = "put") -> list[Messa
     return [item for _, item in ReadRings(deliveries).rings.read([LEG])]
 
 
-@pytest.mark.parametrize("before", [0, 1, PUT_DEPTH - RING_DEPTH - 3])
+@pytest.mark.parametrize("before", [0, 1, LEAST_PUT_DEPTH - RING_DEPTH - 3])
 def test_of_older_messages_the_stops_are_taken_before_the_newest(before: int) -> None:
     older = [(START, 12)] * before + [(STOP, 11)] + [(START, 13)]
     newest = [(START, number) for number in range(RING_DEPTH)]
@@ -250,9 +250,32 @@ def test_of_the_same_stops_the_last_is_taken() -> None:
 
 @pytest.mark.parametrize("lost", [0, 1, 100])
 def test_a_full_ring_may_have_lost_a_stop(lost: int) -> None:
-    messages = thinned([(STOP, 11)] * lost + [(START, 13)] * PUT_DEPTH)
+    messages = thinned([(STOP, 11)] * lost + [(START, 13)] * LEAST_PUT_DEPTH)
     assert messages[0] is None
     assert len(messages) == 1 + RING_DEPTH
+
+
+@pytest.mark.parametrize(
+    ("leg_rate_hz", "timeout_ms", "depth"),
+    [(50, 250, 58), (50, 400, 88), (1, 20, 16), (1000, 250, 1008), (1000, 10_000, 1024)],
+)
+def test_a_ring_has_room_for_a_stream_that_was_held_back(leg_rate_hz: float, timeout_ms: float, depth: int) -> None:
+    assert put_depth(leg_rate_hz, timeout_ms) == depth
+
+
+def test_a_deeper_ring_is_searched_for_stops_until_it_is_full() -> None:
+    waiting: deque[Message] = deque(maxlen=58)
+    rings = Rings[Message, Message](
+        {LEG: (lambda: waiting.popleft() if waiting else None, lambda: None)},
+        lambda _, item: item,
+        lambda item: item.words_of_stop,
+        58,
+    )
+    setpoints = [Message(LEG, "put", START, (11,))] * 60
+    waiting.extend([Message(LEG, "put", STOP, (12,)), *setpoints[:56]])
+    assert [item and item.op for _, item in rings.read([LEG])] == [STOP] + [START] * RING_DEPTH
+    waiting.extend(setpoints)
+    assert [item and item.op for _, item in rings.read([LEG])] == [None] + [START] * RING_DEPTH
 
 
 def test_a_get_that_is_lost_is_not_answered_and_stops_nothing() -> None:

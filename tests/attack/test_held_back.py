@@ -1,0 +1,117 @@
+"""A stream that a link holds back, and then delivers at once, goes on; and no Stop among what was held back is lost."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client, leg_payload, legs_payload
+from gateway.tools.drill.cut_link import CutLink
+from schemas import keys
+from schemas.telemetry import Kind
+from tests.support.gateway_process import Gateway
+from tests.support.heard import Heard, events
+
+POSE = (90, 45, 120)
+TRIES = 15
+RATE_HZ = 50
+"""`limits.leg_rate_hz`, by default."""
+
+
+class HeldBack:
+    """A gateway, and laptops behind links that can hold back what they send."""
+
+    def __init__(self, folder: Path, stack: ExitStack, timeout_ms: float, laptops: int = 1) -> None:
+        settings: dict[str, dict[str, Any]] = {"telemetry": {"state_hz": 0}, "watchdog": {"timeout_ms": timeout_ms}}
+        self.gateway = stack.enter_context(Gateway(folder, settings))
+        self.links = [stack.enter_context(CutLink(self.gateway.endpoint)) for _ in range(laptops)]
+        self.laptops = [
+            stack.enter_context(Client(link.endpoint, source=f"laptop {number}"))
+            for number, link in enumerate(self.links)
+        ]
+        self.watcher = stack.enter_context(self.gateway.client())
+        self.events: Heard[Any] = events(self.watcher)
+
+    def deliver_at_once(self, messages: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
+        """The laptops send these in turn, and nothing of it arrives before the last is sent."""
+        for link in self.links:
+            link.hold()
+        for number, (key, payload) in enumerate(messages):
+            self.laptops[number % len(self.laptops)].publish(key, payload)
+        for link in self.links:
+            link.fix()
+        for laptop in self.laptops:
+            laptop.state()  # on the same link, behind all that was held back
+
+    def reported(self, kind: Kind) -> list[Any]:
+        return [event for event in self.events.all if event.kind == kind]
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as opened:
+        yield opened
+
+
+def setpoint(key: str) -> dict[str, Any]:
+    return legs_payload("set", {3: POSE}) if key == keys.LEGS_COMMAND else leg_payload("set", POSE)
+
+
+@pytest.mark.parametrize("timeout_ms", [250, 400])
+@pytest.mark.parametrize("key", [keys.LEGS_COMMAND, keys.leg_command(3)])
+@pytest.mark.parametrize("stream_hz", [RATE_HZ, 2 * RATE_HZ, 4 * RATE_HZ])
+def test_a_stream_that_was_held_back_goes_on(
+    tmp_path: Path, stack: ExitStack, stream_hz: int, key: str, timeout_ms: int
+) -> None:
+    """As many messages as a stream sends in 90 ms, 150 ms, and up to the watchdog's time."""
+    robot = HeldBack(tmp_path, stack, timeout_ms)
+    for held_ms in [90, 150, timeout_ms - 1] * (TRIES // 3):
+        assert robot.watcher.start_leg(3, *POSE).accepted
+        count = math.ceil(stream_hz * held_ms / 1000)
+        robot.deliver_at_once([(key, setpoint(key))] * count)
+    assert not robot.reported(Kind.OVERFLOW)
+
+
+@pytest.mark.parametrize("stream_hz", [RATE_HZ, 2 * RATE_HZ])
+def test_two_laptops_that_share_a_key_and_are_both_held_back_go_on(
+    tmp_path: Path, stack: ExitStack, stream_hz: int
+) -> None:
+    robot = HeldBack(tmp_path, stack, 250, laptops=2)
+    for held_ms in [90, 150, 249] * (TRIES // 3):
+        assert robot.watcher.start_leg(3, *POSE).accepted
+        count = 2 * math.ceil(stream_hz * held_ms / 1000)
+        robot.deliver_at_once([(keys.LEGS_COMMAND, setpoint(keys.LEGS_COMMAND))] * count)
+    assert not robot.reported(Kind.OVERFLOW)
+
+
+@pytest.mark.parametrize("key", [keys.LEGS_COMMAND, keys.leg_command(3)])
+def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, stack: ExitStack, key: str) -> None:
+    """Wherever it is among them, it stops the leg: what comes after it only sets, and so starts nothing."""
+    robot = HeldBack(tmp_path, stack, 400)
+    count = 50
+    stop = legs_payload("stop", {3: ()}) if key == keys.LEGS_COMMAND else leg_payload("stop")
+    for place in range(0, count, 3):
+        assert any(robot.watcher.start_leg(3, *POSE).accepted for _ in range(100))
+        messages = [(key, setpoint(key))] * count
+        messages[place] = (key, stop)
+        robot.deliver_at_once(messages)
+        assert not robot.laptops[0].set_leg(3, *POSE).accepted, f"it runs, and the {place}th was a Stop"
+    assert not robot.reported(Kind.OVERFLOW)
+
+
+def test_more_than_any_stream_sends_is_an_overflow_which_stops_the_leg_and_is_told_as_that(
+    tmp_path: Path, stack: ExitStack
+) -> None:
+    robot = HeldBack(tmp_path, stack, 250)
+    key = keys.LEGS_COMMAND
+    for _ in range(TRIES):
+        assert any(robot.watcher.start_leg(3, *POSE).accepted for _ in range(100))
+        robot.deliver_at_once([(key, setpoint(key))] * 1000)
+        if robot.reported(Kind.OVERFLOW):
+            break
+    event = robot.events.wait(lambda event: event.kind == Kind.OVERFLOW)
+    assert (event.reason, event.key, event.legs, event.source) == ("overflow", key, (3,), None)
+    assert "somebody" not in event.detail
