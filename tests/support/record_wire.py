@@ -1,6 +1,6 @@
 """Records what a gateway sends, for every later version to read.
 
-    python -m tests.support.record_wire tests/data/wire/1.1
+    python -m tests.support.record_wire tests/data/wire/1.2
 
 One JSON payload a line, in a file for each kind. Every answer, mode, kind of event and cause that a simulated
 controller can bring about is among them.
@@ -21,6 +21,10 @@ from schemas import keys
 from tests.support.gateway_process import Gateway
 
 LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
+SET = {"servos": [{"op": "set", "angle_deg": 90}] * 3}
+MOST_BURSTS = 100
+BURST = 1000
+"""Messages at once: far more than a ring keeps. How many of them wait in it at the same time is chance."""
 
 
 def main(folder: Path) -> None:
@@ -71,6 +75,16 @@ def main(folder: Path) -> None:
         rejected: list[object] = ["{", {"servos": []}, {"servos": [{"op": "set", "angle_deg": 1}] * 3}, " " * 5000]
         for payload in rejected:
             ask(keys.leg_command(1), payload)
+        ask(keys.leg_command(2), {**LEG, "source": "anna"})
+        client.session.put(keys.leg_command(2), json.dumps({**SET, "source": "bert"}))
+        wait_for("source_changed", "event")
+        for _ in range(MOST_BURSTS):
+            if any('"overflow"' in line for line in heard["event"]):
+                break
+            ask(keys.leg_command(2), LEG)
+            for _ in range(BURST):
+                client.session.put(keys.leg_command(2), json.dumps(SET))
+        wait_for('"overflow"', "event")
         ask(keys.ESTOP, {})
         ask(keys.leg_command(1), LEG)
         ask(keys.RESET, {})

@@ -55,9 +55,10 @@ _WORDS = ("kind", "mode", "reason", "cause", "watchdog")
 
 
 def test_every_kind_of_payload_has_been_recorded() -> None:
-    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0", "1.1"}
+    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0", "1.1", "1.2"}
     assert {path.stem for path in WIRE.glob("1.0/*.jsonl")} == MODELS.keys() - {"lease", "calibration"}
-    assert {path.stem for path in WIRE.glob("1.1/*.jsonl")} == MODELS.keys()
+    for version in ("1.1", "1.2"):
+        assert {path.stem for path in WIRE.glob(f"{version}/*.jsonl")} == MODELS.keys()
 
 
 @pytest.mark.parametrize(("name", "line"), RECORDED)
