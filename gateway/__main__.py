@@ -1,5 +1,25 @@
-"""`python -m gateway` is `hexapod-gateway`."""
+"""`hexapod-gateway`, and `python -m gateway`."""
 
-from gateway.cli import main
+import os
+import sys
 
-main()
+
+def main() -> None:
+    """The console script. `stop-servos` first: it must not wait for what only the other commands use."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # It is closed, so the next file would get its number; the SPI device must never become stderr.
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+"))
+    if sys.argv[1:2] == ["stop-servos"]:
+        from gateway.tools import stop
+
+        code = stop.at_once(sys.argv[2:])
+        if code is not None:
+            sys.exit(code)
+    from gateway import cli
+
+    cli.main()
+
+
+if __name__ == "__main__":
+    main()

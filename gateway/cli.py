@@ -74,7 +74,8 @@ def stop_servos(config: ConfigOption = None) -> None:
     from gateway import settings
     from gateway.tools import stop
 
-    stop.stop_servos(settings.load(config))
+    found = settings.load(config)
+    stop.stop_servos(found.spi, found.watchdog)
 
 
 @app.command()
@@ -175,7 +176,7 @@ def console(
     ] = None,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     link: Annotated[
-        bool, typer.Option("--link", help="Print a link for another browser, into the console that runs at --listen.")
+        bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")
     ] = False,
     revoke: Annotated[
         bool, typer.Option("--revoke", help="End all sessions and links of this user's consoles (root: the service's).")
@@ -291,11 +292,7 @@ def send_stop(
 
 
 def main() -> None:
-    """The console script."""
-    for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:
-            # It is closed, so the next file would get its number; the SPI device must never become stderr.
-            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+"))
+    """All commands."""
     try:
         app(prog_name="hexapod-gateway")  # also as `python -m gateway`
     except GatewayError as error:

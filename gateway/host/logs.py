@@ -5,6 +5,7 @@ import faulthandler
 import json
 import logging
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -77,7 +78,9 @@ def keep_stacks() -> None:
     folder = os.environ.get("RUNTIME_DIRECTORY")
     if folder:
         try:
-            faulthandler.enable((Path(folder) / "stacks").open("w"))
+            stacks = (Path(folder) / "stacks").open("w")
+            faulthandler.enable(stacks)
+            faulthandler.register(signal.SIGALRM, stacks, chain=True)  # see SystemdNotifier; `chain`: then it ends
         except OSError as error:
             logging.getLogger(__name__).warning("the stacks of a hang cannot be kept: %s", error)
 

@@ -19,7 +19,6 @@ a spinning process on each core; worst lateness of 25 watchdog Stops, two runs e
 
 import ctypes
 import gc
-import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -52,8 +51,6 @@ MALLOC_ARENAS: Final = 2
 traffic at ten times the real rate, memory grew by 8.6 MB in an hour by default, and by 1.5 MB with two.
 """
 _M_ARENA_MAX: Final = -8  # as glibc's malloc.h has it
-
-logger = logging.getLogger(__name__)
 
 
 def prefer_process() -> None:

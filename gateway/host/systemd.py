@@ -1,6 +1,7 @@
 """Tells systemd that the service is ready, alive or stopping (sd_notify); does nothing without systemd."""
 
 import os
+import signal
 import socket
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,6 +10,11 @@ from typing import Final
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a service that works."""
 
+
+HANGS_AFTER: Final = 3
+"""After so many of the watchdog's periods without `alive` the kernel ends the process. systemd does so after one. But
+systemd stops looking once it has asked the service to end, and would then wait for all of TimeoutStopSec=, which is as
+long as `stop-servos` may take on a busy machine."""
 
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), for commands that systemd did not start."""
@@ -48,10 +54,17 @@ class SystemdNotifier:
     def alive(self) -> None:
         """The loop turns and can own the state. Without this for WATCHDOG_USEC, systemd kills the service."""
         self._tell("WATCHDOG=1")
+        self._end_unless_alive()
 
     def stopping(self) -> None:
         """The service ends."""
         self._tell("STOPPING=1")
+        self._end_unless_alive()
+
+    def _end_unless_alive(self) -> None:
+        """Let the kernel end this process if it is not called again in time: no thread of it has to go on for that."""
+        if self._ping_period_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, self._ping_period_s * PINGS_PER_TIMEOUT * HANGS_AFTER)
 
     def close(self) -> None:
         """Close the socket; nothing more is sent."""

@@ -22,9 +22,9 @@ from gateway.core.latency import Latency
 from gateway.errors import SpiError, UnheardError
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
-from gateway.settings import SpiSettings
 from gateway.spi import SpiDevice
 from gateway.spi.guard import GuardedDevice
+from gateway.spi.plain_settings import SpiValues
 
 STALE_ANNOUNCEMENT_NS: Final = 500_000_000
 """Half of the 1000 ms after which the controller gives the body up. The other half allows for delays between the last
@@ -260,7 +260,7 @@ class Bus:
 
 
 def bus_for(
-    settings: SpiSettings,
+    settings: SpiValues,
     open_device: Callable[[], SpiDevice],
     *,
     shared_device: bool = False,

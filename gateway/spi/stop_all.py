@@ -4,10 +4,10 @@ import time
 from typing import Final
 
 from gateway.protocol.frames import stop_leg
-from gateway.settings import Settings
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
 from gateway.spi.outside import Notice
+from gateway.spi.plain_settings import RepeatValues, SpiValues
 from schemas.robot import LEGS
 
 MORE_ROUNDS: Final = 10
@@ -17,7 +17,7 @@ MOST_PAUSE_MS: Final = 20.0
 """Longest pause between these."""
 
 
-def stop_servos(settings: Settings) -> bool | None:
+def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
     """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
 
     Returns whether a gateway on the same device has noticed; None: no gateway runs there.
@@ -27,18 +27,18 @@ def stop_servos(settings: Settings) -> bool | None:
     """
 
     def open_device() -> KernelDevice:
-        return KernelDevice(settings.spi.device, settings.spi.speed_hz, exclusive=False)
+        return KernelDevice(spi.device, spi.speed_hz, exclusive=False)
 
-    bus = bus_for(settings.spi, open_device, shared_device=True)
-    notice = Notice(settings.spi.device)
+    bus = bus_for(spi, open_device, shared_device=True)
+    notice = Notice(spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None
-    for repeat in range(1 + settings.watchdog.repeats + MORE_ROUNDS):
-        if repeat > settings.watchdog.repeats and not unstopped:
+    for repeat in range(1 + watchdog.repeats + MORE_ROUNDS):
+        if repeat > watchdog.repeats and not unstopped:
             break
         if repeat:
-            pause_ms = settings.watchdog.repeat_interval_ms
-            time.sleep((pause_ms if repeat <= settings.watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
+            pause_ms = watchdog.repeat_interval_ms
+            time.sleep((pause_ms if repeat <= watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
         stopped, fault_now = stop_once(bus)
         notice.give()  # after the first Stops, which must not wait for it
         unstopped -= stopped

@@ -14,7 +14,7 @@ from gateway.protocol.frames import Op, decode, stop_leg
 from gateway.recorder.incidents import kind_of
 from gateway.recorder.story import story
 from gateway.recordings import read
-from tests.box.box import Unit
+from tests.box.box import Box, Unit
 from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
 from tests.hil.test_incidents import FAULTY, KINDS, frames_in
@@ -197,6 +197,36 @@ def recorder_journal(recorder: Unit) -> Iterator[Child]:
     journal = Child(("journalctl", *options), {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
     yield journal
     journal.close()
+
+
+BUSY_UNITS = 40
+BUSY = "for each in $(seq %d); do systemd-run --quiet --collect --unit=busy-$each sh -c 'while :; do :; done'; done"
+
+
+@contextmanager
+def busy(box: Box) -> Iterator[None]:
+    """Twenty busy programs for each of two processors, each in a unit of its own, as the service is."""
+    box.run("sh", "-c", BUSY % BUSY_UNITS)
+    try:
+        yield
+    finally:
+        box.run("systemctl", "kill", "--signal=SIGKILL", "busy-*", check=False, timeout_s=60)
+
+
+def test_killed_on_a_loaded_machine(robot: InstalledGateway) -> None:
+    """Its Stops come after a death, and systemd does not end what writes them."""
+    robot.unit.systemctl("start")
+    client, opening = start_moving(robot)
+    with robot.journal() as journal:
+        with busy(robot.box):
+            killed_ns = time.monotonic_ns()
+            robot.unit.systemctl("kill", "--signal=SIGKILL")
+            stops = stopped_by(robot, opening + 1, timeout_s=30)
+            print(f"first Stop {(stops[0].monotonic_ns - killed_ns) / 1e6:.0f} ms after SIGKILL")
+        client.close()
+        journal.wait_for_output("Stop written to all six legs, 4 times each", timeout_s=30)
+        journal.wait_for_output("Started ", timeout_s=30)
+        assert "timed out" not in journal.stdout
 
 
 def test_hanging(robot: InstalledGateway) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from gateway.host.systemd import HANGS_AFTER
 from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.protocol.framing import Framing
 from gateway.recorder import format as form
@@ -99,6 +100,22 @@ def manager(tmp_path: Path) -> Iterator[ManagerSocket]:
     manager = ManagerSocket(tmp_path / "notify")
     yield manager
     manager.close()
+
+
+def test_the_kernel_ends_a_service_that_hangs_while_its_manager_does_not_look(
+    tmp_path: Path, wire: Wire, manager: ManagerSocket
+) -> None:
+    """systemd does not, once it has asked the service to end; it would wait for all of TimeoutStopSec=."""
+    with Gateway(tmp_path, settings_for(wire), bed=wire.bed, env=manager.environment) as gateway:
+        with gateway.client() as client, ThreadPoolExecutor(1) as pool:
+            manager.hear_until(b"WATCHDOG=1")
+            wire.bed.block()
+            count = len(wire.bed.transfers)
+            pool.submit(client.start_leg, 3, 90, 45, 120)
+            wire.bed.wait_for_count(count + 1, LATE_S)
+            gateway.child.terminate()
+            assert gateway.child.wait(HANGS_AFTER * manager.timeout_s + LATE_S) == -signal.SIGALRM
+        wire.bed.release()
 
 
 def test_a_transfer_that_never_returns_is_the_service_managers_case(
