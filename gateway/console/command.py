@@ -2,8 +2,10 @@
 
 import importlib.util
 import socket
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NoReturn
+from urllib.parse import urlsplit
 
 from gateway.console import register
 from gateway.console.messages import ROLES
@@ -49,21 +51,32 @@ def console(
 
 
 def link(listen: str | None) -> int:
-    """Print a link into the console that runs at that address, for another browser. Raises GatewayError."""
+    """Print a link into the console that runs at that address, for another browser. Raises GatewayError.
+
+    Without an address: into the console of this user, or for root the service's, that answers, wherever it listens.
+    """
     _need_extra()
-    listen = listen or f"{DEFAULT_ADDRESS}:{DEFAULT_PORT}"
     from gateway.console.serve import show  # noqa: PLC0415 (the same)
 
-    address, port = address_of(listen)
+    address, port = (_answering() or (DEFAULT_ADDRESS, DEFAULT_PORT)) if listen is None else address_of(listen)
     made = Register(register.folder(), port).new_link()
     try:
         socket.create_connection((address, port), LOOK_S).close()
     except OSError as error:
         raise UnreachedError(
-            f"no console answers at {listen}: {error.strerror or error}; start it, and ask again"
+            f"no console answers at {listen or f'{address}:{port}'}: {error.strerror or error}; start it, and ask again"
         ) from error
     show(made)
     return 0
+
+
+def _answering() -> tuple[str, int] | None:
+    for port, url in register.begun(register.folder()):
+        for address in (DEFAULT_ADDRESS, urlsplit(url).hostname):
+            with suppress(OSError):
+                socket.create_connection((address, port), LOOK_S).close()
+                return address or DEFAULT_ADDRESS, port
+    return None
 
 
 def revoke() -> int:

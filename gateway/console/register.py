@@ -80,6 +80,11 @@ class Register:
         with self._changing() as change:
             change(change().model_copy(update={"url": url, "role": role, "links": ()}))
 
+    @property
+    def url(self) -> str:
+        """Of the console that runs, or ran last, at this port; empty: none did."""
+        return self._read().url
+
     def new_link(self) -> str:
         """A link that works once. Raises ConfigError where no console has begun or the folder cannot be written."""
         if not self._read().url:
@@ -215,6 +220,13 @@ def folder() -> Path:
         return STATE_DIRECTORY
     home = os.environ.get("XDG_STATE_HOME")
     return (Path(home) if home else Path.home() / ".local" / "state") / "hexapod-gateway"
+
+
+def begun(folder: Path) -> list[tuple[int, str]]:
+    """Port and address of the consoles that keep their sessions there; the one whose file was written last is first."""
+    paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    ports = [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
+    return [(port, url) for port in ports if (url := Register(folder, port).url)]
 
 
 def revoke_all(folder: Path, now_s: Callable[[], float] = time.time) -> int:

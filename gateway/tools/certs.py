@@ -44,8 +44,8 @@ def init(
         list[str],
         typer.Option(
             metavar="HOST",
-            help="A name or address by which laptops reach the robot; repeat it for each. Laptops reject the robot "
-            "under any other. Example: --host robot.local --host 192.0.2.7",
+            help="A name or address by which laptops reach the robot, in a fleet the router; repeat it for each. "
+            "Laptops reject it under any other. Example: --host robot.local --host 192.0.2.7",
             show_default=False,
         ),
     ],
@@ -68,7 +68,12 @@ def init(
     certs.init(directory, host, days=days, port=port, namespace=namespace)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")
     files = " ".join(str(directory / name) for name in ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem"))
-    typer.echo("Leave ca.key here, and keep a copy of it somewhere safe. Next, to the robot and into its service:")
+    typer.echo("Leave ca.key here, and keep a copy of it somewhere safe.")
+    typer.echo(
+        f"If {host[0]} is the router of a fleet, gateway.key is the router's, and each robot gets its own. Next: "
+        f"{this_command()} certs robot NAME --dir {directory}"
+    )
+    typer.echo(f"If {host[0]} is the robot: its files, and how they get into its service:")
     typer.echo(f"  ssh {host[0]} mkdir -p -m 700 robot-certs")
     typer.echo(f"  scp {files} {host[0]}:robot-certs/")
     typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")

@@ -1,11 +1,12 @@
 """Links that work once, and the sessions that follow from them."""
 
+import os
 import stat
 from pathlib import Path
 
 import pytest
 
-from gateway.console.register import LINK_S, MAX_ENTRIES, SESSION_S, Register, SignIn, revoke_all
+from gateway.console.register import LINK_S, MAX_ENTRIES, SESSION_S, Register, SignIn, begun, revoke_all
 from gateway.errors import ConfigError
 
 URL = "http://127.0.0.1:8080"
@@ -177,3 +178,13 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot write"):
         Register(tmp_path / "file", 8080).begin(URL, "operator")
+
+
+def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock) -> None:
+    """A file without an address, or of another name, is no console's."""
+    for port, written_s in ((8080, 1), (8443, 3), (9000, 2)):
+        Register(tmp_path, port, clock).begin(f"https://robot.local:{port}", "operator")
+        os.utime(tmp_path / f"console-{port}.json", (written_s, written_s))
+    (tmp_path / "console-7.json").write_text("{}")
+    (tmp_path / "console-x.json").write_text("{}")
+    assert begun(tmp_path) == [(port, f"https://robot.local:{port}") for port in (8443, 9000, 8080)]

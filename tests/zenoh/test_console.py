@@ -122,6 +122,14 @@ def test_nobody_without_the_cookie(console: Console) -> None:
         Page(console.url, NOBODY)
 
 
+def test_a_link_finds_the_console_that_runs(console: Console) -> None:
+    """Without --listen, wherever it listens."""
+    child = Child([*COMMAND, "console", "--link"], console.env)
+    assert child.wait() == 0, child.stderr
+    assert httpx.get(child.stdout.split()[4]).status_code == 303
+    child.close()
+
+
 def test_the_cookie(console: Console) -> None:
     link = console.run("--link").stdout.split()[4]
     answer = httpx.get(link)
