@@ -5,7 +5,7 @@ what happened later may have an earlier time, in its name and as its file's time
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,8 @@ from pydantic import BaseModel, TypeAdapter
 from gateway.recorder.incidents import Incident, is_id
 from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
 from gateway.recorder.reader import Records
-from gateway.recordings import REPORTS, Recording
+from gateway.recorder.story import headline
+from gateway.recordings import REPORTS, Message, Recording
 from gateway.recordings.plain_schema import Schema, plain_schema
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME
@@ -27,7 +28,9 @@ MAX_BYTES: Final = 200_000_000
 SUFFIX: Final = ".mcap"
 _UNFINISHED: Final = ".new"
 _ORDER: Final = "order"
-"""A line for each incident, oldest first: its id, and whether its file was written after the incident's end."""
+"""A line for each incident, oldest first: its id, whether its file was written after the incident's end, and what
+happened."""
+_MAX_LINE: Final = 300
 _MAX_ORDER_BYTES: Final = 64 * 1024
 _OVER, _OPEN = "over", "open"
 
@@ -70,18 +73,23 @@ def path_of(folder: Path, incident: Incident) -> Path:
     return folder / f"{incident.name}{SUFFIX}"
 
 
-def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> None:
-    """Write an incident to a file. Raises OSError; FileExistsError unless `overwrite`."""
+def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> str:
+    """Write an incident to a file; returns its headline. Raises OSError; FileExistsError unless `overwrite`."""
     begin_ns = incident.wall_ns(incident.begin_ns)
     with Recording(path, overwrite=overwrite, time_ns=begin_ns, reports={EVENT: Event}) as recording:
-        undeclared = dict(_CHANNELS)
-        for message in messages(incident, records):
-            if model := undeclared.pop(message.topic, None):  # viewers list a channel even if it is empty
-                recording.declare(message.topic, model.__name__, _schema(model))
-            if message.topic in REPORTS:
-                recording.add_report(message.topic, message.content, message.time_ns)
-            else:
-                recording.add(message.topic, message.content, message.time_ns)
+        return headline(_written(messages(incident, records), recording))
+
+
+def _written(those: Iterator[Message], recording: Recording) -> Iterator[Message]:
+    undeclared = dict(_CHANNELS)
+    for message in those:
+        if model := undeclared.pop(message.topic, None):  # viewers list a channel even if it is empty
+            recording.declare(message.topic, model.__name__, _schema(model))
+        if message.topic in REPORTS:
+            recording.add_report(message.topic, message.content, message.time_ns)
+        else:
+            recording.add(message.topic, message.content, message.time_ns)
+        yield message
 
 
 def keep(folder: Path, incident: Incident, records: Records, later: Sequence[str] = (), *, over: bool = True) -> Path:
@@ -94,10 +102,10 @@ def keep(folder: Path, incident: Incident, records: Records, later: Sequence[str
     unfinished = path.with_suffix(_UNFINISHED)
     unfinished.unlink(missing_ok=True)
     try:
-        write(unfinished, incident, records, overwrite=False)
+        said = write(unfinished, incident, records, overwrite=False)
         _sync(unfinished)
         unfinished.replace(path)
-        _note(folder, incident.name, later, _OVER if over else _OPEN)
+        _note(folder, incident.name, later, f"{_OVER if over else _OPEN} {said}"[:_MAX_LINE])
         _sync(folder)
     except BaseException:
         unfinished.unlink(missing_ok=True)
@@ -113,7 +121,7 @@ def is_kept(folder: Path, incident: Incident) -> bool:
         return False
     noted = _order(folder).get(incident.name)
     if noted is not None:
-        return not incident.whole or noted == _OVER
+        return not incident.whole or noted.startswith(_OVER)
     return not incident.whole or written_ns > incident.end_ns + incident.wall_offset_ns
 
 
@@ -126,10 +134,16 @@ def prune(folder: Path) -> None:
             each.path.unlink()
 
 
+def headlines(folder: Path) -> dict[str, str]:
+    """What happened in each incident of a folder, by its id; those of an earlier version have none."""
+    found = {name: state.partition(" ")[2] for name, state in _order(folder).items()}
+    return {name: said for name, said in found.items() if said}
+
+
 def _order(folder: Path) -> dict[str, str]:
     """The ids of incidents in the order in which they happened, and of each whether it was over when it was written."""
     try:
-        with (folder / _ORDER).open(encoding="ascii", errors="replace") as file:
+        with (folder / _ORDER).open(encoding="utf-8", errors="replace") as file:
             lines = file.read(_MAX_ORDER_BYTES).splitlines()
     except OSError:
         return {}
@@ -148,7 +162,7 @@ def _note(folder: Path, incident: str, later: Sequence[str], state: str) -> None
         place = next((place for place, name in enumerate(names) if name in later), len(names))
     order.insert(place, (incident, state))
     new = folder / f"{_ORDER}{_UNFINISHED}"
-    new.write_text("".join(" ".join(line) + "\n" for line in order), encoding="ascii")
+    new.write_text("".join(" ".join(line) + "\n" for line in order), encoding="utf-8")
     _sync(new)
     new.replace(folder / _ORDER)
 

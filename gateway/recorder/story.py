@@ -1,12 +1,14 @@
 """An incident in plain sentences: who commanded what, what the gateway decided, what it wrote, with relative times."""
 
+from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 from gateway.protocol.frames import Frame, FrameError, Op, decode
 from gateway.recorder.incidents import kind_of
 from gateway.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER
+from gateway.recorder.recorder import INCIDENTS, MISTAKE
 from gateway.recordings import Message
 from gateway.recordings.user_angles import UserAngles
 from schemas import keys
@@ -41,6 +43,18 @@ _EVENTS: Final[dict[object, str]] = {
 }
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
 """Events that are told after their Stops are written, though what they tell of came before."""
+_ENDINGS: Final[dict[str, str]] = {
+    **{str(kind): ending for kind, ending in INCIDENTS.items()},
+    MISTAKE: MISTAKE,
+    "killed": "crash",
+}
+"""What an event's kind or a note's `what` is in an incident's id."""
+_WORSE: Final = ("watchdog", "landing", "estop", "bus-fault", "mistake", "crash")
+"""What a list names first where several happened, from the least on."""
+STOOD_NS: Final = 100_000_000
+"""A loop that is so late at the time of a stop is the reason for it."""
+CAME_NS: Final = 500_000_000
+"""What was published while nobody read is there by then."""
 
 
 class Line(NamedTuple):
@@ -71,9 +85,68 @@ def story(messages: list[Message]) -> list[str]:
     lines += _landings(told, zero.time_ns)
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
-    head = f"{name}: {what(name)}, at {zero.content.get('time')}"
+    head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
     timed = (f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)
     return [_visible(line) for line in (head, *_summary(told, zero.time_ns), *timed)]
+
+
+def headline(messages: Iterable[Message]) -> str:
+    """The worst that happened in an incident, who asked for it, which legs it stopped, and what else happened.
+
+    Of many messages it holds few. Raises NoStoryError.
+    """
+    told: list[Message] = []
+    moved_ns = array("q")  # when commands that move came
+    for message in messages:
+        if _is_command(message):
+            if _moves(message):
+                moved_ns.append(message.time_ns)
+        elif _is_headline(message):
+            told.append(message)
+    zero = next((each for each in told if each.content.get("what") == INCIDENT), None)
+    if zero is None:
+        raise NoStoryError("it has no incident")
+    happened = {kind_of(str(zero.content.get("detail"))): ""}
+    for message in told:
+        ending = _ENDINGS.get(str(message.content.get("kind") or message.content.get("what")))
+        if ending is not None and message.time_ns >= zero.time_ns:
+            by = message.content.get("source")
+            happened[ending] = happened.get(ending) or (f" ({by})" if by else "")
+    if "landing" in happened:
+        happened.pop("watchdog", None)  # its Stops are the landing's end
+    worst = max(happened, key=lambda ending: _WORSE.index(ending) if ending in _WORSE else -1)
+    legs = sorted(_stopped_legs(told, zero.time_ns))
+    words = {ending: f"{_WHAT.get(ending, ending)}{by}" for ending, by in happened.items()}
+    if legs and "watchdog" in words:
+        words["watchdog"] += f": {_named(legs)}"
+    first = words.pop(worst)
+    if worst in ("watchdog", "landing"):
+        first = _stood_still(told, moved_ns, zero.time_ns) or first
+    return _visible("; also: ".join((first, *words.values())))
+
+
+def _is_headline(message: Message) -> bool:
+    if message.topic == keys.FRAME:
+        return message.content.get("cause") == Cause.WATCHDOG
+    kind = message.content.get("kind") if message.topic == keys.EVENT else None
+    note = message.content.get("what") if message.topic == RECORDER else None
+    return str(kind) in _ENDINGS or note in (INCIDENT, "lag", "killed")
+
+
+def _stood_still(notes: Sequence[Message], moved_ns: Sequence[int], zero_ns: int) -> str:
+    """Where a leg was silent since nobody read its commands; empty, where the gateway ran."""
+    for note in notes:
+        if note.content.get("what") != "lag":
+            continue
+        try:
+            lag_ns = round(float(str(note.content.get("detail")).removesuffix(" ms")) * 1e6)
+        except ValueError:
+            continue
+        begun_ns = note.time_ns - lag_ns
+        if lag_ns >= STOOD_NS and begun_ns - STOOD_NS <= zero_ns <= note.time_ns + STOOD_NS:
+            came = any(begun_ns <= each <= note.time_ns + CAME_NS for each in moved_ns)
+            return f"the gateway stood still for {lag_ns / 1e9:.1f} s{'; commands kept coming' if came else ''}"
+    return ""
 
 
 def _visible(line: str) -> str:
@@ -148,8 +221,9 @@ def _summary(messages: list[Message], zero_ns: int) -> Iterator[str]:
 
 
 def _commands(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line]:
-    """The last command of each leg before the incident, and the first that moves it after."""
+    """The last command of each leg before the incident, and the first that moves one that it stopped."""
     concerned = _stopped_legs(messages, zero_ns) if kind_of(name) == "watchdog" else set(LEGS)
+    stopped_ns = _stops_of_legs(messages, zero_ns)
     last: dict[int, Message] = {}
     first: dict[int, Message] = {}
     for message in messages:
@@ -157,7 +231,8 @@ def _commands(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line
             if message.time_ns <= zero_ns:
                 last |= dict.fromkeys(_legs_of(message), message)
             elif _moves(message):
-                first = dict.fromkeys(_legs_of(message), message) | first
+                again = (leg for leg in _legs_of(message) if stopped_ns.get(leg, message.time_ns) < message.time_ns)
+                first = dict.fromkeys(again, message) | first
     for words, found in (("last command of", last), ("first command after it for", first)):
         for leg, message in found.items():
             if leg in concerned or words.startswith("first"):
@@ -170,7 +245,17 @@ def _commands(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line
             yield Line(message.time_ns - zero_ns, f"{request} requested by {by}{verdict}")
 
 
-def _stopped_legs(messages: list[Message], zero_ns: int) -> set[int]:
+def _stops_of_legs(messages: Sequence[Message], zero_ns: int) -> dict[int, int]:
+    """When each leg had its first Stop since the incident."""
+    found: dict[int, int] = {}
+    for message in messages:
+        frame = _frame(message) if message.topic == keys.FRAME and message.time_ns >= zero_ns else None
+        if frame is not None and frame.is_stop:
+            found.setdefault(frame.servos[0][0] // 10, message.time_ns)
+    return found
+
+
+def _stopped_legs(messages: Sequence[Message], zero_ns: int) -> set[int]:
     """The legs that the watchdog stopped."""
     legs = set()
     for message in messages:

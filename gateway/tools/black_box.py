@@ -14,10 +14,10 @@ from gateway.recorder import kept, place, reader
 from gateway.recorder.incidents import Incident, find, is_id, time_of
 from gateway.recorder.keeper import LOOK_S, Keeper
 from gateway.recorder.messages import messages
-from gateway.recorder.story import NoStoryError, story, what
+from gateway.recorder.story import NoStoryError, headline, story, what
 from gateway.recordings import Losses, Message, read
 from gateway.settings import Settings
-from gateway.tools.terminal import hint, this_command
+from gateway.tools.terminal import hint, this_command, visible
 
 LAST: Final = "last"
 
@@ -34,14 +34,24 @@ class _Found(NamedTuple):
 def list_all(settings: Settings) -> int:
     """Print the incidents, newest first. Exit code 0, also where there are none."""
     folder = _folder(settings)
-    found = _find(folder)
+    found, said = _find(folder), kept.headlines(folder / place.INCIDENTS)
     for each in reversed(found):
         when = time_of(each.name)
         size = f"{each.path.stat().st_size / 1000:.0f} kB" if each.path is not None else "in the ring"
-        print(f"{each.name:<32}  {when:%Y-%m-%d %H:%M:%S} UTC  {size:>12}  {what(each.name)}")  # noqa: T201
+        print(f"{each.name:<32}  {when:%Y-%m-%d %H:%M:%S} UTC  {size:>12}  {_headline(each, said)}")  # noqa: T201
     if not found:
         print(f"No incidents in {folder}.")  # noqa: T201
     return 0
+
+
+def _headline(found: _Found, headlines: dict[str, str]) -> str:
+    """What happened, in a line."""
+    if found.incident is None or found.content is None:
+        return visible(headlines.get(found.name) or what(found.name))
+    try:
+        return headline(messages(found.incident, found.content.records))
+    except (NoStoryError, KeyError, TypeError, AttributeError):
+        return what(found.name)
 
 
 def show(settings: Settings, name: str) -> int:

@@ -69,7 +69,10 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     await asyncio.sleep(1)
     await silence(robot)
     lines = told(folder)
-    assert lines[0] == "20260921-141320-123-watchdog: a leg was silent, and was stopped, at 2026-09-21T14:13:20.123457Z"
+    assert (
+        lines[0]
+        == "20260921-141320-123-watchdog: a leg was silent, and was stopped: leg 3, at 2026-09-21T14:13:20.123457Z"
+    )
     assert lines[1] == "Before it, anna sent 2 commands for leg 3."
     assert [line.strip() for line in lines[-7:]] == [
         "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
@@ -97,6 +100,39 @@ async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
         "first command after it for leg 4 (anna, start 90 45 120)",
     ]
     assert [line for line in lines if line in wanted] == wanted, lines
+
+
+@pytest.mark.virtual_time
+async def test_a_gateway_that_stood_still_is_not_told_as_a_silent_leg(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    robot.sleep_through(4.2)
+    robot.put(LEG_3, leg("set", 90, 46, 120, source="anna"))
+    robot.conductor.recorder.beat(4_100_000_000)
+    await asyncio.sleep(0.1)
+    assert ": the gateway stood still for 4.1 s; commands kept coming, at " in told(folder)[0]
+
+
+@pytest.mark.virtual_time
+async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(keys.leg_command(2), START)
+    robot.put(LEG_3, START)
+    for _ in range(10):
+        await asyncio.sleep(0.1)
+        robot.put(keys.leg_command(2), leg("set", 90, 46, 120, source="anna"))
+    lines = told(folder)
+    assert ": a leg was silent, and was stopped: leg 3, at " in lines[0]
+    assert not [line for line in lines if "first command after it" in line], "leg 2 walked throughout"
+    robot.put(keys.ESTOP, {"source": "bert"})
+    ((incident,), content) = incidents(folder)
+    silent = "a leg was silent, and was stopped: leg 3"
+    worst = f"somebody requested an emergency stop (bert); also: {silent}"
+    assert f": {worst}, at " in told(folder)[0]
+    kept.keep(folder / place.INCIDENTS, incident, content.records)
+    assert kept.headlines(folder / place.INCIDENTS) == {incident.name: worst}
+    robot.conductor.recorder.close()
+    assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
 
 LANDING = {"watchdog": {"landing_ms": 500, "repeats": 0, "landing": {"31": 30.0}}}

@@ -43,7 +43,7 @@ def test_a_stop_is_told_at_once_and_a_killed_gateways_story_is_still_there(gatew
     assert any(event == f"estop_engaged {name}" for event in events)
     code, lines = incidents(gateway, "show", "last")
     assert code == 0
-    assert lines[0].startswith(f"{name}: somebody requested an emergency stop, at ")
+    assert lines[0].startswith(f"{name}: somebody requested an emergency stop (anna), at ")
     assert any("last command of leg 3 (anna, start 90 45 120)" in line for line in lines)
     assert any("Stop written to all six legs (estop)" in line for line in lines)
 
