@@ -49,7 +49,9 @@ _ENDINGS: Final[dict[str, str]] = {
     "killed": "crash",
 }
 """What an event's kind or a note's `what` is in an incident's id."""
-_WORSE: Final = ("watchdog", "landing", "estop", "bus-fault", "mistake", "crash")
+_WORSE: Final = (
+    "watchdog", "landing", "overflow", "lease-taken", "stopped-outside", "estop", "bus-fault", "mistake", "crash"
+)  # fmt: skip
 """What a list names first where several happened, from the least on."""
 STOOD_NS: Final = 100_000_000
 """A loop that is so late at the time of a stop is the reason for it."""

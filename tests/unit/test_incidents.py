@@ -18,10 +18,11 @@ from gateway.geometry import load
 from gateway.protocol.frames import decode
 from gateway.recorder import format as form
 from gateway.recorder import kept, place, reader
-from gateway.recorder.incidents import Incident, find
+from gateway.recorder.incidents import CRASH, Incident, find
 from gateway.recorder.messages import messages
+from gateway.recorder.recorder import INCIDENTS, MISTAKE
 from gateway.recorder.ring import Ring
-from gateway.recorder.story import story
+from gateway.recorder.story import _WORSE, story, what
 from gateway.recordings import read
 from gateway.recordings.user_angles import UserAngles
 from gateway.runtime.calibrations import Calibrations
@@ -404,3 +405,9 @@ def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
         "0.000 s  watchdog: a sentence (\\x1b[2Janna)",
         "+0.3 ms  Stop written to leg 3 (watchdog), 300 µs after the deadline",
     ], "and no source controls a terminal"
+
+
+def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
+    kinds = {*INCIDENTS.values(), MISTAKE, CRASH}
+    assert kinds == set(_WORSE)
+    assert all(what(f"20260921-141320-123-{kind}") != kind for kind in kinds)
