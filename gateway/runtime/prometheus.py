@@ -1,14 +1,8 @@
 """The service's numbers for Prometheus, over HTTP (`telemetry.metrics`)."""
 
 import logging
-import socket
-import time
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from socketserver import TCPServer, ThreadingMixIn
-from threading import BoundedSemaphore, Lock, Thread
-from typing import TYPE_CHECKING, Any, Final
-from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+from typing import TYPE_CHECKING, Final
 
 from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
 from prometheus_client.metrics_core import (
@@ -23,17 +17,11 @@ from prometheus_client.registry import Collector
 from gateway import __version__
 from gateway.core.latency import BOUNDS_US, Latency
 from gateway.edge.exposure import is_local
-from gateway.errors import ConfigError
 from gateway.host import logs
-from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.protocol import VERSION
 from gateway.runtime.conductor import Conductor
+from gateway.runtime.metrics_page import MetricsPage
 from schemas.telemetry import Cause, Kind, Mode, Reason
-
-MOST_REQUESTS: Final = 8
-"""At once: one Prometheus needs one, and a person who looks another."""
-REQUEST_S: Final = 5.0
-"""A scrape takes 5 ms; Prometheus itself gives up after ten seconds."""
 
 METRICS_PATH: Final = "/metrics"
 
@@ -130,69 +118,6 @@ def _histogram(name: str, help_text: str, latency: Latency) -> HistogramMetricFa
     return HistogramMetricFamily(f"{_PREFIX}_{name}_seconds", help_text, buckets, latency.sum_us / 1e6)
 
 
-class _Server(ThreadingMixIn, WSGIServer):
-    """A thread for each request, and not too many of either: whoever connects and says nothing makes room for others.
-
-    prometheus_client's own server starts a thread for each connection and waits for its request for ever, so that
-    connections alone use up the threads and descriptors of the service.
-    """
-
-    daemon_threads = True
-    request_queue_size = 128
-
-    def __init__(self, address: str, registry: CollectorRegistry) -> None:
-        host, _, port = address.rpartition(":")
-        family, *_, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-        self.address_family = family
-        self._lock = Lock()  # only the threads here take it
-        self._begun_s: dict[socket.socket, float] = {}
-        self._free = BoundedSemaphore(MOST_REQUESTS)
-        super().__init__((str(where[0]), int(where[1])), _Request)
-        self.set_app(_only_at_its_path(make_wsgi_app(registry)))
-
-    def server_bind(self) -> None:
-        # Not as HTTPServer does, which asks the network for this machine's full name, and nobody here wants that.
-        TCPServer.server_bind(self)
-        self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
-        self.setup_environ()
-
-    def serve_forever(self, poll_interval: float = 0.5) -> None:
-        prefer_thread(PAGE_PRIORITY)
-        super().serve_forever(poll_interval)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        with self._lock:
-            if len(self._begun_s) >= MOST_REQUESTS:
-                _hang_up(next(iter(self._begun_s)))  # the oldest, whose thread then ends
-        self._free.acquire()
-        with self._lock:
-            self._begun_s[request] = time.monotonic()
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        prefer_thread(PAGE_PRIORITY)
-        super().process_request_thread(request, client_address)
-
-    def service_actions(self) -> None:
-        """Twice a second: end what takes too long, such as a request that comes byte by byte."""
-        late_s = time.monotonic() - REQUEST_S
-        with self._lock:
-            for request, begun_s in self._begun_s.items():
-                if begun_s < late_s:
-                    _hang_up(request)
-
-    def shutdown_request(self, request: Any) -> None:
-        with self._lock:
-            known = self._begun_s.pop(request, None) is not None
-            super().shutdown_request(request)
-        if known:
-            self._free.release()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        del request
-        logger.debug("a request for metrics from %s failed", client_address, exc_info=True)
-
-
 def _only_at_its_path(page: "WSGIApplication") -> "WSGIApplication":
     """The page at its path, and 404 everywhere else: prometheus_client answers with the numbers on any."""
 
@@ -205,28 +130,14 @@ def _only_at_its_path(page: "WSGIApplication") -> "WSGIApplication":
     return answer
 
 
-def _hang_up(request: socket.socket) -> None:
-    with suppress(OSError):
-        request.shutdown(socket.SHUT_RDWR)
-
-
-class _Request(WSGIRequestHandler):
-    def log_message(self, *_: object) -> None:
-        """Log nothing."""
-
-
 def serve(address: str, conductor: Conductor) -> None:
-    """Serve the numbers on `host:port` from threads of their own. Raises ConfigError where the port cannot be had.
+    """Serve the numbers on `host:port` from a thread of its own. Raises ConfigError where the port cannot be had.
 
     May wait for a name server, so not for the loop's thread.
     """
     registry = CollectorRegistry()
     registry.register(_Numbers(conductor))
     ProcessCollector(registry=registry)
-    try:
-        server = _Server(address, registry)
-    except OSError as error:
-        raise ConfigError(f"telemetry.metrics: {address} cannot be opened: {error.strerror or error}") from error
-    Thread(target=server.serve_forever, name="metrics", daemon=True).start()
+    MetricsPage(address, _only_at_its_path(make_wsgi_app(registry))).start()
     if not is_local(f"tcp/{address}"):
         logger.warning("telemetry.metrics: anyone who reaches %s can read how the robot is used", address)

@@ -2,7 +2,9 @@
 
 import os
 import socket
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -10,15 +12,17 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.runtime.prometheus import MOST_REQUESTS
+from gateway.runtime.metrics_page import MOST_A_SECOND, MOST_REQUESTS, WAITING
 from schemas.telemetry import Cause
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
 from tests.zenoh.test_metrics import read, value
 
-SILENT = 300
+SILENT = 90
 DESCRIPTORS = 260
-"""Fewer than there are silent connections, and enough for a gateway, which asks for 216."""
+READERS = 80
+READ_S = 3.0
+"""Enough for a gateway, which asks for 216."""
 THREADS = 64
 """What the service unit allows (TasksMax)."""
 LATE_MS = 100
@@ -68,7 +72,7 @@ def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Pat
         let_expire(client, 5)
         samples = read(address)
         assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5
-        assert threads(gateway) <= before + MOST_REQUESTS + 1
+        assert threads(gateway) == before, "no thread for a connection"
         assert len(os.listdir(f"/proc/{gateway.child.pid}/task")) <= THREADS
         assert len(os.listdir(f"/proc/{gateway.child.pid}/fd")) < DESCRIPTORS - 50
         latency = client.state().watchdog.stop_latency_us
@@ -89,9 +93,9 @@ def threads(gateway: Gateway) -> int:
 def let_expire(client: Client, times: int) -> None:
     """Have the watchdog stop a leg so many times."""
     heard = frames(client)
-    for time in range(1, times + 1):
+    for count in range(1, times + 1):
         assert client.start_leg(3, 90, 45, 120).accepted
-        heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=time)
+        heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
 
 
 def test_a_scrape_right_after_the_crowd_is_answered_at_once(tmp_path: Path) -> None:
@@ -100,3 +104,27 @@ def test_a_scrape_right_after_the_crowd_is_answered_at_once(tmp_path: Path) -> N
         for _ in range(10):
             crowd.connect(2 * MOST_REQUESTS)
             assert value(read(address), "hexapod_mode", mode="idle") == 1
+
+
+def test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more(tmp_path: Path) -> None:
+    """80 slow readers, each of which connects anew as soon as its connection ends."""
+    with attacked(tmp_path, b"") as (gateway, address, _), gateway.client() as client:
+        host, _, port = address.rpartition(":")
+        before, until_s = threads(gateway), time.monotonic() + READ_S
+        with ThreadPoolExecutor(READERS) as pool:
+            counts = [pool.submit(answered, (host, int(port)), until_s) for _ in range(READERS)]
+            let_expire(client, 5)
+            assert threads(gateway) == before
+        answers = sum(count.result() for count in counts)
+        assert READ_S * MOST_A_SECOND / 4 < answers <= (READ_S + 1) * MOST_A_SECOND + WAITING
+        assert value(read(address), "hexapod_frames_written_total", cause="watchdog") == 5
+
+
+def answered(address: tuple[str, int], until_s: float) -> int:
+    """How many of its requests got an answer, of which one byte is read."""
+    count = 0
+    while time.monotonic() < until_s:
+        with suppress(OSError), socket.create_connection(address, 1) as connection:
+            connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: robot\r\n\r\n")
+            count += bool(connection.recv(1))
+    return count
