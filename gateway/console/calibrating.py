@@ -12,6 +12,7 @@ from gateway.client import calibration_payload
 from gateway.console.messages import Calibrate, CalibrationMessage, Draft
 from gateway.core.calibration import Calibration, CalibrationError
 from gateway.errors import GatewayError
+from gateway.protocol.framing import avoided_by
 from gateway.tools.calibrate.guide import Guide
 from gateway.tools.calibrate.once import standing
 from gateway.tools.calibrate.robot import change_of
@@ -91,7 +92,7 @@ class Calibrating:
         """What is in force now; a draft stands on it. Returns the servos that both have changed."""
         calibration = await self._gateway.calibration()
         if self._guide is None:
-            self._guide = Guide(calibration)
+            self._guide = Guide(calibration, avoided_by((await self._gateway.state()).spi.framing))
             return []
         return self._guide.now_in_force(calibration)
 

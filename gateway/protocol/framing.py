@@ -39,3 +39,8 @@ class Framing(enum.StrEnum):
         healthy controller for up to a second. Zeros that complete half a body would be ids and angles of 0.
         """
         return (ZERO,) * PREAMBLE_ZEROS if self is Framing.LENGTH_PREFIXED else ()
+
+
+def avoided_by(framing: str) -> tuple[int, int] | None:
+    """What a gateway that reports this framing does not send by default; None, too, for one that is not known here."""
+    return Framing(framing).avoid_cdeg if framing in Framing.__members__.values() else None

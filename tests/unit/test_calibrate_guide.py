@@ -18,6 +18,24 @@ def guide(servo: ServoCalibration | None = None, start_deg: float = 90.0) -> Gui
     return made
 
 
+@pytest.mark.parametrize(("trim_cdeg", "inverted"), [(0, False), (-2_00, False), (-2_00, True)])
+def test_keys_move_over_angles_that_are_never_sent(trim_cdeg: int, inverted: bool) -> None:
+    """It is the servo's own angle that is never sent; both ways, and by each key."""
+    made = Guide(Calibration(servos={32: ServoCalibration(trim_cdeg, inverted)}), (1_00, 4_00))
+    made.choose(32)
+    down = -1 if not inverted else 1
+    made.wire_cdeg = 5_50
+    for by_cdeg, wire_cdeg in (
+        (COARSE_CDEG, 4_50),
+        (COARSE_CDEG, 99),
+        (FINE_CDEG, 89),
+        (-FINE_CDEG, 99),
+        (-FINE_CDEG, 4_00),
+    ):
+        made.jog(down * by_cdeg)
+        assert made.wire_cdeg == wire_cdeg
+
+
 def test_a_horn_that_sits_seven_degrees_off() -> None:
     made = guide()
     for _ in range(7):

@@ -10,7 +10,7 @@ from gateway.core.calibration import Calibration, ServoCalibration
 from gateway.host import calibration_file
 from gateway.host.calibration_file import SLOW_S
 from gateway.settings import Settings
-from gateway.tools.check.calibration import kept
+from gateway.tools.check.calibration import kept, landing_pose
 from gateway.tools.check.result import Verdict
 
 
@@ -61,3 +61,20 @@ def test_in_memory_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
     assert "in memory only" in kept(Settings()).sentence
+
+
+def test_a_landing_pose_that_is_never_sent_is_told(tmp_path: Path) -> None:
+    """By the settings or by the calibration, whose trims count."""
+    path = tmp_path / "calibration.toml"
+    calibration_file.write(path, Calibration(3, {12: ServoCalibration(-3_00)}, {21: 2_50}))
+    sections = {
+        "calibration": {"path": str(path)},
+        "spi": {"framing": "length-prefixed"},
+        "watchdog": {"landing_ms": 500, "landing": {"11": 90, "12": 5, "13": 4}},
+    }
+    found = list(landing_pose(Settings.model_validate(sections)))
+    assert [result.verdict for result in found] == [Verdict.WARNING] * 2
+    assert found[0].sentence.startswith("5 degrees of servo 12 are its own 2, with its calibration; ")
+    assert found[1].sentence.startswith("2.5 degrees of servo 21; ")
+    sections["watchdog"] = {"landing_ms": 0}
+    assert not list(landing_pose(Settings.model_validate(sections)))

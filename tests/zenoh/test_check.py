@@ -125,7 +125,16 @@ def test_the_framing_that_moves_no_servo_is_a_warning() -> None:
     plain = device.framing(SpiSettings())
     assert plain.verdict is WARNING
     assert "length-prefixed" in plain.fix
-    assert device.framing(SpiSettings(framing=Framing.LENGTH_PREFIXED)).verdict is OK
+    prefixed = device.framing(SpiSettings(framing=Framing.LENGTH_PREFIXED))
+    assert prefixed.verdict is OK
+    assert prefixed.sentence.endswith("wire angles from 1 up to 4 degrees are never sent")
+
+
+@pytest.mark.parametrize("avoid_deg", [(), (1.5, 4), (1, 3.5)])
+def test_deadly_angles_that_are_sent_are_a_warning(avoid_deg: tuple[float, ...]) -> None:
+    found = device.framing(SpiSettings(framing=Framing.LENGTH_PREFIXED, avoid_deg=avoid_deg))
+    assert found.verdict is WARNING
+    assert "dies of these where one byte is lost" in found.sentence
 
 
 # ---- ports

@@ -22,6 +22,8 @@ class Guide:
     """One walk through some servos. Each method that changes the draft can be undone."""
 
     in_force: Calibration
+    avoid_cdeg: tuple[int, int] | None = None
+    """A servo's own angles that the gateway never sends, from the first up to, not including, the second."""
     draft: dict[int, ServoCalibration] = field(init=False)
     servo_id: int | None = None
     wire_cdeg: int = 0
@@ -69,9 +71,14 @@ class Guide:
         self.servo_id = None
 
     def jog(self, by_cdeg: int) -> None:
-        """Move on by so much, as the draft counts. Raises CalibrationError where the calibration in force ends."""
+        """Move on by so much, as the draft counts, or to behind angles that are never sent.
+
+        Raises CalibrationError where the calibration in force ends.
+        """
         servo_id, servo = self._under_test()
         wire_cdeg = self.wire_cdeg + (-by_cdeg if servo.inverted else by_cdeg)
+        if self.avoid_cdeg is not None and self.avoid_cdeg[0] <= wire_cdeg < self.avoid_cdeg[1]:
+            wire_cdeg = self.avoid_cdeg[0] - 1 if wire_cdeg < self.wire_cdeg else self.avoid_cdeg[1]
         if not 0 <= wire_cdeg <= MAX_ANGLE_CDEG:
             raise CalibrationError(
                 f"servo {servo_id} has no more way to go: its own angle would be {wire_cdeg / 100:g}"

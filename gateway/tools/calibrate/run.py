@@ -8,6 +8,7 @@ from typing import Final
 
 from gateway.client import LeaseError
 from gateway.core.calibration_report import calibration_of
+from gateway.protocol.framing import avoided_by
 from gateway.tools import driving
 from gateway.tools.calibrate import once
 from gateway.tools.calibrate.guide import Guide
@@ -45,7 +46,7 @@ def run(connect: Connection) -> int:
             say(f"what the gateway says is no calibration: {error}")
             return 1
         where = visible(" ".join(client.robot[1:]))
-        screen = Screen(client, calibration, state.watchdog.timeout_ms, where)
+        screen = Screen(client, calibration, state.watchdog.timeout_ms, where, avoided_by(state.spi.framing))
         try:
             screen.robot.drive()
         except LeaseError as error:

@@ -32,15 +32,25 @@ _READ: Final = 4096
 class Screen:
     """One walk through the guide; `run` shows it until somebody leaves."""
 
-    def __init__(self, client: Client, calibration: Calibration, timeout_ms: float, where: str) -> None:
-        """`timeout_ms` is the gateway's `watchdog.timeout_ms`; `where` is what the title says of the robot."""
+    def __init__(
+        self,
+        client: Client,
+        calibration: Calibration,
+        timeout_ms: float,
+        where: str,
+        avoid_cdeg: tuple[int, int] | None = None,
+    ) -> None:
+        """`timeout_ms` is the gateway's `watchdog.timeout_ms`; `where` is what the title says of the robot.
+
+        `avoid_cdeg`: angles that the gateway never sends; keys move over them.
+        """
         self._where = where
         self._news = threading.Event()
         self._ended = threading.Event()
         self._wake = -1
         self.held = Held(client, timeout_ms)
         self.robot = Robot(client, self._lost)
-        self.session = Session(Guide(calibration), self.held, self.robot, self._news.set)
+        self.session = Session(Guide(calibration, avoid_cdeg), self.held, self.robot, self._news.set)
         self.fault: Exception | None = None
         """Why drawing failed; the servo is stopped then, since nobody sees it."""
         self.stopped = True

@@ -2,11 +2,16 @@
 
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from gateway.core.calibrating import ACCEPT_DEFAULT
+from gateway.core.calibration import Calibration
+from gateway.core.leg import Rules
+from gateway.core.reach import Reach
 from gateway.host.calibration_file import SLOW_S, load, path_to_read, staged_for
+from gateway.protocol.frames import centidegrees
 from gateway.settings import Settings
 from gateway.tools.check.result import Result, failure, ok, warning
 
@@ -33,6 +38,21 @@ def kept(settings: Settings) -> Result:
         return ok(_NAME, f"none: every servo is as drawn ({path})")
     count = len(found.servos)
     return ok(_NAME, f"revision {found.revision}, {count} servo{'' if count == 1 else 's'} ({path})")
+
+
+def landing_pose(settings: Settings) -> Iterator[Result]:
+    """Whether each angle of the landing pose may be sent, where there is one and the calibration can be used."""
+    path = path_to_read(settings)
+    found, fault = (Calibration(), None) if path is None else load(path)
+    if fault is not None or not settings.watchdog.landing_ms:
+        return
+    pose = {int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()}
+    reach = Reach(Rules(avoid_cdeg=settings.spi.avoid_cdeg))
+    for servo_id, angle_cdeg in sorted({**pose, **found.landing_cdeg}.items()):
+        why_not = reach.why_avoided(found, servo_id, angle_cdeg)
+        if why_not is not None:
+            fix = "choose another angle: watchdog.landing in the configuration, or hexapod-gateway calibrate --landing"
+            yield warning("landing pose", f"{why_not}; in a landing it holds its angle", fix)
 
 
 def _begun_s(path: Path) -> float | None:

@@ -118,7 +118,17 @@ def framing(spi: SpiSettings) -> Result:
             "plain, as the protocol's document says; the published STM32 firmware jams in it until it is reset",
             'set spi.framing = "length-prefixed" for that firmware, and reset it',
         )
-    return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it")
+    deadly = Framing.LENGTH_PREFIXED.avoid_cdeg or (0, 0)
+    low, high = spi.avoid_cdeg or (0, 0)
+    if low > deadly[0] or high < deadly[1]:
+        return warning(
+            "framing",
+            f"{spi.framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the published STM32 firmware "
+            "dies of these where one byte is lost, with its servos on",
+            "leave spi.avoid_deg out, unless the controller's firmware is another",
+        )
+    avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
+    return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
 
 
 def _most_hz(file: Path) -> int | None:
