@@ -123,8 +123,8 @@ def framing(spi: SpiSettings) -> Result:
     if low > deadly[0] or high < deadly[1]:
         return warning(
             "framing",
-            f"{spi.framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the published STM32 firmware "
-            "dies of these where one byte is lost, with its servos on",
+            f"{spi.framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the published STM32 "
+            "firmware dies of these where one byte is lost, with its servos on",
             "leave spi.avoid_deg out, unless the controller's firmware is another",
         )
     avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
