@@ -127,16 +127,22 @@ _LEVELS: Final = {
 }
 
 
-def _log(event: Mapping[str, Any], time_ns: int) -> Json:
-    where = "".join(f", {event[name]}" for name in ("source", "key") if event.get(name))
+def warning(sentence: str, time_ns: int) -> Json:
+    """A line of the log that is no event of the gateway's."""
     return {
         "timestamp": _stamp(time_ns),
-        "level": _LEVELS.get(event["kind"], _INFO),
-        "message": f"{event['kind']}: {event['detail']}{where}",
+        "level": _WARNING,
+        "message": sentence,
         "name": "hexapod-gateway",
         "file": "",
         "line": 0,
     }
+
+
+def _log(event: Mapping[str, Any], time_ns: int) -> Json:
+    where = "".join(f", {event[name]}" for name in ("source", "key") if event.get(name))
+    line = warning(f"{event['kind']}: {event['detail']}{where}", time_ns)
+    return {**line, "level": _LEVELS.get(event["kind"], _INFO)}
 
 
 # ---- the schemas of what is drawn, as https://docs.foxglove.dev/docs/sdk/schemas names their fields

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 import zenoh
@@ -15,12 +15,13 @@ from pydantic import TypeAdapter, ValidationError
 from gateway.client import Client
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.geometry import load
-from gateway.recordings.drawing import DESCRIPTION, DRAWN_SCHEMAS, Drawing
+from gateway.recordings.drawing import DESCRIPTION, DRAWN_SCHEMAS, LOG, Drawing, warning
 from gateway.recordings.plain_schema import plain_schema, without_nulls
 from gateway.recordings.writing import REPORTS
 from gateway.tools.ending import on_end_signals
 from gateway.tools.reach import Connection
-from gateway.tools.terminal import say
+from gateway.tools.terminal import hint, say
+from schemas.keys import STATE
 
 try:
     import foxglove
@@ -33,6 +34,8 @@ HOST: Final = "127.0.0.1"
 """This machine only: its WebSocket asks nobody who they are. From elsewhere, `ssh -L` leads here."""
 DEFAULT_PORT: Final = 8765
 """Where viewers look."""
+SILENT_S: Final = 1.0
+"""A gateway publishes its state ten times a second."""
 MOST_WAITING: Final = 10_000
 
 Heard = tuple[str, bytes, int]
@@ -56,6 +59,8 @@ class _Live(ServerListener):
     def __init__(self, drawing: Drawing, port: int) -> None:
         self._drawing = drawing
         self._waiting: SimpleQueue[Heard | None] = SimpleQueue()
+        self._silent = False
+        self._uptime_s = 0.0
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self._context = foxglove.Context()  # kept, since its channels end with it
         schemas = dict(DRAWN_SCHEMAS)
@@ -99,7 +104,14 @@ class _Live(ServerListener):
 
     def run(self) -> None:
         """Until `end`."""
-        while (heard := self._waiting.get()) is not None:
+        while True:
+            try:
+                heard = self._waiting.get(timeout=SILENT_S)
+            except Empty:
+                self._is_silent()
+                continue
+            if heard is None:
+                return
             key, payload, time_ns = heard
             if key == DESCRIPTION:
                 self._log(*self._drawing.description(), time_ns)
@@ -107,9 +119,30 @@ class _Live(ServerListener):
             with suppress(ValidationError):  # without access control, anybody may publish there
                 REPORTS[key].model_validate_json(payload)
                 report: dict[str, Any] = json.loads(payload)
+                if key == STATE:
+                    self._is_there(report["uptime_s"], time_ns)
                 self._log(key, report, time_ns)
                 for topic, message in self._drawing.take(key, report, time_ns):
                     self._log(topic, message, time_ns)
+
+    def _is_silent(self) -> None:
+        """What the viewer shows stands still from now on, and says why."""
+        if not self._silent:
+            self._silent = True
+            self._say(
+                "nothing is received from the gateway: what is shown is the last that it published", self._now_ns()
+            )
+
+    def _is_there(self, uptime_s: float, time_ns: int) -> None:
+        if uptime_s < self._uptime_s:
+            self._say("the gateway was started again: all legs are stopped", time_ns)
+        elif self._silent:
+            self._say("the gateway is received again", time_ns)
+        self._silent, self._uptime_s = False, uptime_s
+
+    def _say(self, sentence: str, time_ns: int) -> None:
+        hint(sentence)
+        self._log(LOG, warning(sentence, time_ns), time_ns)
 
     def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
         """The server's: who opens the 3D panel is sent the robot's description, which comes only once."""

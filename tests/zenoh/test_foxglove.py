@@ -89,3 +89,32 @@ def test_without_its_extra_it_says_what_to_install(tmp_path: Path, gateway: Gate
     with closing(Child(command, {**os.environ, "PYTHONPATH": str(tmp_path)})) as child:
         assert child.wait() == 2, str(child)
         assert "pip install 'hexapod-gateway[foxglove]'" in child.stderr
+
+
+def test_a_gateway_that_ends_and_starts_again_is_told_in_the_viewers_log(tmp_path: Path) -> None:
+    """Without a word, the robot in the viewer would just stand still."""
+    with Gateway(tmp_path) as first:
+        command = [*COMMAND, "foxglove", "--port", "0", "--connect", first.endpoint]
+        with closing(Child(command, os.environ)) as child:
+            with connect(address_of(child), subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
+                log: int | None = None
+                while log is None:
+                    channels = text(viewer, "advertise")["channels"]
+                    log = next((each["id"] for each in channels if each["topic"] == "/log"), None)
+                viewer.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": log}]}))
+                with first.client() as robot:
+                    robot.state()
+                first.child.kill()
+                first.child.wait(10)
+                wait_for_line(viewer, "nothing is received from the gateway: what is shown is the last")
+                with Gateway(tmp_path, {"zenoh": {"listen": [first.endpoint]}}):
+                    wait_for_line(viewer, "the gateway was started again")
+            assert "the gateway was started again" in child.stderr
+
+
+def wait_for_line(viewer: ClientConnection, sentence: str) -> None:
+    """The log channel is the only one that is subscribed to."""
+    while True:
+        message = viewer.recv(PATIENCE_S)
+        if isinstance(message, bytes) and sentence in json.loads(message[13:])["message"]:
+            return
