@@ -80,3 +80,9 @@ class AddressTakenError(GatewayError):
     """Another program listens there."""
 
     exit_code = 5
+
+
+class WalkError(GatewayError, ValueError):
+    """What a robot of this geometry cannot do on its legs, with the limit; or what is no velocity, height or gait."""
+
+    exit_code = 2

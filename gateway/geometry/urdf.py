@@ -1,16 +1,19 @@
-"""The robot as a URDF: links and joints of the geometry, drawn with boxes and spheres."""
+"""The robot as a URDF: links and joints of the geometry, as boxes and spheres that have the masses of masses.py."""
 
 import math
 from typing import Final
 from xml.etree import ElementTree as Xml
 
 from gateway.geometry.kinematics import BASE, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
+from gateway.geometry.masses import MASSES
 from gateway.geometry.model import Geometry
 from schemas.robot import JOINTS, LEGS
 
 _LIMB_M: Final = 0.025
 _FOOT_M: Final = 0.012
-_BODY_HEIGHT_M: Final = 0.05
+_TIP_M: Final = 0.005
+"""What touches the ground is less than what is drawn; a foot as round as that would roll 4 mm further each step."""
+BODY_HEIGHT_M: Final = 0.05
 _EFFORT_NM: Final = 1.0
 _SPEED_RAD_S: Final = 7.0
 """A URDF demands both; nothing here reads them."""
@@ -30,9 +33,8 @@ def urdf(geometry: Geometry) -> str:
         Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=rgba)
     xs, ys, zs = zip(*(mount.xyz_m for mount in geometry.leg_mounts.values()), strict=True)
     middle_m = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2, (max(zs) + min(zs)) / 2
-    body = _visual(_link(robot, BASE), "body", middle_m)
-    size_m = max(max(xs) - min(xs), _LIMB_M), max(max(ys) - min(ys), _LIMB_M), _BODY_HEIGHT_M
-    Xml.SubElement(body, "box", size=_numbers(*size_m))
+    size_m = max(max(xs) - min(xs), _LIMB_M), max(max(ys) - min(ys), _LIMB_M), BODY_HEIGHT_M
+    _box(_link(robot, BASE), "body", size_m, middle_m, (0.0, 0.0, 0.0), MASSES.body_kg)
     for leg in LEGS:
         _leg(robot, geometry, leg)
     Xml.indent(robot)
@@ -43,9 +45,10 @@ def _leg(robot: Xml.Element, geometry: Geometry, leg: int) -> None:
     mount = geometry.leg_mounts[leg]
     _, *ends = [part.origin_xyz_m for part in geometry.chain]
     parent = BASE
-    for number, joint, link, end_m in zip(JOINTS, geometry.joints, LINKS, ends, strict=True):
+    parts = zip(JOINTS, geometry.joints, LINKS, ends, MASSES.links_kg, strict=True)
+    for number, joint, link, end_m, mass_kg in parts:
         name = link_name(leg, link)
-        _limb(_link(robot, name), link, end_m)
+        _limb(_link(robot, name), link, end_m, mass_kg)
         element = Xml.SubElement(robot, "joint", name=joint_name(10 * leg + number), type="revolute")
         xyz_m, rpy_rad = joint.origin_xyz_m, joint.origin_rpy_rad
         if parent == BASE:
@@ -57,29 +60,45 @@ def _leg(robot: Xml.Element, geometry: Geometry, leg: int) -> None:
         Xml.SubElement(element, "limit", lower=low, upper=high, effort=str(_EFFORT_NM), velocity=str(_SPEED_RAD_S))
         parent = name
     foot = link_name(leg, "foot")
-    Xml.SubElement(_visual(_link(robot, foot), "foot", (0.0, 0.0, 0.0)), "sphere", radius=str(_FOOT_M))
+    end = _link(robot, foot)
+    for kind, radius_m in (("visual", _FOOT_M), ("collision", _TIP_M)):
+        Xml.SubElement(_shape(end, kind, "foot", (0.0, 0.0, 0.0)), "sphere", radius=str(radius_m))
     element = Xml.SubElement(robot, "joint", name=f"{foot}_joint", type="fixed")
     _place(element, geometry.foot.origin_xyz_m, (0.0, 0.0, 0.0), parent, foot)
 
 
-def _limb(link: Xml.Element, material: str, end_m: Vector) -> None:
+def _limb(link: Xml.Element, material: str, end_m: Vector, mass_kg: float) -> None:
     """A box from a frame's origin to the next joint, or to the foot."""
     length_m = math.hypot(*end_m)
     rpy_rad = 0.0, -math.atan2(end_m[2], math.hypot(end_m[0], end_m[1])), math.atan2(end_m[1], end_m[0])
     middle_m = end_m[0] / 2, end_m[1] / 2, end_m[2] / 2
-    box = _visual(link, material, middle_m, rpy_rad)
-    Xml.SubElement(box, "box", size=_numbers(max(length_m, _LIMB_M), _LIMB_M, _LIMB_M))
+    _box(link, material, (max(length_m, _LIMB_M), _LIMB_M, _LIMB_M), middle_m, rpy_rad, mass_kg)
+
+
+def _box(link: Xml.Element, material: str, size_m: Vector, middle_m: Vector, rpy_rad: Vector, mass_kg: float) -> None:
+    """Drawn, solid, and of even weight."""
+    for kind in ("visual", "collision"):
+        Xml.SubElement(_shape(link, kind, material, middle_m, rpy_rad), "box", size=_numbers(*size_m))
+    inertial = Xml.SubElement(link, "inertial")
+    Xml.SubElement(inertial, "origin", xyz=_numbers(*middle_m), rpy=_numbers(*rpy_rad))
+    Xml.SubElement(inertial, "mass", value=_numbers(mass_kg))
+    x, y, z = (mass_kg * side_m**2 / 12 for side_m in size_m)
+    moments = {"ixx": y + z, "iyy": x + z, "izz": x + y, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
+    Xml.SubElement(inertial, "inertia", {name: _numbers(value) for name, value in moments.items()})
 
 
 def _link(robot: Xml.Element, name: str) -> Xml.Element:
     return Xml.SubElement(robot, "link", name=name)
 
 
-def _visual(link: Xml.Element, material: str, xyz_m: Vector, rpy_rad: Vector = (0.0, 0.0, 0.0)) -> Xml.Element:
-    visual = Xml.SubElement(link, "visual")
-    Xml.SubElement(visual, "origin", xyz=_numbers(*xyz_m), rpy=_numbers(*rpy_rad))
-    Xml.SubElement(visual, "material", name=material)
-    return Xml.SubElement(visual, "geometry")
+def _shape(
+    link: Xml.Element, kind: str, material: str, xyz_m: Vector, rpy_rad: Vector = (0.0, 0.0, 0.0)
+) -> Xml.Element:
+    shape = Xml.SubElement(link, kind)
+    Xml.SubElement(shape, "origin", xyz=_numbers(*xyz_m), rpy=_numbers(*rpy_rad))
+    if kind == "visual":
+        Xml.SubElement(shape, "material", name=material)
+    return Xml.SubElement(shape, "geometry")
 
 
 def _place(joint: Xml.Element, xyz_m: Vector, rpy_rad: Vector, parent: str, child: str) -> None:

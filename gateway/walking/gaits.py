@@ -1,0 +1,52 @@
+"""The gaits: when each leg swings. A further one is a line in the table. Pure."""
+
+from typing import Final, NamedTuple
+
+from gateway.errors import WalkError
+from schemas.robot import LEGS
+
+
+class Gait(NamedTuple):
+    """Each leg swings once in a stride. Legs 1, 3, 5 are the left ones from the front, 2, 4, 6 the right ones."""
+
+    period_s: float
+    """Of a stride: one swing and one stance of each leg."""
+    duty: float
+    """The part of it for which a leg stands."""
+    lifts: tuple[float, float, float, float, float, float]
+    """When legs 1 to 6 lift off."""
+
+    @property
+    def swing_s(self) -> float:
+        """How long a foot is in the air."""
+        return (1 - self.duty) * self.period_s
+
+    @property
+    def stance_s(self) -> float:
+        """How long it stands."""
+        return self.duty * self.period_s
+
+
+GAITS: Final = {
+    #              period  duty      leg 1    2    3    4    5    6
+    "tripod": Gait(1.00, 0.54, (0 / 2, 1 / 2, 1 / 2, 0 / 2, 0 / 2, 1 / 2)),
+    "ripple": Gait(1.80, 0.70, (4 / 6, 1 / 6, 2 / 6, 5 / 6, 0 / 6, 3 / 6)),
+    "wave": Gait(3.20, 0.85, (2 / 6, 5 / 6, 1 / 6, 4 / 6, 0 / 6, 3 / 6)),
+}
+"""A duty a little above 1/2, 2/3 or 5/6 leaves a moment in which the load passes from foot to foot."""
+
+TRIPODS: Final = ((1, 4, 5), (2, 3, 6))
+"""Two halves of the robot, each of which stands by itself: front and rear leg of one side, middle one of the other."""
+
+
+def gait(name: str) -> Gait:
+    """Raises WalkError for a name that is none."""
+    try:
+        return GAITS[name]
+    except (KeyError, TypeError):
+        raise WalkError(f"there is no gait {name!r}; there are {', '.join(GAITS)}") from None
+
+
+def phase(of: Gait, leg: int, clock: float) -> float:
+    """How far a leg is in its stride, 0 to 1; it lifts off at 0 and lands at 1 - duty."""
+    return (clock - of.lifts[leg - LEGS.start]) % 1.0

@@ -1,0 +1,95 @@
+"""A walking engine under test: after each of its ticks, what must hold on every one is checked."""
+
+import math
+from itertools import pairwise
+from typing import Final
+
+import pytest
+
+from gateway.walking import STILL, Engine, Pose, Posture, Robot, Velocity
+from gateway.walking.engine import SLEW_M_S2, SLEW_RAD_S2
+from gateway.walking.stability import MARGIN_M, centre_of_mass, margin_m
+
+TICK_S: Final = 0.02
+_ROUNDING: Final = 1e-6
+
+
+class Walked:
+    """An engine whose every tick is checked; without `checks_balance` it may stand as badly as it was found."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.robot: Robot = engine.robot
+        self.pose: Pose = engine.pose
+        self.checks_balance = True
+        self.margin_m = math.inf
+        self.velocity = STILL
+
+    def tick(self, velocity: Velocity = STILL, seconds: float = TICK_S) -> None:
+        """One tick, and the checks."""
+        before_feet, stood = dict(self.engine.feet), self.engine.standing
+        walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
+        after = self.engine.step(velocity, seconds)
+        self._check_servos(after, min(seconds, 0.1))
+        if walked and self.engine.posture in (Posture.STANDING, Posture.WALKING):
+            self._check_stance(before_feet, stood)
+            self._check_velocity(seconds)
+        if self.checks_balance and self.engine.body.height_m > self.robot.lying_m + 0.001:
+            self._check_balance()
+        self.pose, self.velocity = after, self.engine.velocity
+
+    def run(self, seconds: float, velocity: Velocity = STILL) -> None:
+        """Ticks for so long."""
+        for _ in range(round(seconds / TICK_S)):
+            self.tick(velocity)
+
+    def until(self, posture: Posture, at_most_s: float, velocity: Velocity = STILL) -> float:
+        """Ticks until it has that posture; how long that took."""
+        for count in range(round(at_most_s / TICK_S) + 1):
+            if self.engine.posture is posture:
+                return count * TICK_S
+            self.tick(velocity)
+        raise AssertionError(f"after {at_most_s} s it is {self.engine.posture}, {self.engine.limit}")
+
+    def stands(self) -> "Walked":
+        """From lying."""
+        self.engine.stand()
+        self.until(Posture.STANDING, 6.0)
+        return self
+
+    def _check_servos(self, after: Pose, seconds: float) -> None:
+        for leg, angles in after.items():
+            for joint, (old, new) in enumerate(zip(self.pose.get(leg, angles), angles, strict=True), start=1):
+                allowed = self.robot.ranges[10 * leg + joint]
+                assert 0 <= new <= 180
+                assert allowed.min_deg <= new <= allowed.max_deg
+                most_deg = allowed.max_speed_deg_s * seconds + _ROUNDING
+                assert abs(new - old) <= most_deg, f"servo {leg}{joint} is too fast"
+
+    def _check_stance(self, before: dict[int, tuple[float, float, float]], stood: frozenset[int]) -> None:
+        """Feet that stand stay where they are on the ground, so they move as one rigid body."""
+        engine = self.engine
+        for leg in stood & engine.standing:
+            assert engine.feet[leg][2] == before[leg][2]
+        moved = {leg: (before[leg], engine.feet[leg]) for leg in stood & engine.standing}
+        legs = sorted(moved)
+        for one, other in pairwise(legs):
+            (a, b), (c, d) = moved[one], moved[other]
+            assert math.dist(b, d) == pytest.approx(math.dist(a, c), abs=1e-9), "two feet that stand went apart"
+
+    def _check_velocity(self, seconds: float) -> None:
+        old, new = self.velocity, self.engine.velocity
+        gained = math.hypot(new.forward_m_s, new.left_m_s) - math.hypot(old.forward_m_s, old.left_m_s)
+        assert gained <= SLEW_M_S2 * seconds + _ROUNDING
+        assert abs(new.turn_rad_s) - abs(old.turn_rad_s) <= SLEW_RAD_S2 * seconds + _ROUNDING
+
+    def _check_balance(self) -> None:
+        engine = self.engine
+        assert len(engine.standing) >= 3
+        joints = {leg: self.robot.joints_rad(leg, angles) for leg, angles in engine.pose.items()}
+        if engine.lost:
+            return
+        x, y, _ = centre_of_mass(self.robot, engine.body, joints)
+        margin = margin_m((x, y), [engine.feet[leg][:2] for leg in engine.standing])
+        self.margin_m = min(self.margin_m, margin)
+        assert margin >= MARGIN_M
