@@ -16,6 +16,7 @@ from gateway.tools import certs, incidents, lease, recordings
 from gateway.tools.calibrate import command as calibrate
 from gateway.tools.drill import command as drill
 from gateway.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.tools.walk import command as walk
 
 app = typer.Typer(
     rich_markup_mode="markdown",
@@ -228,6 +229,7 @@ app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(drill.app)
 app.add_typer(calibrate.app)
+app.add_typer(walk.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

@@ -225,6 +225,21 @@ class CertificateReport(Report):
     expires: AwareDatetime
 
 
+class ServoLimitsReport(Report):
+    """What the settings allow one servo, in degrees as commands name them; a speed of 0 is not limited."""
+
+    min_deg: float = 0.0
+    max_deg: float = 180.0
+    max_speed_deg_s: float = 0.0
+
+
+class LimitsReport(Report):
+    """What the settings allow a leg and its servos. The calibration's own limits are on `hexapod/calibration`."""
+
+    leg_rate_hz: float = 50.0
+    servos: Annotated[dict[str, ServoLimitsReport], Field(description="those that the settings name")] = {}
+
+
 class GatewayState(Report):
     """The payload of `hexapod/state`."""
 
@@ -248,6 +263,7 @@ class GatewayState(Report):
     certificate: Annotated[
         CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
     ] = None
+    limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
 
 
 class Event(Report):

@@ -12,7 +12,8 @@ True
 True
 """
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 from gateway.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
 from gateway.client.lease import Lease
@@ -25,18 +26,22 @@ from gateway.errors import (
     LeaseLostError,
     RejectedError,
     StoppedError,
+    WalkError,
     ZenohError,
 )
 
 if TYPE_CHECKING:
     from gateway.client.aio import AsyncClient, AsyncStream
     from gateway.client.aio_lease import AsyncLease
+    from gateway.client.aio_walk import AsyncWalk
+    from gateway.client.walk import Walk
 
 __all__ = [
     "DEFAULT_ENDPOINT",
     "AsyncClient",
     "AsyncLease",
     "AsyncStream",
+    "AsyncWalk",
     "Client",
     "DisconnectedError",
     "GatewayError",
@@ -46,6 +51,8 @@ __all__ = [
     "RejectedError",
     "StoppedError",
     "Stream",
+    "Walk",
+    "WalkError",
     "ZenohError",
     "calibration_payload",
     "leg_payload",
@@ -55,10 +62,17 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> object:
-    """What is for asyncio: loaded on use, since asyncio's import would delay `hexapod-gateway estop`."""
-    if name in ("AsyncClient", "AsyncLease", "AsyncStream"):
-        from gateway.client import aio  # noqa: PLC0415
+_LATER: Final = {
+    "AsyncClient": "gateway.client.aio",
+    "AsyncLease": "gateway.client.aio_lease",
+    "AsyncStream": "gateway.client.aio",
+    "AsyncWalk": "gateway.client.aio_walk",
+    "Walk": "gateway.client.walk",
+}
 
-        return getattr(aio, name)
+
+def __getattr__(name: str) -> object:
+    """What is for asyncio, and for walking: loaded on use, since its import would delay `hexapod-gateway estop`."""
+    if name in _LATER:
+        return getattr(import_module(_LATER[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

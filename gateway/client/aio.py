@@ -22,6 +22,8 @@ from gateway.errors import GatewayError, LeaseLostError, ZenohError
 from schemas.telemetry import Ack, Event, GatewayState
 
 if TYPE_CHECKING:
+    from gateway.client.aio_walk import AsyncWalk
+    from gateway.geometry import Geometry
     from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
 
@@ -109,6 +111,14 @@ class AsyncClient:
     def stream(self, hz: float = 50) -> "AsyncStream":
         """Setpoints of a gait: `async with robot.stream(50) as stream: await stream.set(…)`; see `Client.stream`."""
         return AsyncStream(self.client.stream(hz), self._threads)
+
+    def walk(
+        self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50
+    ) -> "AsyncWalk":
+        """Velocities: `async with robot.walk() as walk: await walk.go(forward_m_s=0.1)`; see `Client.walk`."""
+        from gateway.client.aio_walk import AsyncWalk
+
+        return AsyncWalk(self.client.walk(gait, geometry, hz), self._threads.run)
 
     def lease(
         self,

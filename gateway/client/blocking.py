@@ -37,6 +37,8 @@ from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 
 if TYPE_CHECKING:
+    from gateway.client.walk import Walk
+    from gateway.geometry import Geometry
     from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
 
@@ -103,6 +105,8 @@ class Client:
         self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
         """For the lease, and for tools that keep one."""
         self._lease: Lease | None = None
+        self.walks = False
+        """Whether a walk of it is open; two would move the same legs."""
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
@@ -151,6 +155,15 @@ class Client:
     def stream(self, hz: float = 50) -> Stream:
         """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`."""
         return Stream(self, hz)
+
+    def walk(self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50) -> "Walk":
+        """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
+
+        `gait`: tripod, ripple or wave. `geometry`: of another robot than the Elkapod. Raises WalkError, ConfigError.
+        """
+        from gateway.client.walk import Walk
+
+        return Walk(self, gait, geometry, hz)
 
     # ---- who is driving
 

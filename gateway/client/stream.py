@@ -8,7 +8,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from types import TracebackType
@@ -136,6 +136,11 @@ class Stream:
         self._over = None
         self._started = frozenset()
         self._pace.pause()
+
+    def go_on_without(self, legs: Iterable[int]) -> None:
+        """Go on after a StoppedError with the legs that still run. They are set, never started: that undoes no Stop."""
+        self._over = None
+        self._started -= frozenset(legs)
 
     # ---- the steps of it, which AsyncStream takes, too
 

@@ -43,7 +43,7 @@ from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
 from gateway.runtime.answers import Answers, legs_of
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
-from gateway.runtime.report import report
+from gateway.runtime.report import limits_of, report
 from gateway.runtime.sources import Sources
 from gateway.runtime.teller import Teller, unheard
 from gateway.settings import Settings
@@ -79,6 +79,7 @@ class Conductor:
         owner: Ownership | None = None,
     ) -> None:
         self._settings = settings
+        self._limits = limits_of(settings)
         self.supervisor = supervisor
         self.bus = bus
         self._loop = loop
@@ -399,6 +400,7 @@ class Conductor:
             incident=self.recorder.incident,
             calibration_kept=self.calibration_kept,
             certificate=self.certificate,
+            limits=self._limits,
         )
 
 

@@ -20,7 +20,9 @@ from schemas.telemetry import (
     Kind,
     LeaseReport,
     LegReport,
+    LimitsReport,
     LoopLag,
+    ServoLimitsReport,
     ServoReport,
     SpiReport,
     StopLatency,
@@ -60,6 +62,7 @@ def report(
     incident: str | None = None,
     calibration_kept: bool = False,
     certificate: CertificateReport | None = None,
+    limits: LimitsReport,
 ) -> GatewayState:
     """The state at `now_ns`."""
     p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -104,7 +107,14 @@ def report(
         ),
         telemetry=TelemetryReport(frames=settings.telemetry.frames),
         certificate=certificate,
+        limits=limits,
     )
+
+
+def limits_of(settings: Settings) -> LimitsReport:
+    """Made once: no report has to wait for it."""
+    servos = {name: ServoLimitsReport(**each.model_dump()) for name, each in settings.limits.servos.items()}
+    return LimitsReport(leg_rate_hz=settings.limits.leg_rate_hz, servos=servos)
 
 
 def _lease(lease: Lease, now_ns: int) -> LeaseReport:

@@ -23,7 +23,7 @@ class Range(NamedTuple):
 
     min_deg: float = 0.0
     max_deg: float = 180.0
-    max_speed_deg_s: float = MAX_SPEED_DEG_S
+    max_speed_deg_s: float = math.inf
 
     def within(self, other: "Range") -> "Range":
         """What both allow."""
@@ -173,7 +173,8 @@ class Robot:
         """The servo's own, and what the joint allows."""
         servo = self.geometry.servos[servo_id]
         ends = [servo.servo_deg(limit) for limit in self.geometry.joints[servo_id % 10 - 1].limits_rad]
-        found = Range(min(ends), max(ends)).within(Range()).within(ranges.get(servo_id, Range()))
+        joint = Range(min(ends), max(ends), MAX_SPEED_DEG_S)
+        found = Range().within(joint._replace(max_speed_deg_s=math.inf)).within(ranges.get(servo_id, joint))
         if found.min_deg > found.max_deg:
             raise WalkError(f"servo {servo_id}: its limits and its joint's leave no angle")
         return found

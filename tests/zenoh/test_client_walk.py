@@ -1,0 +1,268 @@
+"""Walking through a real gateway: what it sends, and how a walk ends."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.client import AsyncClient, Client, Walk
+from gateway.errors import LeaseError, LeaseLostError, StoppedError, WalkError
+from gateway.protocol.frames import Op, decode
+from gateway.walking import STILL, Posture
+from schemas.calibration import ServoChange
+from schemas.telemetry import FrameRecord, GatewayState, Kind, Mode
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames, states
+
+PATIENT: Final[dict[str, dict[str, Any]]] = {"watchdog": {"timeout_ms": 2000}, "telemetry": {"frames": True}}
+"""It outlasts a moment in which this machine is busy."""
+WALKS_S: Final = 60.0
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway"), PATIENT) as running:
+        yield running
+
+
+@pytest.fixture
+def watcher(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="watcher") as client:
+        client.reset()
+        client.stop()
+        yield client
+
+
+@pytest.fixture
+def robot(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="walker") as client:
+        yield client
+
+
+def running(client: Client) -> list[int]:
+    return [leg.leg for leg in client.state().legs if all(servo.running for servo in leg.servos)]
+
+
+def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:
+    """Wait for a published state for which it holds."""
+    states(watcher).wait(holds, timeout_s=WALKS_S)
+
+
+def is_now(walk: Walk, posture: Posture) -> bool:
+    return walk.state.posture is posture
+
+
+def walks(walk: Walk, steps: int = 60, forward_m_s: float = 0.1) -> None:
+    for _ in range(steps):
+        walk.go(forward_m_s=forward_m_s)
+
+
+def angles(records: list[FrameRecord]) -> Iterator[tuple[int, int]]:
+    """Servo and angle in hundredths of a degree, as written."""
+    for record in records:
+        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
+            if op.op is not Op.STOP:
+                yield servo_id, op.angle_cdeg
+
+
+def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -> None:
+    written = frames(watcher)
+    before = watcher.state().commands
+    with robot.walk() as walk:
+        assert is_now(walk, Posture.LYING)
+        assert not running(watcher)
+        assert watcher.state().lease.holder == "walker"
+        walk.stand(height_m=0.14)
+        assert running(watcher) == [1, 2, 3, 4, 5, 6]
+        assert is_now(walk, Posture.STANDING)
+        assert walk.state.height_m == pytest.approx(0.14)
+        for _ in range(120):
+            walk.go(forward_m_s=0.07, turn_rad_s=0.15)
+        state = walk.state
+        assert state.posture is Posture.WALKING
+        assert state.commanded == state.scaled == (0.07, 0.0, 0.15)
+        assert 0.06 < state.odometry.x_m < 0.17
+        assert 0.1 < state.odometry.heading_rad < 0.36
+        walk.sit()
+        assert is_now(walk, Posture.SITTING)
+    after = watcher.state()
+    assert after.mode == Mode.IDLE
+    assert after.lease.holder is None
+    assert after.commands.rejected == before.rejected
+    servos = list(dict.fromkeys(servo for servo, _ in angles(written.all)))
+    assert servos == [10 * leg + joint for leg in range(1, 7) for joint in (1, 2, 3)], "leg after leg"
+    with pytest.raises(RuntimeError, match="over after it"):
+        walk.go(0.1)
+
+
+def test_a_program_that_hangs_does_not_walk_on_and_then_sits_down(robot: Client, watcher: Client) -> None:
+    with robot.walk() as walk:
+        walk.hold_s, walk.rest_s = 0.3, 1.5
+        walk.stand()
+        walks(walk, 30)
+        once(watcher, lambda _: is_now(walk, Posture.STANDING))
+        assert walk.state.commanded == STILL
+        assert watcher.state().mode == Mode.ACTIVE
+        x_m = walk.state.odometry.x_m
+        assert x_m < 0.1 * (30 / 50 + 0.3 + 0.5)
+        once(watcher, lambda state: state.mode == Mode.IDLE)
+        assert is_now(walk, Posture.SITTING)
+        walks(walk, 10)  # its own rest is no Stop of anybody's: the next word goes on
+        walk.stand()
+        assert running(watcher) == [1, 2, 3, 4, 5, 6]
+        assert walk.state.odometry.x_m >= x_m
+
+
+def test_an_error_of_the_program_stops_the_robot_at_once(robot: Client, watcher: Client) -> None:
+    def program() -> None:
+        with robot.walk() as walk:
+            walk.stand()
+            walks(walk)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        program()
+    assert watcher.state().mode == Mode.IDLE
+    assert watcher.state().lease.holder is None
+
+
+def test_a_leg_that_somebody_stops_leaves_the_others_standing_until_a_person_says_so(
+    robot: Client, watcher: Client
+) -> None:
+    with robot.walk() as walk:
+        walk.stand()
+        walks(walk, 40)
+        assert watcher.stop(3).accepted
+        with pytest.raises(StoppedError, match=r"leg 3 is stopped, and the others stand still: somebody else") as error:
+            walks(walk, 500)
+        assert error.value.legs == (3,)
+        written = frames(watcher)
+        records = count(1)
+        states(watcher).wait(lambda _: next(records) > 20)  # two seconds: longer than putting the feet down
+        assert running(watcher) == [1, 2, 4, 5, 6]
+        assert is_now(walk, Posture.HALTED)
+        assert walk.state.lost == (3,)
+        still = dict(list(angles(written.all))[-15:])
+        states(watcher).wait(lambda _: next(records) > 30)
+        assert dict(list(angles(written.all))[-15:]) == still
+        for call in (walk.go, walk.stand, walk.sit):
+            with pytest.raises(StoppedError, match="leg 3 is stopped"):
+                call()
+        walk.start_again()
+        walks(walk)
+        assert running(watcher) == [1, 2, 3, 4, 5, 6]
+        assert is_now(walk, Posture.WALKING)
+
+
+def test_after_an_emergency_stop_nothing_walks_until_somebody_says_so(robot: Client, watcher: Client) -> None:
+    with robot.walk() as walk:
+        walk.stand()
+        number = watcher.estop().estop
+        with pytest.raises(StoppedError, match="emergency stop"):
+            walks(walk, 500)
+        assert robot.reset(number).accepted
+        with pytest.raises(StoppedError, match="emergency stop"):
+            walk.stand()
+        assert not running(watcher)
+        walk.start_again()
+        assert not running(watcher)
+        walks(walk, 5)
+        assert running(watcher)
+    assert not running(watcher)
+
+
+def test_a_lost_lease_ends_a_walk(robot: Client, watcher: Client) -> None:
+    with robot.walk() as walk:
+        walk.stand()
+        with watcher.lease(take=True):
+            with pytest.raises(LeaseLostError, match="watcher"):
+                walks(walk, 500)
+            assert not running(watcher)
+            walk.start_again()
+            with pytest.raises(LeaseLostError, match="watcher"):
+                walk.stand()
+
+
+def test_two_walkers_are_one_too_many(robot: Client, watcher: Client) -> None:
+    with robot.walk() as walk:
+        walk.stand()
+        with pytest.raises(LeaseError, match="held by walker"), watcher.walk():
+            pass
+        with pytest.raises(RuntimeError, match="walks already"):
+            robot.walk().open()
+        walks(walk, 5)
+    with robot.lease(), robot.walk():
+        pass
+    with robot.walk():
+        pass
+
+
+def test_what_it_cannot_do_is_said_before_anything_moves(robot: Client, watcher: Client) -> None:
+    before = watcher.state().commands
+    with pytest.raises(WalkError, match="there is no gait"):
+        robot.walk(gait="gallop")
+    with robot.walk() as walk:
+        with pytest.raises(WalkError, match=r"it cannot stand 0\.5 m high: leg 1 does not reach"):
+            walk.stand(height_m=0.5)
+        with pytest.raises(WalkError, match="a velocity is a finite number"):
+            walk.go(forward_m_s=float("nan"))
+        with pytest.raises(ValueError, match="a time above 0"):
+            walk.hold_s = 0
+        with pytest.raises(WalkError, match="there is no gait"):
+            walk.walk_as("gallop")
+    assert watcher.state().commands == before
+
+
+def test_settings_and_calibration_are_kept(tmp_path: Path) -> None:
+    """No command is rejected, and no servo goes faster or further than it may; a change between two walks counts."""
+    slow = {"min_deg": 70, "max_deg": 110, "max_speed_deg_s": 120}
+    servos = {f"limits.servos.{leg}1": slow for leg in range(1, 7)}
+    with (
+        Gateway(tmp_path, {**PATIENT, "limits": {"leg_rate_hz": 40}, **servos}) as gateway,
+        gateway.client(source="walker") as robot,
+    ):
+        assert robot.calibrate({11: ServoChange(min_deg=80)}).accepted
+        written = frames(robot)
+        with robot.walk() as walk:
+            walk.rest_s = 1.0
+            walk.stand()
+            walks(walk, 80, forward_m_s=0.3)
+            assert "the legs\' strides reach" in walk.state.limit
+            once(robot, lambda state: state.mode == Mode.IDLE)
+            assert robot.calibrate({21: ServoChange(max_deg=100)}).accepted
+            with pytest.raises(WalkError, match="the calibration has changed"):
+                walk.stand()
+            walk.start_again()
+            walk.stand()
+        assert robot.state().commands.rejected == 0
+        seen = {servo: [a for s, a in angles(written.all) if s == servo] for servo in (11, 21, 31)}
+        assert min(seen[11]) >= 80_00
+        assert min(seen[31]) >= 70_00
+        assert max(seen[31]) <= 110_00
+
+
+async def test_the_same_for_asyncio(gateway: Gateway, watcher: Client) -> None:
+    happened = events(watcher)
+    async with AsyncClient(gateway.endpoint, source="walker") as robot, robot.walk(gait="ripple") as walk:
+        await walk.stand()
+        for _ in range(40):
+            await walk.go(left_m_s=0.03)
+        assert walk.state.odometry.y_m > 0.005
+        walk.walk_as("wave")
+        walk.hold_s = 0.4
+        assert walk.hold_s == 0.4
+        await asyncio.to_thread(watcher.stop, 5)
+
+        async def go_on() -> None:
+            for _ in range(500):
+                await walk.go(left_m_s=0.03)
+
+        with pytest.raises(StoppedError, match="leg 5 is stopped"):
+            await go_on()
+        await walk.start_again()
+        await walk.sit()
+    assert watcher.state().mode == Mode.IDLE
+    assert [event.kind for event in happened.all].count(Kind.WATCHDOG_EXPIRED) == 0
