@@ -73,6 +73,8 @@ class Walk:
         """Somebody has asked for something since the legs were last stopped."""
         self._closing = False
         self._ticks = 0
+        self._awaited: Posture | None = None
+        """Cleared when it is reached."""
         self.slowest_tick_s = 0.0
         """What the longest tick took to compute and to hand over to Zenoh, without the wait for its time."""
 
@@ -101,16 +103,16 @@ class Walk:
         stance = walker.engine.robot.stance(body)
         with self._changed:
             walker.stand(stance, time.monotonic())
-            self._begin()
-        self._wait_until(Posture.STANDING)
+            self._begin(Posture.STANDING)
+        self._wait_for(lambda: self._awaited is None)
 
     def sit(self) -> None:
         """Lie down on the belly; waits for it. The servos hold on until the `with` ends, or `rest_s` is over."""
         self._check()
         with self._changed:
             self._using().sit(time.monotonic())
-            self._begin()
-        self._wait_until(Posture.SITTING)
+            self._begin(Posture.SITTING)
+        self._wait_for(lambda: self._awaited is None)
 
     def walk_as(self, gait: str) -> None:
         """Another gait; the walk pauses for the change. Raises WalkError for one that there is not."""
@@ -254,14 +256,9 @@ class Walk:
         if self._error is not None:
             raise self._error.with_traceback(None)
 
-    def _begin(self) -> None:
-        self._wanted = True
+    def _begin(self, awaited: Posture | None = None) -> None:
+        self._wanted, self._awaited = True, awaited
         self._changed.notify_all()
-
-    def _wait_until(self, posture: Posture) -> None:
-        self._wait_for(lambda: self._using().engine.posture is posture)
-        with self._changed:
-            self._using().still_there(time.monotonic())
 
     def _wait_for(self, condition: Callable[[], bool]) -> None:
         with self._changed:
@@ -309,6 +306,8 @@ class Walk:
             walker = self._using()
             pose = walker.tick(begun_s)
             over = walker.is_over
+            if walker.engine.posture is self._awaited:
+                self._awaited = None
         computed_s = time.monotonic() - begun_s
         stream.set(pose)
         with self._changed:

@@ -54,6 +54,8 @@ class Walker:
         self._velocity = STILL
         self._said_s: float | None = None
         self._ticked_s: float | None = None
+        self._busy_s: float | None = None
+        """When it last was on a way that it was sent on."""
 
     def go(self, velocity: Velocity, now_s: float) -> None:
         """Walk at this velocity for `hold_s`; a robot that lies or sits stands up first. Raises WalkError."""
@@ -81,18 +83,16 @@ class Walker:
         self.engine.walk_as(gait)
         self._said_s = now_s
 
-    def still_there(self, now_s: float) -> None:
-        """Its driver is alive, and wants nothing else than before (which holds no velocity)."""
-        self._said_s = now_s
-
     def tick(self, now_s: float) -> Pose:
         """Where each leg is to be now, in degrees."""
         if self._said_s is None:
             self._said_s = now_s
-        silent_s = now_s - self._said_s
-        if silent_s > self.hold_s:
+        if now_s - self._said_s > self.hold_s:
             self._velocity = STILL
-        if silent_s > self.rest_s and self.engine.posture is Posture.STANDING:
+        posture = self.engine.posture
+        if posture is Posture.MOVING:
+            self._busy_s = now_s
+        elif posture is Posture.STANDING and self._is_silent(now_s):
             self.engine.sit()
         elapsed_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
         self._ticked_s = now_s
@@ -101,8 +101,12 @@ class Walker:
     @property
     def is_over(self) -> bool:
         """Whether its driver is silent and the robot down: nothing falls when the servos are stopped."""
-        silent = self._said_s is not None and self._ticked_s is not None and self._ticked_s - self._said_s > self.rest_s
+        silent = self._ticked_s is not None and self._is_silent(self._ticked_s)
         return silent and self.engine.posture in (Posture.LYING, Posture.SITTING)
+
+    def _is_silent(self, now_s: float) -> bool:
+        since_s = max(self._said_s or 0.0, self._busy_s or 0.0)
+        return now_s - since_s > self.rest_s
 
     @property
     def state(self) -> WalkState:

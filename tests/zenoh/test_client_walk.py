@@ -230,7 +230,7 @@ def test_settings_and_calibration_are_kept(tmp_path: Path) -> None:
             walk.rest_s = 1.0
             walk.stand()
             walks(walk, 80, forward_m_s=0.3)
-            assert "the legs\' strides reach" in walk.state.limit
+            assert "the legs' strides reach" in walk.state.limit
             once(robot, lambda state: state.mode == Mode.IDLE)
             assert robot.calibrate({21: ServoChange(max_deg=100)}).accepted
             with pytest.raises(WalkError, match="the calibration has changed"):
