@@ -17,7 +17,11 @@ from schemas.telemetry import FrameRecord, GatewayState, Kind, Mode
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
-PATIENT: Final[dict[str, dict[str, Any]]] = {"watchdog": {"timeout_ms": 2000}, "telemetry": {"frames": True}}
+PATIENT: Final[dict[str, dict[str, Any]]] = {
+    "watchdog": {"timeout_ms": 10_000},
+    "lease": {"ttl_ms": 10_000},
+    "telemetry": {"frames": True},
+}
 """It outlasts a moment in which this machine is busy."""
 WALKS_S: Final = 60.0
 
