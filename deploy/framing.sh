@@ -9,7 +9,7 @@ check_framing() {
 	if [ -d $ETC ] && [ ! -x $ETC ]; then # a dry run by somebody else than root
 		fail "$ETC may be looked into by root only: sudo $0 --dry-run"
 	fi
-	if [ -e $file ]; then
+	if [ -e $file ] && ! is_blank $file; then
 		found=$(framing_in $file) || fail "$file is not TOML, or its [spi] no table; fix it first"
 	else
 		file=$HERE/gateway.toml

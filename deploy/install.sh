@@ -39,7 +39,7 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no uninstall=no rollback=no force=no console=no before='' wheels='' certs='' framing=''
+dry=no uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' framing=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
@@ -84,7 +84,10 @@ check_python() {
 		fail "$python is $version, and the gateway needs 3.11; name a newer one: PYTHON=/usr/bin/python3.11"
 	"$python" -c 'import ensurepip, venv' 2>/dev/null ||
 		fail "$python has no venv module; apt-get install python3-venv"
-	case $("$python" -c 'import os, sys; print(os.path.realpath(sys.executable))') in
+	# The interpreter itself, such as python3.11: with an upgrade of the system, python3 becomes another, which would not
+	# find what is installed here, not even `stop-servos`.
+	python=$("$python" -c 'import os, sys; print(os.path.realpath(sys.executable))')
+	case $python in
 	/root/* | /home/* | /tmp/*)
 		fail "$python lies in a folder that the service may not read; name the system's: PYTHON=/usr/bin/python3"
 		;;
@@ -107,50 +110,41 @@ check_sources() {
 # ---- the parts
 
 # A file of ours: brought where it differs, in the mode and group given. `changed` says that there was something to do.
+# At any moment the old one or the new one is whole on the disk.
 put() {
 	local from=$1 to=$2 mode=$3 group=${4:-root}
 	cmp -s "$from" "$to" && return
 	say "write $to"
-	run install -D -m "$mode" -o root -g "$group" "$from" "$to"
 	changed=yes
+	[ "$dry" = no ] || return 0
+	install -D -m "$mode" -o root -g "$group" "$from" "$to.new"
+	replace "$to"
 }
 
-# A Python of its own in a folder named after what is in it, so that it is complete before anything refers to it.
-build_venv() {
-	local inputs
-	if [ -n "$wheels" ]; then
-		inputs=$(cd "$wheels" && sha256sum -- *)
-	else
-		inputs=$(cd "$ROOT" && find pyproject.toml gateway schemas -name __pycache__ -prune -o -type f -print0 |
-			sort -z | xargs -0 sha256sum)
-	fi
-	venv=$OPT/venv-$(printf '%s\n%s\n' "$python $version" "$inputs" | sha256sum | cut -c1-12)
-	if [ -e "$venv/complete" ]; then
-		say "keep $venv: the same Python, the same gateway"
-		return
-	fi
-	say "make $venv with $python ($version)"
-	say "install $NAME into it from ${wheels:-$ROOT and the network}"
-	[ "$dry" = no ] || return 0
-	unfinished=$venv
-	rm -rf "$venv"
-	mkdir -p "$OPT"
-	"$python" -m venv "$venv" || fail "$venv could not be made (above is why); nothing else was changed"
-	if [ -n "$wheels" ]; then
-		# --isolated: no pip configuration of this machine, which may name an index.
-		"$venv/bin/pip" --isolated install --quiet --disable-pip-version-check --no-cache-dir --no-index \
-			--find-links "$wheels" "${NAME}[spi,console]"
-	else
-		# From a copy: a build as root would leave files in the repository.
-		sources=$(mktemp -d)
-		cp -r "$ROOT/pyproject.toml" "$ROOT/README.md" "$ROOT/LICENSE" "$ROOT/gateway" "$ROOT/schemas" "$sources"
-		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "${sources}[spi,console]"
-	fi || fail "pip could not install $NAME (above is why); nothing else was changed"
-	{ "$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev'; } ||
-		fail "what was installed does not run (above is why); nothing else was changed"
-	touch "$venv/complete"
-	unfinished=''
+# The same of what the service runs or reads.
+put_for_service() {
+	cmp -s "$1" "$2" && return
+	will_restart
+	put "$@"
 }
+
+# FILE.new takes the place of FILE.
+replace() {
+	sync "$1.new"
+	mv -T "$1.new" "$1"
+}
+
+# All that was written is on the disk after this. The kernel would keep it in memory for up to half a minute.
+flush() {
+	local place
+	[ "$dry" = no ] || return 0
+	for place in "$OPT" /etc /usr/local/bin /var/lib /boot /boot/firmware; do
+		[ ! -d "$place" ] || sync -f "$place"
+	done
+}
+
+# Whether nothing is in a file, as after a power cut: some file systems leave it empty, some fill it with zeros.
+is_blank() { [ -e "$1" ] && [ -z "$(tr -d '\0[:space:]' <"$1" | head -c 1)" ]; }
 
 clean_up() {
 	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is fixed" >&2
@@ -190,21 +184,24 @@ write_configuration() {
 	fi
 	if [ -z "$said_framing" ]; then
 		say "keep $ETC/gateway.toml, your configuration"
-	elif [ -e $ETC/gateway.toml ]; then
+	elif [ -e $ETC/gateway.toml ] && ! is_blank $ETC/gateway.toml; then
+		will_restart
 		say "add framing = \"$framing\" to $ETC/gateway.toml, and keep the rest of your configuration"
-		run install -m 0640 -o root -g $NAME "$said_framing" $ETC/gateway.toml
-		[ "$dry" = yes ] || add_to_kept
-		changed=yes
+		if [ "$dry" = no ]; then
+			install -m 0640 -o root -g $NAME "$said_framing" $ETC/gateway.toml.new
+			replace $ETC/gateway.toml
+			add_to_kept
+		fi
 	else
-		put "$said_framing" $ETC/gateway.toml 0640 $NAME
+		put_for_service "$said_framing" $ETC/gateway.toml 0640 $NAME
 	fi
 	[ -n "$certs" ] || return 0
 	run install -d -m 0750 -o root -g $NAME $ETC/zenoh
 	for file in $CERTIFICATES; do
-		if [ "$file" = gateway.json5 ] && [ -e "$ETC/zenoh/$file" ]; then
+		if [ "$file" = gateway.json5 ] && [ -e "$ETC/zenoh/$file" ] && ! is_blank "$ETC/zenoh/$file"; then
 			say "keep $ETC/zenoh/$file, your configuration"
 		else
-			put "$certs/$file" $ETC/zenoh/"$file" 0640 $NAME
+			put_for_service "$certs/$file" $ETC/zenoh/"$file" 0640 $NAME
 		fi
 	done
 	# The file that is there, or in a dry run the one that would be.
@@ -212,9 +209,9 @@ write_configuration() {
 	[ -e "$present" ] || present=$said_framing
 	if ! grep -q "^$setting" "$present"; then
 		if grep -q "^# $setting\$" "$present" && ! grep -q '^[[:space:]]*config[[:space:]]*=' "$present"; then
+			will_restart
 			say "use the certificates: $setting in $ETC/gateway.toml"
 			run use_certificates "$setting"
-			changed=yes
 		else
 			hint="To use the certificates, in $ETC/gateway.toml under [zenoh]: $setting"
 			return 0
@@ -229,7 +226,7 @@ use_certificates() {
 	sed "s|^# $1\$|$1|" $ETC/gateway.toml >$ETC/gateway.toml.new
 	chown root:$NAME $ETC/gateway.toml.new
 	chmod 0640 $ETC/gateway.toml.new
-	mv $ETC/gateway.toml.new $ETC/gateway.toml
+	replace $ETC/gateway.toml
 }
 
 allow_spi() {
@@ -256,15 +253,14 @@ allow_spi() {
 		[ "$dry" = no ] || return 0
 		# The boot partition knows no owners and no half-written files: a copy beside it, and then the name.
 		switch_spi_on <"$config" >"$config.new"
-		sync "$config.new"
-		mv "$config.new" "$config"
+		replace "$config"
 	fi
 }
 
 start_service() {
 	changed=no
 	switch_release
-	put "$HERE/systemd/$NAME.service" $UNIT 0644
+	put_for_service "$HERE/systemd/$NAME.service" $UNIT 0644
 	if [ ! -e $COMMAND ]; then
 		say "let $COMMAND be $OPT/venv/bin/$NAME"
 		run ln -sfn $OPT/venv/bin/$NAME $COMMAND
@@ -274,9 +270,13 @@ start_service() {
 		say "enable the service: it starts with the machine"
 		run systemctl enable --quiet $NAME
 	fi
+	flush # before the restart, so that what runs is what a power cut would leave
 	if systemctl is-active --quiet $NAME; then
 		if [ "$changed$configured" != nono ]; then
-			say "restart the service: all legs stop"
+			restart_service
+		elif restart_is_due; then
+			say "an installation ended before its restart: the service still runs what was there before"
+			changed=yes
 			restart_service
 		fi
 	elif [ "$reboot" = yes ]; then
@@ -289,13 +289,7 @@ start_service() {
 	fi
 	start_recorder
 	keep_drop_ins
-	local old kept=$before
-	[ "$before" != "$venv" ] || kept=$(readlink -e $OPT/previous || true)
-	for old in "$OPT"/venv-*; do
-		[ "$old" != "$venv" ] && [ "$old" != "$kept" ] && [ -d "$old" ] || continue
-		say "remove $old, which nothing uses any more"
-		run rm -rf "$old"
-	done
+	remove_old_releases
 }
 
 # What `systemctl edit` and simulated.conf make: it changes what the service does, so it is named each time.
@@ -321,7 +315,9 @@ install_all() {
 	configured=$changed
 	allow_spi
 	start_service
+	flush
 	install_console
+	flush
 	if [ -n "$hint" ]; then
 		say "$hint"
 	else
@@ -331,6 +327,7 @@ install_all() {
 }
 
 uninstall_all() {
+	check_no_servo_runs
 	uninstall_console
 	if [ -e $UNIT ]; then
 		say "stop and disable the service: all legs stop"
@@ -373,6 +370,10 @@ changed=no configured=no reboot=no hint='' next='' unfinished='' sources='' said
 trap clean_up EXIT
 cd / # the folder it was called from may be gone, or be one that a new user may not enter
 check_machine
+# shellcheck source=deploy/running.sh
+. "$HERE/running.sh"
+# shellcheck source=deploy/venv.sh
+. "$HERE/venv.sh"
 # shellcheck source=deploy/releases.sh
 . "$HERE/releases.sh"
 # shellcheck source=deploy/console.sh

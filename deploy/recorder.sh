@@ -15,7 +15,7 @@ start_recorder() {
 		say "enable $RECORDER: it keeps what the black box has of stops and faults, in $STATE"
 		run systemctl enable --quiet $RECORDER
 	fi
-	if [ "$changed$released" != nono ] || ! systemctl is-active --quiet $RECORDER; then
+	if [ "$changed$released" != nono ] || ! systemctl is-active --quiet $RECORDER || runs_another $RECORDER; then
 		run systemctl restart $RECORDER || say "$RECORDER does not start: journalctl -u $RECORDER says why"
 	fi
 }

@@ -21,77 +21,97 @@ ready = "is ready" in gateway.stdout.readline()
 gateway.terminate()
 sys.exit(not ready or gateway.wait() != 0)
 '
-# 10: a servo runs. Anything else: none does, or nobody says (no answer without a certificate, an old release).
-RUNS='
-import sys
-from gateway import settings
-from gateway.client import Client
-from gateway.errors import GatewayError
-try:
-    with Client(next(iter(settings.load(None, simulated=True).zenoh.listen), None), timeout_s=1) as robot:
-        sys.exit(10 if any(servo.running for leg in robot.state().legs for servo in leg.servos) else 0)
-except GatewayError:
-    sys.exit(2)
-'
-
 link() {
 	run ln -sfn "$1" "$2.new"
 	run mv -T "$2.new" "$2"
 }
 
+# With the rights of the service's user: neither what root may read nor its priorities are the service's.
 try_release() {
 	say "start $venv with a simulated controller"
 	[ "$dry" = no ] || return 0
-	# Twice: the free port that was found may have been taken before it was listened on.
 	local try
+	# Twice: the free port that was found may have been taken before it was listened on.
 	for try in 1 2; do
-		"$venv/bin/python" -c "$TRIAL" "$venv/bin/$NAME" run --sim --config $ETC/gateway.toml && return
+		setpriv --reuid=$NAME --regid=$NAME --clear-groups \
+			"$venv/bin/python" -c "$TRIAL" "$venv/bin/$NAME" run --sim --config $ETC/gateway.toml && return
 	done
+	if [ "$venv" != "$(readlink -e $OPT/venv || true)" ] && [ "$venv" != "$(readlink -e $OPT/previous || true)" ]; then
+		rm -rf "$venv"
+	fi
 	fail "$venv does not start (above is why); the service stays as it was"
-}
-
-# Whoever upgrades a robot that stands on its legs lets it fall.
-check_no_servo_runs() {
-	[ $force = no ] && systemctl is-active --quiet $NAME && [ -x "$OPT/venv/bin/python" ] || return 0
-	local runs=0
-	"$OPT/venv/bin/python" -c "$RUNS" 2>/dev/null || runs=$?
-	[ $runs != 10 ] || fail "a servo runs, and a restart would stop it: stop the robot first, or add --force"
 }
 
 # The service runs $venv from now on, and can go back to what it ran before, unit file included.
 switch_release() {
 	before=$(readlink -e $OPT/venv || true)
-	[ "$before" != "$venv" ] || return 0
-	check_no_servo_runs
+	[ "$before" = "$venv" ] || check_no_servo_runs
 	try_release
-	if [ -n "$before" ]; then
-		[ ! -e $UNIT ] || run cp $UNIT "$before/unit"
+	[ "$before" != "$venv" ] || return 0
+	will_restart # and the robot may have begun to move meanwhile
+	if [ -n "$before" ] && is_fit "$before"; then
+		earlier=$(readlink -e $OPT/previous || true)
+		say "from $(version_in "$before") to $to"
+		if [ -s $UNIT ] && [ "$dry" = no ]; then
+			cp $UNIT "$before/unit.new"
+			replace "$before/unit"
+		fi
 		link "$before" $OPT/previous
+	else
+		before=''
 	fi
 	say "let $OPT/venv be $venv"
 	link "$venv" $OPT/venv
-	changed=yes
 }
 
 # Start the service anew; where it does not come up, go back.
 restart_service() {
+	check_no_servo_runs
+	say "restart the service: all legs stop"
 	run systemctl restart $NAME && return
 	[ -n "$before" ] && [ "$before" != "$venv" ] ||
 		fail "installed, but it does not start: journalctl -u $NAME says why"
 	link "$before" $OPT/venv
-	[ ! -e "$before/unit" ] || install -m 0644 "$before/unit" $UNIT
+	# What was there to go back to before this attempt is so again.
+	if [ -n "$earlier" ] && [ "$earlier" != "$before" ] && [ "$earlier" != "$venv" ]; then
+		link "$earlier" $OPT/previous
+	else
+		rm -f $OPT/previous
+	fi
+	if [ -s "$before/unit" ]; then
+		install -m 0644 "$before/unit" $UNIT.new
+		replace $UNIT
+	fi
+	flush
 	systemctl daemon-reload
 	systemctl reset-failed $NAME 2>/dev/null || true
 	systemctl restart $NAME || fail "neither $venv nor $before starts: journalctl -u $NAME says why"
+	rm -rf "$venv"
 	fail "$venv does not start, so $before runs again: journalctl -u $NAME says why"
 }
 
 rollback() {
 	venv=$(readlink -e $OPT/previous) || fail "there is no release before this one to go back to"
+	[ "$venv" != "$(readlink -e $OPT/venv || true)" ] || fail "there is no release before this one to go back to"
+	is_fit "$venv" || fail "$venv, the release before this one, is not as it was installed; install it anew"
+	to=$(version_in "$venv")
 	switch_release
-	if [ -e "$venv/unit" ]; then run install -m 0644 "$venv/unit" $UNIT; fi
+	if [ -s "$venv/unit" ]; then put "$venv/unit" $UNIT 0644; fi
 	run systemctl daemon-reload
-	say "restart the service: all legs stop"
+	flush
 	restart_service
 	[ ! -e "$CONSOLE_UNIT" ] || run systemctl try-restart "$CONSOLE"
+	flush
+}
+
+# All but what runs and what can be gone back to.
+remove_old_releases() {
+	local old kept
+	kept=$(readlink -e $OPT/previous || true)
+	[ "$dry" = no ] || [ -z "$before" ] || [ "$before" = "$venv" ] || kept=$before
+	for old in "$OPT"/venv-*; do
+		[ "$old" != "$venv" ] && [ "$old" != "$kept" ] && [ -d "$old" ] || continue
+		say "remove $old, which nothing uses any more"
+		run rm -rf "$old"
+	done
 }

@@ -18,7 +18,9 @@ mkdir -p "$folder"
 rm -f "$folder"/hexapod_gateway-*.whl
 sources=$(mktemp -d)
 trap 'rm -rf "$sources"' EXIT
-cp -r pyproject.toml README.md LICENSE gateway schemas "$sources" # a build would leave files here, and find old ones
+# shellcheck source=deploy/stamp.sh
+. deploy/stamp.sh
+copy_sources "$PWD" "$sources"
 
 if [ -z "$processor" ]; then
 	pip wheel --wheel-dir "$folder" "${sources}[spi,console]"

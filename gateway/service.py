@@ -32,6 +32,7 @@ from gateway.host import calibration_file, descriptors, logs, realtime
 from gateway.host.calibration_keeper import CalibrationKeeper
 from gateway.host.descriptors import Spare
 from gateway.host.ownership import Ownership
+from gateway.host.servos_file import ServosFile
 from gateway.host.systemd import SystemdNotifier
 from gateway.protocol.frames import centidegrees
 from gateway.recorder.place import folder_of
@@ -289,11 +290,14 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
     While somebody keeps the state, this waits, so that systemd hears nothing either.
     """
     loop = asyncio.get_running_loop()
+    servos = ServosFile()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
         with conductor.owner:
-            conductor.turned()
+            now_ns = conductor.turned()
             conductor.look_outside()
+            at_rest = conductor.supervisor.legs.at_rest
+        servos.write(now_ns, any_runs=not at_rest)
         if not inbox.goes_on():
             end.because("a thread that takes commands does not go on")
             return

@@ -51,8 +51,8 @@ def lacks() -> str:
 class Box:
     """A booted box; its end is the end of everything in it."""
 
-    def __init__(self, folder: Path) -> None:
-        """Boot it. `folder` gets the script and the shared folder."""
+    def __init__(self, folder: Path, *, disk: Path | None = None) -> None:
+        """Boot it. `folder` gets the script and the shared folder; `disk`, an ext4 image, what is written inside."""
         self.shared = folder / "shared"
         self.shared.mkdir()
         self.shared.chmod(0o755)  # pytest's folders are for their owner only, and services have users of their own
@@ -61,7 +61,8 @@ class Box:
         for name in ("up", "end"):
             os.mkfifo(self.shared / name)
         up = os.open(self.shared / "up", os.O_RDONLY | os.O_NONBLOCK)
-        self._system = Child([str(PROGRAM), str(script), str(LIFE_S)], {**os.environ, "BOX_OUT": str(self.shared)})
+        environment = {**os.environ, "BOX_OUT": str(self.shared), **({"BOX_DISK": str(disk)} if disk else {})}
+        self._system = Child([str(PROGRAM), str(script), str(LIFE_S)], environment)
         try:
             if not select.select([up], [], [], BOOT_S)[0]:
                 raise TimeoutError(f"the box did not boot within {BOOT_S} s: {self._system}")

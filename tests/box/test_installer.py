@@ -8,7 +8,7 @@ import pytest
 
 from gateway import certs, settings
 from gateway.settings import LimitSettings, ServoLimits, Settings, WatchdogSettings
-from tests.box.box import SHARED_INSIDE, Box, Unit
+from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box, Unit
 from tests.box.installed import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
 
 pytestmark = pytest.mark.systemd
@@ -104,7 +104,7 @@ def installed_machine(machine: Machine) -> Iterator[Machine]:
 
 def clear(machine: Machine) -> None:
     machine.keep_venv()
-    machine.run("--uninstall")
+    machine.run("--uninstall", "--force")
     machine.box.run("rm", "-rf", f"/etc/{NAME}", str(Path(DROP_IN).parent))
     machine.box.run("systemctl", "daemon-reload")
     machine.box.write(CONFIG_TXT, STOCK)
@@ -182,7 +182,8 @@ def test_life(bare: Machine) -> None:
 
     running = bare.unit.property("MainPID")
     again = bare.install()
-    assert all(line.startswith("keep ") for line in again[:-1]), again  # then what to do next
+    done = [line for line in again if not line.startswith("keep ")]  # then what to do next
+    assert [line.split()[0] for line in done] == ["start", "Next:"], "what is kept goes through its trial again"
     assert f"keep {CONFIGURATION}, your configuration" in again
     assert bare.unit.property("MainPID") == running, "nothing changed, so nothing was restarted"
 
@@ -243,30 +244,139 @@ def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(with_venv: Ma
     assert said[-1].endswith(f"so {first.strip()} runs again: journalctl -u {NAME} says why"), said
     assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
     assert machine.unit.property("ActiveState") == "active"
+    assert box.run("sh", "-c", f"ls -d /opt/{NAME}/venv-*").stdout == first, "the broken ones are gone"
+    assert machine.run("--rollback", check=False) == ["install.sh: there is no release before this one to go back to"]
 
 
-def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine) -> None:
+SERVO_RUNS = "install.sh: a servo runs, and a restart would stop it: stop the robot first, or add --force"
+
+
+def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine, tmp_path: Path) -> None:
+    """Nor do other certificates, a way back or an uninstallation let it fall, where only certificates may ask."""
     machine, box = with_venv, with_venv.box
-    machine.install()
+    certs.init(tmp_path / "own-certs", ["127.0.0.1"])
+    certs.issue(tmp_path / "own-certs", "bob", "operator")
+    certs.init(tmp_path / "other-certs", ["127.0.0.1"])
+    own, other = share(box, tmp_path / "own-certs"), share(box, tmp_path / "other-certs")
+    machine.install("--certs", own)
     machine.simulate()
     machine.unit.systemctl("start")
     first = box.run("readlink", f"/opt/{NAME}/venv").stdout
     newer = other_wheels(machine, "newer", "\n# newer\n")
-    held = box.run("sh", "-c", f"{NAME} send leg 3 start 90 45 120 --hold 120 >/dev/null 2>&1 & echo $!").stdout.strip()
-    said = machine.run("--wheels", newer, check=False)
-    assert said[-1] == "install.sh: a servo runs, and a restart would stop it: stop the robot first, or add --force"
+    held = start_holding(machine, own)
+    configuration = box.run("sha256sum", CONFIGURATION, f"/etc/{NAME}/zenoh/gateway.key").stdout
+    running = machine.unit.property("MainPID")
+    for attempt in (("--wheels", newer), ("--wheels", machine.wheels, "--certs", other), ("--uninstall",)):
+        assert machine.run(*attempt, check=False)[-1] == SERVO_RUNS, attempt
     assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
+    assert box.run("sha256sum", CONFIGURATION, f"/etc/{NAME}/zenoh/gateway.key").stdout == configuration
+    assert machine.unit.property("MainPID") == running
     promised = machine.run("--dry-run", "--wheels", newer, "--force")
     assert machine.run("--wheels", newer, "--force") == promised
+    (versions,) = (line for line in promised if line.startswith("from "))
+    assert re.fullmatch(r"from 1\.\d+\.\d+\+g[0-9a-f]{7}\S* to 1\.\d+\.\d+\+g[0-9a-f]{7}\S*", versions), versions
     box.run("kill", held, check=False)
     second = box.run("readlink", f"/opt/{NAME}/venv").stdout
     assert second != first
+
+    held = start_holding(machine, own)
+    assert machine.run("--rollback", check=False)[-1] == SERVO_RUNS
+    # A service that hangs does not say what runs, and so counts as one that holds a robot up.
+    box.run("sh", "-c", f"printf '%020d 0\n' 1 >/run/stale && mount --bind /run/stale /run/{NAME}/servos")
+    assert "does not say whether a servo runs" in machine.run("--rollback", check=False)[-1]
+    box.run("umount", f"/run/{NAME}/servos")
     promised = machine.run("--dry-run", "--rollback", "--force")
     assert machine.run("--rollback", "--force") == promised
+    box.run("kill", held, check=False)
     assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
     assert machine.unit.property("ActiveState") == "active"
-    machine.run("--rollback")
+    machine.run("--rollback", "--force")
     assert box.run("readlink", f"/opt/{NAME}/venv").stdout == second
+
+
+def start_holding(machine: Machine, folder: str) -> str:
+    """Hold leg 3 from now on, by a process of this number."""
+    hold = f"{NAME} send leg 3 start 90 45 120 --hold 120 --zenoh-config {folder}/bob.json5"
+    held = machine.box.run("sh", "-c", f"{hold} >/dev/null 2>&1 & echo $!").stdout.strip()
+    machine.box.run("sh", "-c", f"until grep -q ' 1$' /run/{NAME}/servos; do sleep 0.05; done", timeout_s=20)
+    return held
+
+
+def test_an_installation_that_was_ended_is_noticed(with_venv: Machine) -> None:
+    """Killed between the switch and the restart: run again, it restarts, and `check` says what runs until then."""
+    machine, box = with_venv, with_venv.box
+    machine.install()
+    machine.simulate()
+    machine.unit.systemctl("start")
+    old = machine.unit.property("MainPID")
+    newer = other_wheels(machine, "interrupted", "\n# interrupted\n")
+    box.write(
+        "/run/kill/systemctl",
+        '#!/bin/sh\ncase $1 in restart) kill -KILL $PPID; exit 1;; esac\nexec /bin/systemctl "$@"\n',
+    )
+    box.run("chmod", "+x", "/run/kill/systemctl")
+    killed = box.run("env", f"PATH=/run/kill:{PATH_INSIDE}", INSTALLER, "--wheels", newer, check=False, timeout_s=300)
+    assert killed.returncode != 0
+    assert machine.unit.property("MainPID") == old
+    said = box.run(NAME, "check", check=False).stdout
+    assert "the service that runs is another release than the one installed" in said, said
+    said = "\n".join(machine.run("--wheels", newer))
+    assert "an installation ended before its restart: the service still runs what was there before" in said
+    assert machine.unit.property("MainPID") != old
+    assert "restart" not in "\n".join(machine.run("--wheels", newer))
+    assert "is another release" not in box.run(NAME, "check", check=False).stdout
+
+    # The same of what the service reads: only its start takes it up.
+    old = machine.unit.property("MainPID")
+    box.run("sed", "-i", "1i # an older version's", f"/etc/systemd/system/{NAME}.service")
+    box.run("env", f"PATH=/run/kill:{PATH_INSIDE}", INSTALLER, "--wheels", newer, check=False, timeout_s=300)
+    assert machine.unit.property("MainPID") == old
+    assert any("an installation ended before its restart" in line for line in machine.run("--wheels", newer))
+    assert machine.unit.property("MainPID") != old
+
+
+def test_what_a_power_cut_has_emptied_is_made_anew(with_venv: Machine) -> None:
+    """Files of the release, its mark, the configuration and the unit, in whatever combination."""
+    machine, box = with_venv, with_venv.box
+    machine.install()
+    machine.simulate()
+    first = box.run("readlink", f"/opt/{NAME}/venv").stdout.strip()
+    unit = f"/etc/systemd/system/{NAME}.service"
+    written = box.read(CONFIGURATION)
+    box.run(
+        "sh",
+        "-c",
+        f"find {first}/lib -name '*.py' | head -n 1000 | xargs truncate --size=0; : >{unit}; : >{CONFIGURATION}",
+    )
+    (said,) = machine.run("--wheels", machine.wheels, check=False)
+    assert "which framing does the controller need?" in said
+    said = "\n".join(machine.install())
+    assert f"make anew what is in {first}: its files are not those that were installed" in said
+    assert box.read(CONFIGURATION) == written
+    assert f"write {unit}" in said
+    machine.unit.systemctl("start")
+    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
+    assert not box.exists(first), "what was broken is gone"
+    second = box.run("readlink", f"/opt/{NAME}/venv").stdout.strip()
+    box.run("truncate", "--size=0", f"{second}/complete")  # as older installers made it, whatever was beside it
+    assert any(line.startswith(f"make anew what is in {second}") for line in machine.install("--dry-run", "--force"))
+
+
+def test_the_exact_interpreter(installed_machine: Machine) -> None:
+    """A system whose python3 becomes another one takes nothing from the service."""
+    box = installed_machine.box
+    exact = box.run("readlink", "-f", "/usr/bin/python3").stdout.strip()
+    links = box.run("sh", "-c", f"readlink /opt/{NAME}/venv/bin/python*").stdout.split()
+    assert exact in links
+    assert "/usr/bin/python3" not in links
+    box.write("/run/other-python", "#!/bin/sh\nexit 1\n")
+    box.run("chmod", "+x", "/run/other-python")
+    box.run("ln", "-sf", "/run/other-python", "/usr/bin/python3")
+    try:
+        assert box.run(NAME, "--version").stdout.startswith("hexapod-gateway 1.")
+        assert "the system's python3 is another one now" in box.run(NAME, "check", check=False).stdout
+    finally:
+        box.run("ln", "-sf", exact, "/usr/bin/python3")
 
 
 def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ It changes nothing: no byte reaches the robot, and a running gateway is not dist
 import datetime as dt
 import os
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +17,7 @@ from gateway import settings as settings_file
 from gateway.edge.exposure import listen_endpoints
 from gateway.errors import ConfigError
 from gateway.settings import FramingNotSetError, Settings
-from gateway.tools.check import access, calibration, device, laptop, machine, network, running, service_user
+from gateway.tools.check import access, calibration, device, laptop, machine, network, release, running, service_user
 from gateway.tools.check.result import Result, Verdict, failure, ok, warning
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -30,12 +31,15 @@ def check(config: Path | None) -> int:
     Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
     matters only once it is known what the controller understands.
     """
+    runs = release.running(machine.main_process())  # only root may see it
 
     def look() -> int:
         found = running.simulated() if config is None else None
         if found is not None:
-            return _tell(running.results(*found), "The simulated robot is well", "The simulated robot is not well")
-        return _tell(run(config), "This machine can run the service", "This machine cannot run the service")
+            results = chain(running.results(*found), release.findings(runs))
+            return _tell(results, "The simulated robot is well", "The simulated robot is not well")
+        results = chain(run(config), release.findings(runs))
+        return _tell(results, "This machine can run the service", "This machine cannot run the service")
 
     return service_user.run(look, machine.granted_rtprio())
 

@@ -111,6 +111,11 @@ def running_realtime(*, systemctl: str = "systemctl") -> Result | None:
     )
 
 
+def main_process(*, systemctl: str = "systemctl") -> int:
+    """The number of the service's process; 0: none runs here."""
+    return int(_show("MainPID", systemctl).get("MainPID", "0"))
+
+
 def _show(properties: str, systemctl: str) -> dict[str, str]:
     command = [systemctl, "show", UNIT, f"--property={properties}"]
     try:

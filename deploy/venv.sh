@@ -1,0 +1,97 @@
+# shellcheck shell=bash
+# A Python of its own with the gateway in it. Read by install.sh.
+# shellcheck source=deploy/stamp.sh
+. "$HERE/stamp.sh"
+
+# Sets `venv`: a folder named after what is in it, complete before anything refers to it.
+build_venv() {
+	local inputs name
+	if [ -n "$wheels" ]; then
+		inputs=$(cd "$wheels" && sha256sum -- *)
+		to=$(basename "$(compgen -G "$wheels/hexapod_gateway-*.whl" | tail -n 1)" | cut -d- -f2)
+	else
+		inputs=$(cd "$ROOT" && find pyproject.toml gateway schemas -name __pycache__ -prune -o -type f -print0 |
+			sort -z | xargs -0 sha256sum)
+		to=$(version_of "$ROOT")
+	fi
+	name=$OPT/venv-$(printf '%s\n%s\n' "$python $version" "$inputs" | sha256sum | cut -c1-12)
+	for venv in "$name" "$name-2"; do
+		[ -e "$venv/complete" ] || continue
+		if is_whole "$venv"; then
+			to=$(version_in "$venv")
+			say "keep $venv: the same Python, the same gateway, every file as installed"
+			return
+		fi
+		say "make anew what is in $venv: its files are not those that were installed, as after a power cut"
+	done
+	# Never in the place of what the service may run from: its Stops after a crash come from there.
+	venv=$name
+	[ "$(readlink -e $OPT/venv || true)" != "$name" ] && [ "$(release_of $NAME)" != "$name" ] || venv=$name-2
+	check_compiler
+	say "make $venv with $python ($version)"
+	say "install $NAME $to into it from ${wheels:-$ROOT and the network}"
+	[ "$dry" = no ] || return 0
+	unfinished=$venv
+	rm -rf "$venv"
+	mkdir -p "$OPT"
+	"$python" -m venv "$venv" || fail "$venv could not be made (above is why); nothing else was changed"
+	if [ -n "$wheels" ]; then
+		# --isolated: no pip configuration of this machine, which may name an index.
+		"$venv/bin/pip" --isolated install --quiet --disable-pip-version-check --no-cache-dir --no-index \
+			--find-links "$wheels" "${NAME}[spi,console]"
+	else
+		sources=$(mktemp -d)
+		copy_sources "$ROOT" "$sources"
+		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "${sources}[spi,console]"
+	fi || fail "pip could not install $NAME (above is why); nothing else was changed"
+	{ "$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev'; } ||
+		fail "what was installed does not run (above is why); nothing else was changed"
+	mark_whole "$venv"
+	unfinished=''
+}
+
+# The mark has the SHA-256 of each file. All of them are on the disk before it is; else a power cut in the next half minute
+# could leave it beside empty files.
+mark_whole() {
+	local list
+	list=$(cd "$1" && find . -type f ! -name complete ! -name unit -print0 | sort -z | xargs -0 sha256sum)
+	sync -f "$1"
+	printf '%s\n' "$list" >"$1/complete.new"
+	sync "$1/complete.new"
+	mv "$1/complete.new" "$1/complete"
+	sync -f "$1"
+}
+
+# Whether each file is as it was installed.
+is_whole() {
+	[ -s "$1/complete" ] && (cd "$1" && sha256sum --check --quiet --strict complete >/dev/null 2>&1)
+}
+
+# Whether it can be gone back to: whole, or made by an installer whose mark was an empty file, and able to begin.
+is_fit() {
+	is_whole "$1" || { [ -e "$1/complete" ] && [ ! -s "$1/complete" ] && "$1/bin/$NAME" stop-servos --help >/dev/null 2>&1; }
+}
+
+# What version pip has installed there.
+version_in() {
+	basename "$(compgen -G "$1/lib/python*/site-packages/hexapod_gateway-*.dist-info" | head -n 1)" .dist-info | cut -d- -f2
+}
+
+# PyPI has spidev as source only. Said now, and not by a compiler that is missing half a minute later.
+check_compiler() {
+	local header folder=''
+	header=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
+	[ ! -e "$header" ] || ! command -v gcc >/dev/null || return 0
+	if [ -n "$wheels" ]; then
+		! compgen -G "$wheels/spidev-*.whl" >/dev/null || return 0
+	else
+		folder=$(mktemp -d) # piwheels.org has it ready-made for 32-bit systems
+		if "$python" -m pip download --quiet --disable-pip-version-check --no-deps --only-binary=:all: --dest "$folder" \
+			'spidev>=3.6' >/dev/null 2>&1; then
+			rm -r "$folder"
+			return
+		fi
+		rm -r "$folder"
+	fi
+	fail "spidev has to be compiled on this machine, which lacks gcc or $header: sudo apt-get install gcc python3-dev"
+}

@@ -1,0 +1,43 @@
+"""Whether a servo runs, for deploy/install.sh, which may not ask over the network where that needs a certificate.
+
+One line in a file of the service's folder, which is in memory: `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, ten times a
+second. The file is mapped, so writing it is a copy into memory, without a system call. A line older than a second says
+nothing: the service hangs.
+"""
+
+import logging
+import mmap
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+NAME: Final = "servos"
+_LINE: Final = "%020d %d\n"
+_BYTES: Final = len(_LINE % (0, 0))
+
+logger = logging.getLogger(__name__)
+
+
+class ServosFile:
+    """The file in systemd's RuntimeDirectory=; nothing without one."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        folder = environment.get("RUNTIME_DIRECTORY", "")
+        self._map: mmap.mmap | None = None
+        if not folder:
+            return
+        try:
+            descriptor = os.open(Path(folder) / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            try:
+                os.ftruncate(descriptor, _BYTES)
+                self._map = mmap.mmap(descriptor, _BYTES)
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            logger.warning("the installer cannot see whether a servo runs: %s", error)
+
+    def write(self, now_ns: int, *, any_runs: bool) -> None:
+        """Whether any runs, at this time of the monotonic clock."""
+        if self._map is not None:
+            self._map[:] = (_LINE % (now_ns, any_runs)).encode()
