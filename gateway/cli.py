@@ -87,7 +87,7 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
     """
     from gateway.tools import send
 
-    sys.exit(send.estop(send.connection(connect, zenoh_config, timeout)))
+    sys.exit(send.estop(send.connection(connect, zenoh_config, timeout, command="estop")))
 
 
 @app.command()
@@ -98,7 +98,7 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
     """
     from gateway.tools import send
 
-    sys.exit(send.reset(send.connection(connect, zenoh_config, timeout)))
+    sys.exit(send.reset(send.connection(connect, zenoh_config, timeout, command="reset")))
 
 
 @app.command()

@@ -2,10 +2,10 @@
 
 from typing import Annotated, Final, Literal
 
-from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, TypeAdapter, model_serializer
+from pydantic import ConfigDict, Field, TypeAdapter
 
 from schemas.command import Closed, LeaseToken, Source
-from schemas.telemetry import AnyReason, Report
+from schemas.telemetry import Answer, AnyReason
 
 Nonce = Annotated[
     str, Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description="32 hex digits, from a challenge")
@@ -56,7 +56,7 @@ LEASE_REQUEST: Final[TypeAdapter[Challenge | Claim | Renew | Release]] = TypeAda
 )
 
 
-class LeaseAck(Report):
+class LeaseAck(Answer):
     """The answer to a LeaseRequest; fields that say nothing are left out of the JSON."""
 
     accepted: bool
@@ -67,10 +67,6 @@ class LeaseAck(Report):
     holder: str | None = None
     ttl_ms: float | None = None
     verified: bool | None = None
-
-    @model_serializer(mode="wrap")
-    def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
-        return {name: value for name, value in handler(self).items() if value is not None}
 
 
 def signed_text(do: str, source: str, nonce: str) -> bytes:

@@ -1,5 +1,6 @@
 """What goes out: acknowledgements, state, events and frame records."""
 
+from collections.abc import Iterator
 from enum import StrEnum
 from typing import Annotated, Literal
 
@@ -100,7 +101,18 @@ AnyCause = Annotated[Cause | str, OrText]
 AnyWatchdogState = Annotated[WatchdogState | str, OrText]
 
 
-class Ack(Report):
+class Answer(Report):
+    """Fields that say nothing are left out of its JSON, and of what `print` shows."""
+
+    @model_serializer(mode="wrap")
+    def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
+        return {name: value for name, value in handler(self).items() if value is not None}
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, object]]:
+        return ((name, value) for name, value in super().__repr_args__() if value is not None)
+
+
+class Ack(Answer):
     """The reply to an acknowledged command; fields that say nothing are left out of the JSON."""
 
     accepted: bool
@@ -111,10 +123,6 @@ class Ack(Report):
     stop_frames: Count | None = None
     estop: Count | None = None
     latency_us: Annotated[float, Field(ge=0)] | None = None
-
-    @model_serializer(mode="wrap")
-    def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
-        return {name: value for name, value in handler(self).items() if value is not None}
 
 
 class ServoReport(Report):

@@ -246,6 +246,8 @@ class Lease:
 
     def _tell_who_asks(self) -> None:
         who, self._asked_by = self._asked_by, None
+        if who == self.holder:  # we asked for it before we took it
+            return
         if who is not None and self._on_asked is not None and self._holds is _Holds.YES:
             self._on_asked(who)
 

@@ -43,6 +43,7 @@ _STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 _EVENT_S: Final = 0.1
 """An event is published beside the answer to a question, and may come after it."""
 _AGAIN: Final = "start_again() goes on"
+_UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
 Angles = dict[int, tuple[float, float, float]]
 
@@ -315,14 +316,12 @@ class Stream:
     def _ask(self) -> GatewayState:
         """Raise unless the gateway says that all that is started runs."""
         if not self._client.connected:
-            raise DisconnectedError(f"the link to the gateway is lost, and its watchdog stops the legs; {_AGAIN}")
+            raise DisconnectedError(f"the link to the gateway is lost: {_UNHEARD}; {_AGAIN}")
         self._doubt = False
         try:
             state = self._client.state(ANSWER_S)
         except ZenohError as error:
-            raise DisconnectedError(
-                f"the gateway does not answer, and its watchdog stops the legs; {_AGAIN}"
-            ) from error
+            raise DisconnectedError(f"the gateway does not answer: {_UNHEARD}; {_AGAIN}") from error
         self._heard_s = time.monotonic()
         self._to_stop -= self._not_ours(state)
         if not self._runs(state):
@@ -364,8 +363,10 @@ class Stream:
                 why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms;"
             case _ if (overflow := self._overflow(state, legs)) is not None:
                 why = f"{overflow.detail};"
-            case _:
+            case _ if any(each.source is not None for each in state.legs if each.leg in legs):
                 why = f"somebody else stopped {names};"
+            case _:
+                why = f"the gateway stopped {names} by itself (its events say why), or a Stop without a name did;"
         return StoppedError(f"{why} {_AGAIN}", legs)
 
     def _overflow(self, state: GatewayState, legs: frozenset[int]) -> Event | None:

@@ -51,10 +51,13 @@ def _stops(leg: Leg, servos: list[Servo], cause: Cause, numbers: tuple[int, ...]
     return [Transmit(OneServo(servo.servo_id, STOP), cause, None, numbers) for servo in servos]
 
 
-def _taken_over(leg: Leg, source: str | None) -> list[Effect]:
-    """Another source's command is in force from now on. A leg that nothing runs on is taken from nobody."""
+def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
+    """Another source's command is in force from now on. A leg that nothing runs on is taken from nobody.
+
+    A Stop without a name (a delete has none) may well be that of whoever moved the leg.
+    """
     before, leg.source = leg.source, source
-    if not leg.armed:
+    if not leg.armed or (source is None and not moves):
         return []
     new, old = ("somebody without a name" if name is None else name for name in (source, before))
     detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
@@ -166,13 +169,13 @@ class Legs:
         taken: list[Effect] = []
         for number, targets in by_leg.items():
             leg = self.by_number[number]
-            if command.lost:
-                leg.source = None
-            elif leg.source != command.source:
-                taken += _taken_over(leg, command.source)
             moves = False
             for _, op in targets:
                 moves = moves or op.op is not OP_STOP
+            if command.lost:
+                leg.source = None
+            elif leg.source != command.source:
+                taken += _taken_over(leg, command.source, moves)
             if moves:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns

@@ -2,11 +2,16 @@
 
 import time
 from collections.abc import Sequence
-from functools import partial
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
 
 from gateway.client import Client, LeaseError, leg_payload, servo_payload, several_answer
+from gateway.client.proof import Identity
+from gateway.edge.session import client_config
 from gateway.errors import ConfigError
 from gateway.tools import reach
+from gateway.tools.kept_lease import me
 from gateway.tools.reach import Connection
 from gateway.tools.terminal import hint, say, this_command, visible
 from schemas import keys
@@ -19,7 +24,26 @@ HOLD_PERIOD_S = 0.05
 OTHERS_S = 0.2
 """How long a command goes on listening after the answer, but only where somebody has yet to answer or decline."""
 
-connection = partial(reach.connection, source="hexapod-gateway send")
+_MOST_PERSON: Final = 40
+"""Of the 64 characters that a source may have."""
+
+
+def connection(
+    connect: str | None, zenoh_config: Path | None, timeout_s: float, *, command: str = "send"
+) -> Connection:
+    """How to reach the gateway; in events and states its commands are those of the person who sends them."""
+    person = person_of(connect, zenoh_config)[:_MOST_PERSON]
+    return reach.connection(connect, zenoh_config, timeout_s, source=f"{person} (hexapod-gateway {command})")
+
+
+def person_of(connect: str | None, zenoh_config: Path | None) -> str:
+    """The certificate's person; without one, the user of this machine."""
+    if zenoh_config is not None:
+        identity = Identity.of(client_config(connect, zenoh_config))
+        if identity is not None:
+            with suppress(ConfigError):
+                return identity.person()
+    return me()
 
 
 def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:

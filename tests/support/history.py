@@ -164,6 +164,7 @@ def change_hands(
 ) -> None:
     """An accepted command names running legs that are another source's: they change hands, and each is told once."""
     named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in command.targets}
+    moved = {leg_of(servo_id) for servo_id, op in command.targets if op.op is not Op.STOP}
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
     told = [effect for effect in effects if isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED]
     expected = [
@@ -174,7 +175,7 @@ def change_hands(
             legs=(number,),
         )
         for number, leg in changed.items()
-        if number in running
+        if number in running and (command.source is not None or number in moved)
     ]
     demand(told == expected, f"legs that change hands are told: {expected}, not {told}")
     for leg in changed.values():

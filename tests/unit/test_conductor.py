@@ -295,6 +295,24 @@ async def test_two_laptops_on_one_leg_are_both_named() -> None:
     assert robot.conductor.state().legs[2].source is None, "the watchdog has stopped it"
 
 
+@pytest.mark.parametrize("stop", ["delete", "put"])
+async def test_a_stop_without_a_name_takes_a_leg_from_nobody(stop: str) -> None:
+    """A delete carries no name: it may be that of the script whose setpoints had one."""
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="my script"))
+    if stop == "delete":
+        robot.put(LEG_3, verb=Verb.DELETE)
+    else:
+        robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3})
+    assert not robot.events(Kind.SOURCE_CHANGED)
+    assert robot.conductor.state().legs[2].source is None
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="my script"))
+    robot.put(LEG_3, leg("set", 1, 2, 3))
+    (event,) = robot.events(Kind.SOURCE_CHANGED)
+    assert event.detail == "leg 3 is commanded by somebody without a name, and was by my script", "it moves"
+
+
 async def test_a_fight_for_a_leg_is_told_ten_times_a_second_and_source() -> None:
     robot = Robot()
     robot.conductor.start()

@@ -285,3 +285,10 @@ def test_what_comes_in_is_closed_and_what_goes_out_is_open(name: str) -> None:
             assert schema.get("additionalProperties") is not False
         else:
             assert schema.get("additionalProperties") is False or "propertyNames" in schema
+
+
+def test_an_answer_shows_what_it_says_and_no_more() -> None:
+    assert str(Ack(accepted=True)) == "accepted=True"
+    assert repr(Ack(accepted=True, stop_frames=6, estop=1)) == "Ack(accepted=True, stop_frames=6, estop=1)"
+    token = "0123456789abcdef" * 2
+    assert repr(LeaseAck(accepted=True, lease=token, holder="anna")) == "LeaseAck(accepted=True, holder='anna')"

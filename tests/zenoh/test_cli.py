@@ -11,10 +11,13 @@ from typing import Any
 
 import pytest
 
-from schemas.telemetry import Mode
+from gateway import certs
+from gateway.tools.kept_lease import me
+from gateway.tools.send import person_of
+from schemas.telemetry import Kind, Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
-from tests.support.heard import frames
+from tests.support.heard import events, frames
 
 NOBODY = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
 
@@ -187,3 +190,21 @@ def test_decode_explains_or_says_what_is_wrong() -> None:
         child.close()
         assert child.stdout == f"{line}\n"
         assert child.stderr == ""
+
+
+def test_who_engages_and_leaves_the_emergency_stop_is_named(tmp_path: Path) -> None:
+    """The person, and not only the program."""
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
+        heard = events(client)
+        assert gateway.run("estop").returncode == 0
+        assert client.state().estop_source == f"{me()[:40]} (hexapod-gateway estop)"
+        assert gateway.run("reset").returncode == 0
+        reset = heard.wait(lambda event: event.kind == Kind.ESTOP_RESET)
+    assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
+
+
+def test_with_a_certificate_it_is_the_certificates_person(tmp_path: Path) -> None:
+    certs.init(tmp_path / "D", ["127.0.0.1"])
+    certs.issue(tmp_path / "D", "anna", "operator")
+    assert person_of(None, tmp_path / "D" / "anna.json5") == "anna"
+    assert person_of("tcp/127.0.0.1:7447", None) == me()
