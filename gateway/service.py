@@ -28,13 +28,14 @@ from gateway.edge.session import open_session, service_config
 from gateway.edge.strangers import Strangers
 from gateway.edge.upkeep import Upkeep
 from gateway.errors import GatewayError
-from gateway.host import calibration_file, descriptors, logs, realtime
+from gateway.host import calibration_file, descriptors, logs, realtime, stop_note
 from gateway.host.calibration_keeper import CalibrationKeeper
 from gateway.host.descriptors import Spare
 from gateway.host.ownership import Ownership
 from gateway.host.servos_file import ServosFile
 from gateway.host.systemd import SystemdNotifier
 from gateway.protocol.frames import centidegrees
+from gateway.recorder.messages import STOP_FACTS
 from gateway.recorder.place import folder_of
 from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime import prometheus as exposition
@@ -101,12 +102,15 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
     """The black box, if it has a folder."""
     if folder_of(settings) is None:
         return NO_RECORDER
-    facts = {
+    facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
         "framing": settings.spi.framing,
         "timeout_ms": settings.watchdog.timeout_ms,
     }
+    stops = stop_note.take()
+    if stops is not None:
+        facts |= dict(zip(STOP_FACTS, stops, strict=True))
     return RingRecorder(settings, facts, time.monotonic_ns, time.time_ns)
 
 

@@ -53,7 +53,7 @@ class FrameInBox(FrameRecord):
 class Note(Report):
     """The incident, and what happened to the gateway itself.
 
-    `what` is incident, start, end, killed, mode, lag, or rejected (of a message that is no command).
+    `what` is incident, start, end, killed, stop-servos, mode, lag, or rejected (of a message that is no command).
     """
 
     time: AwareDatetime
@@ -63,6 +63,8 @@ class Note(Report):
     key: str | None = None
 
 
+STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
+"""Among the facts of a start: when `stop-servos` wrote before it, as in `gateway.host.stop_note`."""
 COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
 
 
@@ -92,6 +94,7 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
         if isinstance(record.content, form.Start):
             if last is not None and last < taken[place]:  # the gateway before it, whose end is an incident of its own
                 yield _killed(incident.wall_ns(times_ns[last]))
+            yield from _stops_before(record, incident)
             ended = False
         ended = ended or isinstance(record.content, form.End)
         last = None if ended else taken[place]
@@ -129,6 +132,17 @@ class _Decisions:
     def is_told(self, place: int) -> bool:
         """Whether what is at this place is part of a command's message."""
         return bool(self._told[place])
+
+
+def _stops_before(start: form.Record, incident: Incident) -> Iterator[Message]:
+    """What `stop-servos` wrote before this start, after the end of the gateway before it."""
+    facts = start.content.facts if isinstance(start.content, form.Start) else {}
+    match [facts.get(name) for name in STOP_FACTS]:
+        case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
+            wall_ns = incident.wall_ns(first_ns)
+            repeated = f"repeated for {(last_ns - first_ns) / 1e6:.0f} ms"
+            note = Note(time=_time(wall_ns), what="stop-servos", detail=repeated)
+            yield Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
 
 
 def _killed(wall_ns: int) -> Message:
@@ -188,7 +202,8 @@ def _message(
 def _note(record: form.Record, time: datetime) -> tuple[str, Report] | None:
     match record.content:
         case form.Start(facts=facts):
-            return RECORDER, Note(time=time, what="start", detail=", ".join(f"{k} {v}" for k, v in facts.items()))
+            shown = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in STOP_FACTS)
+            return RECORDER, Note(time=time, what="start", detail=shown)
         case form.End(why=why):
             return RECORDER, Note(time=time, what="end", detail=why)
         case form.ModeChange(mode=mode):

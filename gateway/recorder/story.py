@@ -412,6 +412,8 @@ def _notes(messages: list[Message], zero_ns: int) -> Iterator[Line]:
                 text = f"mode {detail}"
             case "killed":
                 text = "the gateway's last record; its process ended without a word"
+            case "stop-servos":
+                text = f"stop-servos has written a Stop to each of the six legs, {detail}"
             case "lag":
                 text = f"the loop was {detail} late"
             case _:

@@ -3,6 +3,7 @@
 import time
 from typing import Final
 
+from gateway.host import stop_note
 from gateway.protocol.frames import stop_leg
 from gateway.spi.bus import Bus, bus_for
 from gateway.spi.kernel import KernelDevice
@@ -33,6 +34,7 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
     notice = Notice(spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None
+    first_ns = 0
     for repeat in range(1 + watchdog.repeats + MORE_ROUNDS):
         if repeat > watchdog.repeats and not unstopped:
             break
@@ -40,10 +42,13 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
             pause_ms = watchdog.repeat_interval_ms
             time.sleep((pause_ms if repeat <= watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
         stopped, fault_now = stop_once(bus)
+        first_ns = first_ns if unstopped < set(LEGS) else time.monotonic_ns()
         notice.give()  # after the first Stops, which must not wait for it
         unstopped -= stopped
         fault = fault_now or fault
     bus.close()
+    if not unstopped:
+        stop_note.leave(stop_note.StopNote(first_ns, time.monotonic_ns()))
     noticed = notice.end()
     if unstopped and fault is not None:
         raise fault
