@@ -246,14 +246,12 @@ class Lease:
 
     def _tell_who_asks(self) -> None:
         who, self._asked_by = self._asked_by, None
-        if who == self.holder:  # we asked for it before we took it
-            return
         if who is not None and self._on_asked is not None and self._holds is _Holds.YES:
             self._on_asked(who)
 
     def _hear(self, event: Event) -> None:
         """On a thread of Zenoh's: note it only."""
-        if event.kind == Kind.LEASE_ASKED:
+        if event.kind == Kind.LEASE_ASKED and self._holds is _Holds.YES:  # before, it may be ourselves who ask
             self._asked_by = event.source
         if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:
             self._news.set()
