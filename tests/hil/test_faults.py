@@ -55,7 +55,7 @@ class Scene:
         seen = states(client)
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
-        self._waiting: Future[Ack] = pool.submit(client.start_leg, 4, 1, 2, 3)
+        self._waiting: Future[Ack] = pool.submit(client.start_leg, 4, 5, 6, 7)
         seen.wait(lambda state: state.legs[3].watchdog is WatchdogState.ARMED)
 
     def touch(self) -> None:
@@ -135,7 +135,7 @@ def test_transfers_that_fail_for_five_seconds(tmp_path: Path, spi_testbed: SpiTe
     with scene(tmp_path, wire) as at:
         spi_testbed.fail()
         at.touch()
-        for rejected in (at.client.start_leg(3, 1, 2, 3), at.client.stop(), at.client.reset()):
+        for rejected in (at.client.start_leg(3, 5, 6, 7), at.client.stop(), at.client.reset()):
             assert rejected.reason is Reason.BUS_FAULT
         assert at.client.state().mode is Mode.BUS_FAULT
         fault_ns = next(each.monotonic_ns for each in spi_testbed.transfers if each.errno)
@@ -188,7 +188,7 @@ def test_the_device_vanishes_and_comes_back(tmp_path: Path, wire: Wire) -> None:
         wire.bed.remove_node()
         at.touch()
         at.gateway.child.wait_for_output("does not answer yet")
-        assert at.client.start_leg(3, 1, 2, 3).reason is Reason.BUS_FAULT
+        assert at.client.start_leg(3, 5, 6, 7).reason is Reason.BUS_FAULT
         wire.bed.restore_node()
         transfers = at.recovered()
         assert transfers[0].errno == errno.ESHUTDOWN
