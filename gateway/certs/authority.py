@@ -52,10 +52,42 @@ class KeyPair:
 
 def make_ca(now: dt.datetime) -> KeyPair:
     """A CA that signs leaf certificates only; its name has a random part, so that two CAs are never confused."""
+    return _make_ca(now, CA, [])
+
+
+def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
+    """A CA that people import into a browser: good for these hosts, as servers, and for nothing else in the web.
+
+    Whoever gets its key can pose as one of these hosts, and not as a bank.
+    """
+    names = [_general_name(host) for host in hosts]
+    networks = [ipaddress.ip_network(name.value) for name in names if isinstance(name, x509.IPAddress)]
+    # A kind of name without an entry would not be constrained: .invalid and 255.255.255.255 are nobody's.
+    permitted: list[x509.GeneralName] = [
+        *([name for name in names if isinstance(name, x509.DNSName)] or [x509.DNSName("invalid")]),
+        *map(x509.IPAddress, networks or [ipaddress.ip_network("255.255.255.255")]),
+    ]
+    constraints = x509.NameConstraints(permitted_subtrees=permitted, excluded_subtrees=None)
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+    return _make_ca(now, CONSOLE, [(constraints, True), (usage, False)])
+
+
+def permits(ca: x509.Certificate, hosts: Sequence[str]) -> bool:
+    """Whether a CA of `make_web_ca` was made for these hosts, or has no constraints."""
+    try:
+        constraints = ca.extensions.get_extension_for_class(x509.NameConstraints).value
+    except x509.ExtensionNotFound:
+        return True
+    known = {str(name.value).partition("/")[0] for name in constraints.permitted_subtrees or ()}
+    return known.issuperset(hosts)
+
+
+def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionType, bool]]) -> KeyPair:
+    """`more`: extensions, and whether each is critical."""
     key = ec.generate_private_key(ec.SECP256R1())
     serial = x509.random_serial_number()
-    subject = _name(f"{_ORGANIZATION} CA {serial:040x}"[:28], CA)
-    certificate = (
+    subject = _name(f"{_ORGANIZATION} CA {serial:040x}"[:28], unit)
+    builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(subject)
@@ -66,9 +98,10 @@ def make_ca(now: dt.datetime) -> KeyPair:
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_key_usage(ca=True), critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .sign(key, hashes.SHA256())
     )
-    return KeyPair(certificate, key)
+    for extension, critical in more:
+        builder = builder.add_extension(extension, critical=critical)
+    return KeyPair(builder.sign(key, hashes.SHA256()), key)
 
 
 def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:

@@ -29,6 +29,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _RESERVED = ("ca", "gateway", "router")
 _ROBOT = "robot."  # in front of a robot's name in the common name of its certificate
 _ROBOT_LENGTH = 48  # a common name has at most 64 characters, "operator." among them
+_WEB_CA = "-ca"  # behind a console's name in the names of its CA's files
 ROUTER_FILE = "router.json5"
 
 
@@ -151,18 +152,27 @@ def issue(
 def console(
     directory: Path, name: str, hosts: Sequence[str], *, days: int = CONSOLE_DAYS, now: dt.datetime | None = None
 ) -> list[Path]:
-    """Makes NAME.pem and NAME.key for a web console that browsers reach by `hosts`; returns the paths."""
+    """Makes NAME.pem and NAME.key for a web console that browsers reach by `hosts`, and its own CA; returns the paths.
+
+    NAME-ca.pem is what people import into a browser: it is good for these hosts and nothing else, as ca.pem is not.
+    """
     now = now or _now()
     _check_name(name)
     _check_days(days)
     names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
     if not names:
         raise ConfigError("name at least one host by which browsers reach the console: --host robot.local")
-    ca = _load_ca(directory, now)
+    _load_ca(directory, now)
     _check_free(directory, name)
+    ca = authority.make_web_ca(names, now)
     made = authority.make_console(ca, name, names, days, now)
     certificate, key, _ = _laptop_files(directory, name)
-    files = {key: Content(made.key_pem(), SECRET), certificate: Content(made.certificate_pem())}
+    files = {
+        key: Content(made.key_pem(), SECRET),
+        certificate: Content(made.certificate_pem()),
+        directory / f"{name}{_WEB_CA}.key": Content(ca.key_pem(), SECRET),
+        directory / f"{name}{_WEB_CA}.pem": Content(ca.certificate_pem()),
+    }
     publish(files)
     return list(files)
 
@@ -209,7 +219,8 @@ def renew(
     _check_days(days)
     if name != authority.GATEWAY:
         _check_name(name)
-    ca, path = _load_ca(directory, now), directory / f"{name}.pem"
+    own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else "ca"
+    ca, path = _load_ca(directory, now, own), directory / f"{name}.pem"
     old = read_certificate(path)
     try:
         old.verify_directly_issued_by(ca.certificate)
@@ -219,6 +230,11 @@ def renew(
     if hosts and not known:
         raise ConfigError(f"{path} is a laptop's, and nobody dials it: --host is for the gateway, or a console")
     further = [host for host in _dialled_hosts(hosts) if host not in known]
+    if not authority.permits(ca.certificate, further):
+        raise ConfigError(
+            f"{own}.pem, which browsers have imported, is good for {', '.join(known)} only: make another with "
+            f"`hexapod-gateway certs console NAME --host …`, and import NAME{_WEB_CA}.pem"
+        )
     renewed = authority.renew(ca, old, days, now, [*known, *further]).public_bytes(serialization.Encoding.PEM)
     replace(path, Content(renewed))
     return path
@@ -268,18 +284,20 @@ def describe(path: Path) -> Certificate:
     )
 
 
-def _load_ca(directory: Path, now: dt.datetime) -> KeyPair:
+def _load_ca(directory: Path, now: dt.datetime, name: str = "ca") -> KeyPair:
     try:
-        (directory / "ca.key").lstat()
+        (directory / f"{name}.key").lstat()
     except (FileNotFoundError, NotADirectoryError) as error:
         raise ConfigError(
             f"{directory} has no ca.key: give the folder that `hexapod-gateway certs init` made, with --dir"
         ) from error
     except OSError:
         pass  # it may be there: reading it says what is wrong
-    certificate, key = read_certificate(directory / "ca.pem"), read_key(directory / "ca.key")
+    certificate, key = read_certificate(directory / f"{name}.pem"), read_key(directory / f"{name}.key")
     if certificate.public_key() != key.public_key():
-        raise ConfigError(f"{directory}: ca.key and ca.pem do not belong together; restore both from the same copy")
+        raise ConfigError(
+            f"{directory}: {name}.key and {name}.pem do not belong together; restore both from the same copy"
+        )
     if certificate.not_valid_after_utc <= now:
         raise ConfigError(
             f"the CA in {directory} expired on {certificate.not_valid_after_utc:%Y-%m-%d}: make a new one with "

@@ -187,13 +187,14 @@ def console(
 ) -> None:
     """Make a TLS certificate for a web console that other machines reach, of at most 459 days.
 
-    Browsers trust it once ca.pem is among their authorities. It is good for nothing on Zenoh.
+    Browsers trust it once NAME-ca.pem is among their authorities, which is good for these hosts and nothing else. Keep
+    NAME-ca.key beside ca.key. On Zenoh neither is good for anything.
     """
     certs.console(directory, name, host, days=days)
     typer.echo(f"Made {name}.pem and {name}.key in {directory}: copy both to the machine of the console, and there:")
     command = f"hexapod-gateway console --listen 0.0.0.0:8443 --cert {name}.pem --key {name}.key"
     typer.echo(f"  {command} --zenoh-config PERSON.json5")
-    typer.echo(f"In each browser, import {directory / 'ca.pem'} as an authority, once.")
+    typer.echo(f"In each browser, import {directory / f'{name}-ca.pem'} as an authority, once.")
 
 
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")

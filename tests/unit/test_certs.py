@@ -185,8 +185,8 @@ def test_the_gateways_zenoh_file(folder: Path, tmp_path: Path, monkeypatch: pyte
 def test_a_consoles_certificate_only_serves(folder: Path) -> None:
     """At most 825 days, or Apple's browsers reject it; no role on Zenoh; no client."""
     made = certs.console(folder, "web", ["robot.local", "192.0.2.7", "robot.local", "2001:db8::7"], days=3000, now=NOW)
-    assert {path.name for path in made} == {"web.pem", "web.key"}
-    assert mode(folder / "web.key") == 0o600
+    assert {path.name for path in made} == {"web.pem", "web.key", "web-ca.pem", "web-ca.key"}
+    assert mode(folder / "web.key") == mode(folder / "web-ca.key") == 0o600
     for days in (None, 3000):
         if days is not None:
             certs.renew(folder, "web", days=days, now=NOW)

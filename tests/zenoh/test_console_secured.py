@@ -38,7 +38,7 @@ def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
         assert child.wait_for_output(LINK).removeprefix(LINK).strip() == f"https://127.0.0.1:{port}"
         link = Register(tmp_path, port).new_link()
         assert link.startswith(f"https://127.0.0.1:{port}/?token=")
-        context = ssl.create_default_context(cafile=secured.folder / "ca.pem")
+        context = ssl.create_default_context(cafile=secured.folder / "web-ca.pem")
         with httpx.Client(verify=context) as browser:
             entered = browser.get(link)
             cookie = entered.headers["set-cookie"]
