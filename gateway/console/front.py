@@ -38,9 +38,10 @@ MAX_UNKNOWN: Final = 64
 """Connections of whom we do not know; each takes one descriptor, and some 100 kB with TLS."""
 MAX_SIGNED_IN: Final = 32
 """The same of those who are signed in and load the page's files: a browser opens six."""
-CONNECTIONS_A_SECOND: Final = 100.0
-"""With TLS each takes some 2 ms of this thread. A page loads 30 files."""
-CONNECTIONS_AT_ONCE: Final = 100.0
+CONNECTIONS_A_SECOND: Final = 50.0
+"""With TLS each takes some 2 ms of this thread, so a flood takes a tenth of a processor."""
+CONNECTIONS_AT_ONCE: Final = 64.0
+"""Without a pause: a page loads 30 files."""
 READS: Final = 40
 """From one connection: a handshake and a request take five, on a bad network some more."""
 READ_BYTES: Final = 4096
@@ -53,7 +54,7 @@ SIGNED_IN_S: Final = 30.0
 SEND_BYTES: Final = 65_536
 """Encrypted at a time: what waits for one connection in memory."""
 AGAIN_S: Final = 1.0
-"""After a connection could not be taken, for want of descriptors or memory: not at once, it would fail again."""
+"""After a connection could not be taken, for want of descriptors or memory: so long these are there for Stops."""
 
 _log: Final = logging.getLogger(__name__)
 
@@ -94,11 +95,18 @@ class _Places:
         if len(self.visits) >= self.most:
             have = Counter(other.address for other in self.visits)
             largest = max(have.values())
-            ends = next(other for other in self.visits if have[other.address] == largest)
-            del self.visits[ends]
-            if ends.task is not None:
-                ends.task.cancel()
+            self._end(next(other for other in self.visits if have[other.address] == largest))
         self.visits[visit] = None
+
+    def end_all(self) -> None:
+        """Nobody keeps one: what they hold is wanted for a Stop."""
+        for visit in list(self.visits):
+            self._end(visit)
+
+    def _end(self, visit: _Visit) -> None:
+        del self.visits[visit]
+        if visit.task is not None:
+            visit.task.cancel()
 
     def discard(self, visit: _Visit) -> None:
         self.visits.pop(visit, None)
@@ -141,7 +149,8 @@ class Front:
             try:
                 connection, address = await loop.sock_accept(self._listening)
             except OSError as error:
-                _log.warning("a connection could not be taken: %s", error)
+                _log.warning("a connection could not be taken: %s; all of unknown origin are ended", error)
+                self._unknown.end_all()
                 await asyncio.sleep(AGAIN_S)
                 continue
             self._allowance.take()
@@ -189,6 +198,8 @@ class Front:
             if received:
                 visit.protocol.receive_data(received)
                 for event in visit.protocol.events_received():
+                    if visit.protocol.eof_sent:
+                        raise EOFError  # something came behind the request that is no frame
                     if isinstance(event, Request):
                         return event
                 if await self._send_answer(visit):

@@ -11,22 +11,33 @@ import ssl
 import sys
 import threading
 import time
+from queue import SimpleQueue
 
 from tests.support.console_process import Page, sign_in
 
 PAUSE_S = 0.05
 
 
-def main() -> None:
+def read(lines: "SimpleQueue[str]") -> None:
     """Until the standard input ends."""
+    for line in sys.stdin:
+        lines.put(line)
+
+
+def main() -> None:
+    """Never ends."""
     link, authority = sys.argv[1:]
     context = ssl.create_default_context(cafile=authority)
     session = sign_in(link, context)
     with Page(link.partition("/?")[0], session, verify=context) as page:
         print("signed in", json.dumps(session), flush=True)
-        for line in sys.stdin:
+        lines: SimpleQueue[str] = SimpleQueue()
+        threading.Thread(target=read, args=(lines,), daemon=True).start()
+        while True:
+            while lines.empty():
+                page.state()  # a page that reads nothing would be given up
             took_ms = []
-            for _ in range(int(line)):
+            for _ in range(int(lines.get())):
                 page.send(type="alive", now_ms=page.now_ms())
                 began_s = time.perf_counter()
                 page.stop_all()

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.console.app import MAX_CLOSING, MAX_PAGES
 from gateway.console.front import MAX_SIGNED_IN, MAX_UNKNOWN
-from tests.attack.console_door import CASES, DoorStand, spread
+from tests.attack.console_door import CASES, FLOODS, DoorStand, spread
 
 pytestmark = pytest.mark.net
 
@@ -43,3 +43,12 @@ def test_stop_all_beside_strangers(stand: DoorStand, kind: str, count: int) -> N
     assert descriptors <= MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN
     assert threads < THREADS
     assert memory_mb < MEMORY_MB
+
+
+@pytest.mark.parametrize(("kind", "count"), FLOODS)
+def test_stop_all_beside_pages_that_flood(stand: DoorStand, kind: str, count: int) -> None:
+    """Below the limit of bytes: their frames are counted, control frames too."""
+    with stand.flooded(kind, count):
+        usual_ms, worst_ms = spread(stand.press(PRESSES))
+    assert usual_ms < USUAL_MS
+    assert worst_ms < WORST_MS

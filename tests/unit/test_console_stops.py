@@ -90,6 +90,37 @@ async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
     assert page.answered() == [7]
 
 
+@pytest.mark.parametrize("fault", [RuntimeError("can't start new thread"), MemoryError(), OSError(24, "no descriptor")])
+async def test_whatever_goes_wrong_it_is_asked_again(robot: Robot, fault: Exception) -> None:
+    """Also what is no answer of a gateway: a machine that has no thread, no memory, no descriptor left."""
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 7)
+    await turns()
+    robot.requests[0].set_exception(fault)
+    await turns()
+    assert page.heard[-1].error
+    await asyncio.sleep(AGAIN_S)
+    await turns()
+    await robot.answer(1)
+    assert page.answered() == [7]
+
+
+async def test_a_press_outlives_its_page_and_those_of_many_pages_are_one(robot: Robot) -> None:
+    stops = Stops(robot.estop)
+    for _ in range(100):
+        page = Page()
+        stops.press(page, 1)
+        stops.leave(page)
+    assert stops.unconfirmed
+    await turns()
+    for number in range(AT_ONCE):
+        await robot.answer(number)
+    assert len(robot.requests) <= 2 * AT_ONCE, "one press waited, and not a hundred"
+    for number in range(AT_ONCE, len(robot.requests)):
+        await robot.answer(number)
+    assert not stops.unconfirmed
+
+
 async def test_an_answer_to_an_earlier_request_does_not_count(robot: Robot) -> None:
     """Between the first request and the second press, somebody may have reset it."""
     stops, page = Stops(robot.estop), Page()
@@ -128,5 +159,5 @@ async def test_a_page_that_leans_on_it_takes_bounded_memory(robot: Robot) -> Non
         await robot.answer(number)
     for number in range(AT_ONCE, len(robot.requests)):
         await robot.answer(number)
-    assert len(page.answered()) == MAX_PRESSES
+    assert page.answered() == list(range(9 * MAX_PRESSES, 10 * MAX_PRESSES)), "the newest"
     assert other.answered() == [1]

@@ -1,0 +1,157 @@
+"""A console without descriptors, without memory for threads, whose stderr nobody reads: a press of STOP ALL arrives."""
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from gateway.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
+from gateway.console.register import Register
+from gateway.console.stops import AT_ONCE
+from tests.support.child import Child
+from tests.support.console_process import Page, sign_in
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+
+LATE_S = 30
+STOP = {"servos": [{"op": "stop"}] * 3}
+
+
+class BareConsole:
+    """A console without anybody who reads what it writes: both pipes are full from the beginning."""
+
+    def __init__(self, folder: Path, endpoint: str, *limits: str) -> None:
+        """`limits` are prlimit's."""
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        self._folder = folder
+        self._read, write = os.pipe()
+        os.set_blocking(write, False)
+        try:
+            while True:
+                os.write(write, bytes(4096))
+        except BlockingIOError:
+            os.set_blocking(write, True)
+        command = [*COMMAND, "console", "--listen", f"127.0.0.1:{self.port}", "--connect", endpoint]
+        self._popen = subprocess.Popen(
+            ["prlimit", *limits, "--", *command],
+            env={**os.environ, "STATE_DIRECTORY": str(folder)},
+            stdin=subprocess.DEVNULL,
+            stdout=write,
+            stderr=write,
+        )
+        os.close(write)
+        self.pid = self._popen.pid
+
+    def page(self) -> Page:
+        """A page that is signed in."""
+        session = sign_in(Register(self._folder, self.port).new_link())
+        return Page(self.url, session)
+
+    def wait(self) -> None:
+        """Until it listens."""
+        program = f"import socket\nwhile socket.socket().connect_ex(('127.0.0.1', {self.port})): pass"
+        subprocess.run([sys.executable, "-c", program], check=True, timeout=20)
+
+    def use_up_descriptors(self) -> None:
+        """From now on it can open nothing, unless it closes something."""
+        taken = {int(name) for name in os.listdir(f"/proc/{self.pid}/fd")}
+        free = min(set(range(1000)) - taken)
+        resource.prlimit(self.pid, resource.RLIMIT_NOFILE, (free, free))
+
+    def threads(self) -> int:
+        """How many it has."""
+        return len(os.listdir(f"/proc/{self.pid}/task"))
+
+    def close(self) -> None:
+        """Kill it."""
+        self._popen.kill()
+        self._popen.wait(5)
+        os.close(self._read)
+
+
+@contextmanager
+def running(folder: Path, endpoint: str, *limits: str) -> Iterator[BareConsole]:
+    console = BareConsole(folder, endpoint, *limits)
+    try:
+        console.wait()
+        yield console
+    finally:
+        console.close()
+
+
+@contextmanager
+def strangers(port: int, kind: str, count: int) -> Iterator[None]:
+    program = [sys.executable, "-m", "tests.attack.strangers", kind, "127.0.0.1", str(port), str(count), "plain"]
+    child = Child(program, os.environ)
+    try:
+        child.wait_for_output("made ", 20)
+        yield
+    finally:
+        child.close()
+
+
+def confirmed(page: Page, number: int) -> bool:
+    """Wait until that press is confirmed."""
+    found = page.wait("stop", lambda message: message["id"] == number and message["answered"], LATE_S)
+    return bool(found["stop_frames"] == 6)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("chunked", 20), ("garbage", 100), ("silent", 700)])
+def test_a_stderr_that_nobody_reads(tmp_path: Path, kind: str, count: int) -> None:
+    """Also while there are no descriptors, which is what the console has to say most about."""
+    with Gateway(tmp_path) as gateway, running(tmp_path, gateway.endpoint) as console, console.page() as page:
+        page.state()
+        console.use_up_descriptors()
+        with strangers(console.port, kind, count):
+            for _ in range(10):
+                assert page.stop_all()["stop_frames"] == 6
+        assert page.stop_all()["stop_frames"] == 6
+
+
+@pytest.mark.parametrize("kind", ["silent", "get", "slow_headers"])
+def test_without_descriptors_and_with_the_link_lost(tmp_path: Path, kind: str) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    listens = {"zenoh": {"listen": [endpoint]}}
+    with running(tmp_path, endpoint) as console, Gateway(tmp_path, listens) as gateway, console.page() as page:
+        page.wait("link", lambda message: message["status"] == "connected", LATE_S)
+        console.use_up_descriptors()
+        with strangers(console.port, kind, 100):
+            gateway.child.kill()
+            page.wait("link", lambda message: message["status"] == "gone", LATE_S)
+            page.send(type="stop_all", id=1)
+            assert not page.wait("stop")["answered"]
+            with Gateway(tmp_path, listens):
+                assert confirmed(page, 1)
+
+
+@pytest.mark.parametrize("pages", [2, 8])
+def test_a_press_while_other_stops_wait(tmp_path: Path, pages: int) -> None:
+    """With the memory that the service unit allows, fifteen Stops of each page, and no gateway."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    listens = {"zenoh": {"listen": [endpoint]}}
+    own = QUESTIONS_AT_ONCE + STOPS_AT_ONCE + AT_ONCE
+    with running(tmp_path, endpoint, f"--data={512 * 2**20}") as console:
+        opened = [console.page() for _ in range(pages)]
+        with Gateway(tmp_path, listens) as gateway:
+            for page in opened:
+                page.wait("link", lambda message: message["status"] == "connected", LATE_S)
+            gateway.child.kill()
+            for page in opened:
+                page.wait("link", lambda message: message["status"] == "gone", LATE_S)
+        for page in opened:
+            for number in range(15):
+                leg = f"hexapod/leg/{number % 6 + 1}/cmd"
+                page.send(type="command", id=number, key=leg, payload=STOP, sent_ms=page.now_ms())
+            for number in range(100, 115):
+                page.send(type="stop_all", id=number)
+        assert not opened[-1].wait("stop", lambda message: message["attempts"] > 0, LATE_S)["answered"]
+        assert console.threads() < own + 3 * (STOPS_AT_ONCE + AT_ONCE) + 40, "some are Zenoh's"
+        with Gateway(tmp_path, listens):
+            for page in opened:
+                assert confirmed(page, 114)
+                page.socket.close()
