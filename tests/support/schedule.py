@@ -15,6 +15,7 @@ ALONE: Final = (
     "hil/test_load.py",
     "hil/test_landing.py",
     "attack/test_console_strangers.py",
+    "attack/test_console_starved.py",
     "zenoh/test_calibrate.py",
     "zenoh/test_calibrate_terminal.py",
     "zenoh/test_watch_terminal.py",
