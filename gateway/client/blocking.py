@@ -393,5 +393,5 @@ def several_answer(count: int, key: str) -> str:
     """What to tell a person where `Client.answerers` has found more than one."""
     return (
         f"{count} programs answer on {key}, and only one of them is the gateway; "
-        "certificates keep others out (see Security in the README)"
+        "certificates keep others out (docs/security.md)"
     )

@@ -16,7 +16,9 @@ from schemas import keys
 from schemas.telemetry import Event, Kind
 from tests.support.gateway_process import Gateway
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+TROUBLES = (ROOT / "docs" / "troubles.md").read_text()
 
 
 def test_the_python_example_runs(tmp_path: Path) -> None:
@@ -34,7 +36,7 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
 
 
 def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
-    """Those that a gateway without a fault can be brought to say; each stands in the README as it is printed."""
+    """Those that a gateway without a fault can be brought to say; each stands in docs/troubles.md as it is printed."""
     with Gateway(tmp_path) as gateway:
 
         def said(*arguments: str) -> str:
@@ -57,7 +59,7 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
     unreachable, _, _ = said("reset").replace(gateway.endpoint.rpartition(":")[2], "7447").partition("→")
     told.append(f"{unreachable}→ …")
     for message in told:
-        assert f"`{message}`" in README
+        assert f"`{message}`" in TROUBLES
 
 
 def test_the_first_payload_works_on_a_leg_that_nothing_has_started(tmp_path: Path) -> None:
@@ -73,9 +75,10 @@ def test_the_keys_are_the_keys() -> None:
     assert table == singles | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
 
 
-@pytest.mark.parametrize(
-    "command", sorted(set(re.findall(r"(?:\$ |bin/|`)hexapod-gateway (\w[\w-]*(?: (?:init|issue|leg))?)", README)))
-)
+COMMANDS = re.findall(r"(?:\$ |bin/|`)hexapod-gateway (\w[\w-]*(?: (?:init|issue|leg))?)", README + TROUBLES)
+
+
+@pytest.mark.parametrize("command", sorted(set(COMMANDS)))
 def test_each_command_exists(command: str) -> None:
     group = typer.main.get_command(app)
     for word in command.split():
