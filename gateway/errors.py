@@ -22,8 +22,8 @@ class SpiError(GatewayError):
     exit_code = 3
 
 
-class UnheardError(SpiError):
-    """A frame was written, but the controller may not have heard it: it counts as failed."""
+class BatchRejectedError(SpiError):
+    """The kernel takes no list of transfers, or none as long as this one. Nothing of it was written."""
 
 
 class ZenohError(GatewayError):

@@ -51,6 +51,7 @@ class SpiSettings(Section):
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
     # The default is for --sim only: `load` demands the framing of a real device.
     framing: Framing = Framing.PLAIN
+    batch: bool = True
     # The published firmware needed 6 (measured), and 20 if its loop costs twice the estimate. At most a millisecond:
     # the loop waits for the pause, six times for six legs.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 50.0

@@ -71,6 +71,7 @@ class Kind(StrEnum):
     LANDING = "landing"
     CALIBRATED = "calibrated"
     OVERFLOW = "overflow"
+    BUS_UNBATCHED = "bus_unbatched"
 
 
 class Cause(StrEnum):

@@ -4,8 +4,9 @@ Nothing here is on the way of a Stop: a step's Stops, and the command that asked
 them are written. Other frames are recorded as soon as they are written, so that what was carried out when the process
 was killed is there.
 
-A command that is carried out at once is recorded with its frame, where a frame is one transfer of some 50 µs. Where it
-is two, with a pause between them, a process may well be killed before the second; then the command is recorded first.
+A command that is carried out at once is recorded with its frame, where that is one call of some 100 µs. Where it is
+two, with a pause between them (`length-prefixed` without `spi.batch`), a process may well be killed before the second;
+then the command is recorded first.
 
 Who calls owns the gateway's state, as with the supervisor.
 """
@@ -64,7 +65,8 @@ Held = tuple[int, int, str, str, str | None, Intent]
 
 @value
 class Written:
-    """A frame that was written: its bytes, why, when its transfer ended, how long that took, and when it was due."""
+    """A frame that was written: its bytes, why, when its last bit left (computed: the begin of its call and its place
+    on the wire), how long its call took, and when it was due."""
 
     data: bytes
     cause: Cause
@@ -72,7 +74,7 @@ class Written:
     transfer_ns: int
     deadline_ns: int | None = None
     heard: bool = True
-    """False: it counts as failed, although it was written (UnheardError)."""
+    """False: it counts as failed, since the preamble before it did."""
 
 
 class Recorder:
@@ -151,7 +153,8 @@ class RingRecorder(Recorder):
         self._ring: Ring | None = None
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
-        self._before = settings.spi.framing is not Framing.PLAIN  # whether a command is recorded before its frame
+        # Whether a command is recorded before its frame.
+        self._before = settings.spi.framing is not Framing.PLAIN and not settings.spi.batch
         self._clock_ns = 0  # when the time that people read was recorded last
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))

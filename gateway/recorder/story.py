@@ -37,6 +37,7 @@ _EVENTS: Final[dict[object, str]] = {
     Kind.ESTOP_RESET: "emergency stop reset",
     Kind.BUS_FAULT: "bus fault",
     Kind.BUS_RECOVERED: "bus recovered",
+    Kind.BUS_UNBATCHED: "bus unbatched",
     Kind.OVERFLOW: "overflow",
     Kind.LEASE_TAKEN: "lease taken",
     Kind.STOPPED_OUTSIDE: "stopped outside",

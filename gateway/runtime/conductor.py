@@ -38,24 +38,22 @@ from gateway.core.staleness import Staleness
 from gateway.core.supervisor import Supervisor
 from gateway.errors import SpiError
 from gateway.host.ownership import Ownership, OwnersTimer
-from gateway.protocol.frames import FIRST_OP, OP_STOP
 from gateway.recorder.recorder import NO_RECORDER, Recorder, Written
 from gateway.runtime.answers import Answers, legs_of
 from gateway.runtime.metrics import Metrics
 from gateway.runtime.preamble import PreambleInPauses
 from gateway.runtime.report import limits_of, report
 from gateway.runtime.sources import Sources
-from gateway.runtime.teller import Teller, unheard
+from gateway.runtime.teller import Teller
 from gateway.settings import Settings
 from gateway.spi.bus import Bus
 from schemas import keys, telemetry
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
-FIRST_REOPEN_S: Final = 0.02
-"""Well within the 100 ms of docs/interface.md, Behaviour 6: until the device answers, no Stop reaches the robot."""
-LAST_REOPEN_S: Final = 1.0
-"""Half of what Behaviour 6 allows: a busy machine may wake up late, and a Stop may be waiting."""
+REOPEN_S: Final = 0.02
+"""Well within the 100 ms of docs/interface.md, Behaviour 6, and never longer: until the Stops behind the opening are
+written, nobody knows that a leg is stopped."""
 
 _LOST, _REPEAT = Verb.LOST, Cause.REPEAT  # see `frames.OP_STOP`
 
@@ -93,11 +91,9 @@ class Conductor:
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer = OwnersTimer(loop, self.owner, self.tick)
         self._reopen_timer = OwnersTimer(loop, self.owner, self._reopen)
-        self._reopen_s = FIRST_REOPEN_S
         self._in_fault = False
         self._announced = self._closed = False
-        gap_s = settings.spi.frame_gap_us / 1e6
-        self._preamble = PreambleInPauses(bus, loop, self.owner, gap_s, clock, self._after)
+        self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self._after)
         self._told_mode = Mode.STARTING
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
@@ -134,13 +130,13 @@ class Conductor:
         self._tell_mode()
 
     def shut_down(self) -> bool:
-        """Reject all commands from now on, and stop all six legs: whether all six Stops were written."""
+        """Reject all commands from now on, and stop all six legs: whether all Stops were written without a fault."""
         self._reopen_timer.cancel()
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
         stop_frames = _count(self._step(ShutDown()), Cause.SHUTDOWN)
         self._arm()
-        return stop_frames >= len(LEGS)
+        return stop_frames >= len(LEGS) and not self._in_fault
 
     def close(self) -> None:
         """Release the bus and the timers. A receiver thread that becomes owner after that does nothing."""
@@ -276,32 +272,13 @@ class Conductor:
         return written
 
     def _carry_out(self, effects: list[Effect]) -> tuple[list[Written], SpiError | None]:
-        """Do what the supervisor says, in its order; after a failed transfer only Stops are still tried."""
-        fault: SpiError | None = None
+        """Do what the supervisor wants: its frames first, as batches, then what is to be answered and published."""
         written: list[Written] = []
-        self.recorder.step, self.recorder.told, repeats = written, 0, False
+        self.recorder.step, self.recorder.told = written, 0
+        transmits = [effect for effect in effects if type(effect) is Transmit]
+        fault = self._transmit(transmits, written) if transmits else None
         for effect in effects:
             match effect:
-                case Transmit():
-                    if fault is not None and not effect.frame.is_stop:
-                        continue
-                    before, repeats = repeats, effect.cause is _REPEAT
-                    try:
-                        self.bus.write(effect.frame, first_repeat=repeats and not before)
-                    except SpiError as error:
-                        fault = fault or error
-                        written += (on_wire := unheard(error, effect, self.bus))
-                        self.metrics.frames[effect.cause] += len(on_wire)
-                        continue
-                    now_ns = self.bus.ended_ns
-                    data, took_ns = self.bus.last_transfer, self.bus.last_transfer_ns
-                    written.append(Written(data, effect.cause, now_ns, took_ns, effect.deadline_ns))
-                    if len(written) > 1 and data[FIRST_OP] != OP_STOP:
-                        self.recorder.frames()  # no Stop follows in this step, so none waits for it
-                    self.metrics.frames[effect.cause] += 1
-                    self.answers.wrote(effect)
-                    if effect.deadline_ns is not None:
-                        self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)
                 case Completed() if fault is not None:
                     self.answers.reject_pending(
                         effect.number, Reason.BUS_FAULT, f"the frame could not be written: {fault}"
@@ -318,6 +295,25 @@ class Conductor:
         if self._settings.telemetry.frames:
             self._teller.frames(written)
         return written, fault
+
+    def _transmit(self, transmits: list[Transmit], written: list[Written]) -> SpiError | None:
+        """Write a step's frames: first Stops in one batch, repeated ones in one, then what moves, unless one failed."""
+        for batch in _batches(transmits):
+            report = self.bus.write([effect.frame for effect in batch], preamble=batch[0].cause is _REPEAT)
+            for sent in report.sent:
+                effect = batch[sent.place]
+                written.append(Written(sent.data, effect.cause, sent.ns, sent.call_ns, effect.deadline_ns, sent.heard))
+                self.metrics.frames[effect.cause] += 1
+                self.answers.wrote(effect)
+                if effect.deadline_ns is not None and sent.heard:
+                    self.metrics.watchdog_stops.record(self.bus.ended_ns - effect.deadline_ns)
+            if report.rejection is not None:
+                self._tell(Kind.BUS_UNBATCHED, report.rejection, None, None, None)
+            if report.fault is not None:
+                return report.fault
+        if len(written) > 1:
+            self.recorder.frames()
+        return None
 
     # ---- the bus
 
@@ -338,8 +334,7 @@ class Conductor:
         self._arm()
 
     def _reopen_later(self) -> None:
-        self._reopen_timer.set(self._loop.time() + self._reopen_s)
-        self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)
+        self._reopen_timer.set(self._loop.time() + REOPEN_S)
 
     def _reopen(self) -> None:
         try:
@@ -351,7 +346,6 @@ class Conductor:
         self._step(BusOpened())
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False
-            self._reopen_s = FIRST_REOPEN_S
             self._reopen_timer.cancel()
         self._arm()
 
@@ -402,6 +396,17 @@ class Conductor:
             certificate=self.certificate,
             limits=self._limits,
         )
+
+
+def _batches(transmits: list[Transmit]) -> list[list[Transmit]]:
+    """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits."""
+    if len(transmits) == 1:
+        return [transmits]
+    stops = [effect for effect in transmits if effect.frame.is_stop]
+    first = [effect for effect in stops if effect.cause is not _REPEAT]
+    repeated = [effect for effect in stops if effect.cause is _REPEAT]
+    moves = [effect for effect in transmits if not effect.frame.is_stop]
+    return [batch for batch in (first, repeated, moves) if batch]
 
 
 def _count(written: list[Written], cause: Cause) -> int:

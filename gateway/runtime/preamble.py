@@ -1,7 +1,7 @@
-"""Writes the bus's preamble in the pauses of a stream: zero by zero, with the loop turning between them.
+"""Writes the bus's preamble in the pauses of a stream: part by part, with the loop turning between them.
 
-The bus would write it in one go, some 3 ms, ahead of a frame. Here it delays no Stop that comes meanwhile by more than
-one zero, and a repeated run of Stops finds it written.
+The bus would write it ahead of a frame. Here it delays no Stop that comes meanwhile by more than one part, and a
+repeated run of Stops finds it written.
 """
 
 import asyncio
@@ -13,23 +13,21 @@ from gateway.spi.bus import Bus
 
 
 class PreambleInPauses:
-    """Watches what is due; `arm` is to be called after each frame, and `failed` takes a zero's fault."""
+    """Watches what is due; `arm` is to be called after each frame, and `failed` takes a part's fault."""
 
     def __init__(
         self,
         bus: Bus,
         loop: asyncio.AbstractEventLoop,
         owner: Ownership,
-        gap_s: float,
         clock: Callable[[], int],
         failed: Callable[[SpiError], None],
     ) -> None:
         self._bus = bus
         self._loop = loop
-        self._gap_s = gap_s
         self._clock = clock
         self._failed = failed
-        self._timer = OwnersTimer(loop, owner, self._write_zero)
+        self._timer = OwnersTimer(loop, owner, self._write_part)
         self._repeat_ns: int | None = None
 
     def arm(self, due_ns: int | None, repeat_ns: int | None) -> int | None:
@@ -55,13 +53,13 @@ class PreambleInPauses:
             return False
         return self._clock() >= self._repeat_ns - self._bus.preamble_ns
 
-    def _write_zero(self) -> None:
+    def _write_part(self) -> None:
         if not self._wanted():
             return  # a frame that had to come behind it has written it
         try:
-            more = self._bus.write_zero()
+            more = self._bus.write_zeros()
         except SpiError as fault:
             self._failed(fault)
             return
         if more:
-            self._timer.set(self._loop.time() + self._gap_s)
+            self._timer.set(self._loop.time())

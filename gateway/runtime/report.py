@@ -37,6 +37,7 @@ WARNINGS: Final = frozenset(
         Kind.LANDING,
         Kind.ESTOP_ENGAGED,
         Kind.BUS_FAULT,
+        Kind.BUS_UNBATCHED,
         Kind.STOPPED_OUTSIDE,
         Kind.OVERFLOW,
     }

@@ -3,12 +3,9 @@
 import logging
 from typing import Final
 
-from gateway.core.events import Transmit
 from gateway.core.message import Outbox
-from gateway.errors import SpiError, UnheardError
 from gateway.recorder.recorder import Recorder, Written
 from gateway.runtime.report import WARNINGS, wall_clock
-from gateway.spi.bus import Bus
 from schemas import keys, telemetry
 from schemas.telemetry import Kind, Reason
 
@@ -53,11 +50,3 @@ class Teller:
                 time=wall_clock(), monotonic_ns=frame.ns, bytes=frame.data.hex(), cause=frame.cause
             )
             self._outbox.publish(keys.FRAME, record)
-
-
-def unheard(error: SpiError, effect: Transmit, bus: Bus) -> list[Written]:
-    """The frame that failed, if it is on the wire all the same: the black box and `hexapod/frame` have what is."""
-    if not isinstance(error, UnheardError):
-        return []
-    data, took_ns = bus.last_transfer, bus.last_transfer_ns
-    return [Written(data, effect.cause, bus.ended_ns, took_ns, effect.deadline_ns, heard=False)]

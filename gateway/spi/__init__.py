@@ -1,17 +1,35 @@
 """What the service needs from an SPI device, real or simulated."""
 
-from contextlib import AbstractContextManager
-from typing import Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+
+class Transfer(NamedTuple):
+    """One chip-select cycle, and the least pause behind it, in µs; nothing comes back in v1.0.0."""
+
+    data: bytes
+    pause_us: int
+
+
+Batch = Sequence[Transfer]
+"""Transfers that leave together: nothing of this or another program comes between them, or into the last pause."""
 
 
 class SpiDevice(Protocol):
-    """An opened SPI device: one `transfer` is one chip-select cycle, and nothing comes back in v1.0.0."""
+    """An opened SPI device, whose unit is the batch."""
 
-    def transfer(self, data: bytes) -> None:
-        """Write `data` in one transaction. Raises `SpiError` when the device reports a fault."""
+    most_transfers: int
+    """The longest batch that it takes."""
 
-    def lock(self) -> AbstractContextManager[None]:
-        """The bus lock, held for one frame: no other program's transfers come between those of the frame."""
+    def transfer(self, batch: Batch) -> None:
+        """Write the batch, in one call that also takes its pauses.
+
+        Raises `SpiError` when the device reports a fault: then nobody knows how far it came. Raises
+        `BatchRejectedError` when it takes no batches: then nothing was written.
+        """
+
+    def fileno(self) -> int | None:
+        """The file by whose record locks programs share the bus; None where no other program can reach the device."""
 
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""

@@ -1,120 +1,162 @@
-"""The SPI bus as the service sees it: frames in, transfers out, with framing, guard, pauses and counters.
+"""The SPI bus as the service sees it: frames in, batches of transfers out, with framing, guard, pauses and counters.
+
+What leaves together leaves in one call of the device. Stops are one batch; what moves is split, so that a Stop waits
+for a call of 1 ms at most. A batch that failed counts as failed wholly, since nobody knows how far it came.
 
 In LENGTH_PREFIXED framing a frame is two transfers: its length (the announcement), then the frame (the body). A
-controller gets out of sync by one lost byte, or by a pause of a second between announcement and body. It then takes
-bodies for lengths and hears nothing while traffic goes on, and the wire gives no sign of it. So the bus resynchronises
-it with the preamble's zeros (`Framing.preamble`):
+controller gets out of sync by one lost byte. It then takes bodies for lengths and receives nothing while traffic goes
+on, and the wire gives no sign of it. So the bus resynchronises it with the preamble's zeros (`Framing.preamble`):
 
-* after opening, and after a failed transfer, when nobody knows what the controller received;
-* before each repeated run of Stops, so that a controller which missed the first run hears the repetition;
-* when an announcement is too old for its body; then the zeros and both transfers are written;
+* after opening, and after a failed batch, when nobody knows what the controller received;
+* before each repeated run of Stops, so that a controller which missed the first run receives the repetition;
 * once in `resync_ns` of a stream without a pause. An idle second resynchronises the controller by itself.
 
-A first Stop waits for none of that, unless a transfer has just failed.
+A first Stop waits for none of that, unless a batch has just failed.
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from typing import Final
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Final, NamedTuple
 
 from gateway.core.latency import Latency
-from gateway.errors import SpiError, UnheardError
+from gateway.errors import BatchRejectedError, SpiError
 from gateway.protocol.frames import Frame
 from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
-from gateway.spi import SpiDevice
+from gateway.spi import SpiDevice, Transfer
 from gateway.spi.guard import GuardedDevice
+from gateway.spi.one_by_one import OneByOne
 from gateway.spi.plain_settings import SpiValues
 
-STALE_ANNOUNCEMENT_NS: Final = 500_000_000
-"""Half of the 1000 ms after which the controller gives the body up. The other half allows for delays between the last
-look at the clock and the first bit on the wire."""
+LONGEST_NS: Final = 1_000_000
+"""The longest call for frames that move, from its first bit to its last: a Stop may be waiting for its end."""
+ZERO_PAUSE_US: Final = 100
+"""Behind each zero of a preamble. Zeros that come faster than the firmware discards empty messages jam it."""
+ZEROS_AT_ONCE: Final = 8
+"""In one call: half a preamble, 0.8 ms."""
+CS_CHANGE_NS: Final = 10_000
+"""What Linux adds to each pause, while chip select is released."""
 LOST_BODY_NS: Final = 900_000_000
-"""If a body's transfer ended later than this after its announcement, it may have begun too late."""
-TRIES: Final = 3
-"""Attempts to write a frame whose announcement grew stale, and repetitions of a preamble before a Stop whose zeros
-failed. A machine that stalls more often cannot run a robot."""
+"""If a call took longer than this, a body may have come later than the 1000 ms for which the controller awaits it."""
 IDLE_NS: Final = 1_100_000_000
 """After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
-"""A zero's transfer (50 µs) and a timer's lateness."""
+"""What a zero takes in a loop's pause at most: its transfer, its share of the call, and a timer's lateness."""
 EARLY_SHARE: Final = 8
 """In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
+ZEROS_ON_A_BAD_BUS: Final = 2
+"""In one call, where one in five transfers fails: more fail too often, and single ones take more calls."""
+TRIES: Final = 6
+"""How often such zeros are tried before the Stop behind them is tried all the same."""
+GIVEN_UP: Final = 12
+"""After so many calls that failed in a row, the device is opened again."""
+INSIST_NS: Final = 200_000_000
+"""How long Stops that failed are tried one by one, while the device takes anything at all. Where one in five transfers
+failed, all six took 0.1 s at most; nothing else that waits meanwhile is more urgent."""
+
+
+class Sent(NamedTuple):
+    """A frame on the wire."""
+
+    place: int
+    """Which of the frames that were to be written."""
+    data: bytes
+    ns: int
+    """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
+    call_ns: int
+    """How long its call took."""
+    heard: bool = True
+    """False: it counts as failed, since the zeros before it did."""
+
+
+@dataclass(slots=True)
+class Report:
+    """What became of a batch."""
+
+    sent: list[Sent] = field(default_factory=list)
+    fault: SpiError | None = None
+    """The first failure."""
+    rejection: str | None = None
+    """Why from this batch on, each transfer is a call of its own."""
 
 
 class Bus:
-    """Opens the device, closes it after a fault, and writes whole frames; blocks for the time of a transfer."""
+    """Opens the device, closes it after a fault, and writes batches of frames; blocks for the time of a call."""
 
     def __init__(
         self,
         open_device: Callable[[], SpiDevice],
         framing: Framing,
         *,
-        frame_gap_ns: int,
+        frame_gap_us: float,
+        speed_hz: int = 2_500_000,
+        batch: bool = True,
         resync_ns: int = 0,
-        shared_device: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`resync_ns` 0: a stream without a pause is not resynchronised.
-
-        `shared_device`: another program writes, too. Each does not know when the other's frames end, so the pause is
-        made before and after each frame.
-        """
+        """`resync_ns` 0: a stream without a pause is not resynchronised. `pause` is for `batch=False`."""
         self._open_device = open_device
         self._framing = framing
         self.announces = framing is Framing.LENGTH_PREFIXED
         """Whether a controller can be out of sync at all."""
-        self._frame_gap_ns = frame_gap_ns
+        self._gap_us = ceil(frame_gap_us)
+        self._gap_ns = self._gap_us * 1000 + CS_CHANGE_NS
+        self._zero = Transfer(ZERO, max(self._gap_us, ZERO_PAUSE_US))
+        self._zero_ns = self._zero.pause_us * 1000 + CS_CHANGE_NS + 8_000_000_000 // speed_hz
+        self._byte_ns = 8_000_000_000 // speed_hz
+        self._batch = batch
         self._resync_ns = resync_ns
-        self._shared_device = shared_device
         self._clock = clock
         self._pause = pause
-        self._device: SpiDevice | None = None
+        self._opened: SpiDevice | None = None
+        self._device: GuardedDevice | None = None
         self.ended_ns = 0
-        """When the last transfer ended; after `write` that is the frame's."""
-        self._free_ns = 0
-        self._synchronised = False  # as far as failed transfers tell
+        """When the last call ended."""
+        self._synchronised = False  # as far as failed batches tell
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since anything else was written
         self.resync_due = False
-        """Whether the stream has lasted so long that its next pause is to be filled with `write_zero`."""
+        """Whether the stream has lasted so long that its next pause is to be filled with `write_zeros`."""
+        self._failures = 0  # of calls, in a row
         self.frames = 0
         self.errors = 0
         self.transfer_latency = Latency()
-        self.last_transfer, self.last_transfer_ns = b"", 0
-        """The last transfer, and how long it took; after `write` that is the frame's."""
 
     def open(self) -> None:
-        """Open the device anew and write the preamble, where the framing has one. Raises SpiError."""
+        """Open the device anew. Raises SpiError."""
         self.close()
         try:
-            self._device = GuardedDevice(self._open_device(), self._framing)
-            if self.announces:
-                with self._bus_lock():
-                    self._resynchronise()
+            self._opened = self._open_device()
         except SpiError:
             self.errors += 1
-            self.close()
             raise
+        self._device = GuardedDevice(self._opened if self._batch else self._one_by_one(self._opened), self._framing)
 
-    def write(self, frame: Frame, *, first_repeat: bool = False) -> None:
-        """Write one frame. `first_repeat`: it is the first of a repeated run of Stops, so the preamble precedes it.
+    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
+        """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
 
-        Raises SpiError; the device stays open, for the next frame may be a Stop. Raises UnheardError if the frame was
-        written all the same.
+        After a fault the device stays open. Stops that failed are then tried one by one, in this same call.
         """
+        report, stops = Report(), frames[0].is_stop
+        data = [frame.to_bytes() for frame in frames]
         try:
-            if self.announces:
-                with self._bus_lock():
-                    self._write_announced(frame, first_repeat=first_repeat)
-            else:  # one transfer, which nothing can interrupt
-                self._transfer(frame.to_bytes())
-        except SpiError as error:
+            for zeros, part in self._calls(data, self._zeros_ahead(stops=stops, preamble=preamble), stops=stops):
+                report.sent += self._call(report, zeros, data, part)
+        except SpiError as fault:
+            report.fault = fault
             self.errors += 1
-            self.frames += isinstance(error, UnheardError)
-            raise
-        self.frames += 1
+            if stops and self._device is not None:
+                self._insist(data, report)
+        self.frames += len(report.sent)
+        self.resync_due = (
+            self._resync_ns > 0
+            and self.announces
+            and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
+        )
+        return report
 
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now."""
@@ -122,18 +164,18 @@ class Bus:
 
     @property
     def preamble_ns(self) -> int:
-        """How long a preamble takes, one zero in each turn of a loop."""
-        return PREAMBLE_ZEROS * (self._frame_gap_ns + ZERO_NS)
+        """How long a preamble takes at most, part by part in turns of a loop."""
+        return PREAMBLE_ZEROS * (self._zero.pause_us * 1000 + ZERO_NS)
 
-    def write_zero(self) -> bool:
-        """Write one zero of a preamble; returns whether more are to follow. Raises SpiError.
+    def write_zeros(self) -> bool:
+        """Write a part of a preamble; returns whether more is to follow. Raises SpiError.
 
-        To be called in a pause of the stream, zero by zero, so that a Stop waits for one zero at most.
+        To be called in a pause of the stream, part by part, so that a Stop waits for one part at most.
         """
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
+            at_once = ZEROS_AT_ONCE if self._batch else 1
             try:
-                with self._bus_lock():
-                    self._zero()
+                self._call(Report(), min(at_once, PREAMBLE_ZEROS - self._zeros), (), range(0))
             except SpiError:
                 self.errors += 1
                 raise
@@ -149,131 +191,140 @@ class Bus:
         if self._device is not None:
             with suppress(SpiError):
                 self._device.close()
-            self._device = None
+        self._device = self._opened = None
         self._synchronised = self.resync_due = False
         self._zeros = 0
 
-    @contextmanager
-    def _bus_lock(self) -> Iterator[None]:
-        if self._device is None:
-            raise SpiError("the SPI device is closed")
-        with self._device.lock():
-            if self._shared_device:
-                self._pause(self._frame_gap_ns / 1e9)
-            yield
-            if self._shared_device:
-                self._pause(self._frame_gap_ns / 1e9)
+    # ---- what precedes a batch, and how it is split
 
-    def _write_announced(self, frame: Frame, *, first_repeat: bool) -> None:
-        zeros_fault: SpiError | None = None
-        if self._wants_preamble(frame, first_repeat=first_repeat):
-            if frame.is_stop:
-                # Even if the zeros fail, the Stop is tried: a synchronised controller hears it.
-                zeros_fault = self._fault_of_zeros()
-            else:
-                self._resynchronise()
-        self._announce_and_write(frame)
-        if zeros_fault is not None:
-            self._synchronised = False
-            raise UnheardError(
-                f"{zeros_fault}; this was in the preamble: the Stop behind it was written, but perhaps not heard"
-            ) from zeros_fault
-        self.resync_due = (
-            self._resync_ns > 0
-            and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
-        )
-
-    def _wants_preamble(self, frame: Frame, *, first_repeat: bool) -> bool:
-        if first_repeat or not self._synchronised:
-            return True
-        now_ns = self._clock()
-        if now_ns - self.ended_ns >= IDLE_NS:
-            self._synchronised_ns = now_ns
-        overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
-        # A preamble that was begun is finished first; begun again after each frame, it would never end.
-        return (overdue or 0 < self._zeros < PREAMBLE_ZEROS) and not frame.is_stop
-
-    def _announce_and_write(self, frame: Frame) -> None:
-        """Write the announcement, then the frame; both again if the machine stalled between them."""
-        announcement, body = self._framing.transfers(frame.to_bytes())
-        for attempt in range(1, TRIES + 1):
-            self._synchronised = False  # until the whole frame is written
-            announced_ns = self._transfer(announcement)
-            # The clock is read after the pause, which is where a machine most likely stalls.
-            if self._wait_for_gap() - announced_ns <= STALE_ANNOUNCEMENT_NS or attempt == TRIES:
-                self._transfer(body)
-                if self.ended_ns - announced_ns < LOST_BODY_NS:
-                    self._synchronised = True
-                    return
-            if attempt < TRIES:
-                self._resynchronise()
-        raise UnheardError(f"a frame's two transfers were too far apart, {TRIES} times; this machine stalls")
-
-    def _fault_of_zeros(self) -> SpiError | None:
-        """Write the preamble, again from the start when a zero fails; returns the first fault, if any."""
-        fault: SpiError | None = None
-        for _ in range(TRIES + 1):
-            try:
-                self._resynchronise()
-            except SpiError as error:
-                fault = fault or error
-            else:
-                break
-        return fault
-
-    def _resynchronise(self) -> None:
-        while self._zeros < PREAMBLE_ZEROS:
-            self._zero()
-
-    def _zero(self) -> None:
-        zeros, synchronised = self._zeros, self._synchronised
-        self._synchronised = False  # if it fails, nobody knows what arrived
-        self._transfer(ZERO)
-        self._synchronised, self._zeros = synchronised, zeros + 1
-        if self._zeros == PREAMBLE_ZEROS:
-            self._synchronised, self._synchronised_ns, self.resync_due = True, self.ended_ns, False
-
-    def _wait_for_gap(self) -> int:
-        """Wait until the pause after the last transfer is over; returns the time then."""
-        now_ns = self._clock()
-        if now_ns < self._free_ns:
-            self._pause((self._free_ns - now_ns) / 1e9)
+    def _zeros_ahead(self, *, stops: bool, preamble: bool) -> int:
+        """How many zeros have to come first."""
+        if not self.announces:
+            return 0
+        wanted = preamble or not self._synchronised
+        if not wanted:
             now_ns = self._clock()
-        return now_ns
+            if now_ns - self.ended_ns >= IDLE_NS:
+                self._synchronised_ns = now_ns
+            overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
+            # A preamble that was begun is finished first; begun again after each frame, it would never end.
+            wanted = not stops and (overdue or 0 < self._zeros < PREAMBLE_ZEROS)
+        return max(0, PREAMBLE_ZEROS - self._zeros) if wanted else 0
 
-    def _transfer(self, data: bytes) -> int:
-        """Write one transfer; returns when it began."""
-        if self._device is None:
-            raise SpiError("the SPI device is closed")
-        self._zeros = 0
+    def _calls(self, data: Sequence[bytes], zeros: int, *, stops: bool) -> Iterator[tuple[int, range]]:
+        """The calls that write these frames behind so many zeros: each as (zeros, which frames)."""
+        most = PREAMBLE_ZEROS if self._opened is None else self._opened.most_transfers
+        size = 2 if self.announces else 1
+        while zeros and (not stops or zeros + size * len(data) > most):
+            part = min(zeros, ZEROS_AT_ONCE, most)
+            yield part, range(0)
+            zeros -= part
+        if stops:
+            room = max(1, (most - zeros) // size)
+        else:
+            longest_ns = self._frame_ns(max(map(len, data)))
+            room = max(1, min(most // size, (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)))
+        for first in range(0, len(data), room):
+            yield zeros, range(first, min(first + room, len(data)))
+            zeros = 0
+
+    def _frame_ns(self, size: int) -> int:
+        """From a frame's first bit to its last."""
+        return self._byte_ns * (size + 1) + self._gap_ns if self.announces else self._byte_ns * size
+
+    # ---- one call
+
+    def _call(self, report: Report, zeros: int, data: Sequence[bytes], part: range) -> list[Sent]:
+        """Write zeros, then a part of the frames, in one call; these frames. Raises SpiError."""
+        batch = [self._zero] * zeros
+        for place in part:
+            if self.announces:
+                batch.append(Transfer(data[place][:1], self._gap_us))
+            batch.append(Transfer(data[place], self._gap_us))
+        zeros_before, synchronised = self._zeros + zeros, self._synchronised
+        self._synchronised = False  # until it has succeeded
+        self._zeros = self._zeros if not part else 0  # a zero that failed may have arrived: one more does no harm
+        self._failures += 1
         begun_ns = self._clock()
-        if begun_ns < self._free_ns:
-            begun_ns = self._wait_for_gap()
         try:
-            self._device.transfer(data)
+            self._transfer(batch, report)
         finally:
-            self.ended_ns = self._clock()
-            self.last_transfer, self.last_transfer_ns = data, self.ended_ns - begun_ns
-            self.transfer_latency.record(self.last_transfer_ns)
-            self._free_ns = self.ended_ns + self._frame_gap_ns
-        return begun_ns
+            ended_ns = self.ended_ns = self._clock()
+            self.transfer_latency.record(ended_ns - begun_ns)
+        if part and self.announces and ended_ns - begun_ns > LOST_BODY_NS:
+            raise SpiError("the transfers took so long that the controller may have given a frame up")
+        self._failures = 0
+        self._synchronised = synchronised or zeros_before >= PREAMBLE_ZEROS
+        if zeros_before >= PREAMBLE_ZEROS and zeros:
+            self._synchronised_ns, self.resync_due = ended_ns, False
+        if not part:
+            self._zeros = zeros_before
+        sent, wire_ns = [], begun_ns + zeros * self._zero_ns
+        for place in part:
+            wire_ns += self._frame_ns(len(data[place]))
+            sent.append(Sent(place, data[place], min(wire_ns, ended_ns), ended_ns - begun_ns))
+            wire_ns += self._gap_ns
+        return sent
+
+    def _transfer(self, batch: list[Transfer], report: Report) -> None:
+        if self._device is None or self._opened is None:
+            raise SpiError("the SPI device is closed")
+        try:
+            self._device.transfer(batch)
+        except BatchRejectedError as rejection:
+            if not self._batch:
+                raise
+            # Nothing of it was written. If it can be written transfer by transfer, all that follows is.
+            device = GuardedDevice(self._one_by_one(self._opened), self._framing)
+            device.transfer(batch)
+            self._device, self._batch, report.rejection = device, False, str(rejection)
+
+    def _one_by_one(self, device: SpiDevice) -> OneByOne:
+        return OneByOne(device, self._clock, self._pause)
+
+    # ---- Stops that failed
+
+    def _insist(self, data: Sequence[bytes], report: Report) -> None:
+        """Write each Stop in a call of its own, behind zeros of their own, as long as the device takes anything."""
+        give_up_ns = self._clock() + INSIST_NS
+        left = [place for place in range(len(data)) if place not in {sent.place for sent in report.sent}]
+        self._failures = 0
+        while left and self._failures < GIVEN_UP and self._clock() < give_up_ns:
+            for place in tuple(left):
+                self._synchronise_bit_by_bit()
+                heard = self._synchronised or not self.announces
+                with suppress(SpiError):
+                    # Even if the zeros failed, the Stop is tried: a synchronised controller receives it.
+                    (sent,) = self._call(report, 0, data, range(place, place + 1))
+                    report.sent.append(sent._replace(heard=heard))
+                    if heard:
+                        left.remove(place)
+
+    def _synchronise_bit_by_bit(self) -> None:
+        """The preamble, where it is needed; zeros that fail are tried again."""
+        left = TRIES if self._failures < TRIES else 1
+        while self.announces and not self._synchronised and left:
+            try:
+                self._call(Report(), ZEROS_ON_A_BAD_BUS, (), range(0))
+            except SpiError:
+                left -= 1
 
 
 def bus_for(
     settings: SpiValues,
     open_device: Callable[[], SpiDevice],
     *,
-    shared_device: bool = False,
     clock: Callable[[], int] = time.monotonic_ns,
     pause: Callable[[float], None] = time.sleep,
 ) -> Bus:
-    """A bus with the framing and the pauses of the settings."""
+    """A bus with the framing, the pauses and the way of writing that the settings contain."""
     return Bus(
         open_device,
         settings.framing,
-        frame_gap_ns=round(settings.frame_gap_us * 1000),
+        frame_gap_us=settings.frame_gap_us,
+        speed_hz=settings.speed_hz,
+        batch=settings.batch,
         resync_ns=round(settings.resync_ms * 1e6),
-        shared_device=shared_device,
         clock=clock,
         pause=pause,
     )

@@ -1,26 +1,35 @@
 """The real device: Linux's spidev, opened for HexapodProtocol v1.0.0 (mode 0, 8 bits, most significant bit first)."""
 
+import array
+import errno
 import fcntl
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import struct
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import SpiError
+from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare, ran_out
+from gateway.spi import Batch
 from gateway.spi.outside import Listener
 
-PATIENCE_S: Final = 0.25
-PATIENCE_SHARED_S: Final = 1.0
-"""How long the gateway, and `stop-servos` on a shared device, wait for the bus lock, once. A frame with its pauses
-takes 4 ms, on a busy machine some tens. A program that holds it for longer hangs, and Stops do not wait for that."""
-LOCK_PAUSE_S: Final = 0.000_2
-_QUEUE, _BUS = 0, 1  # offsets at which the locks lie; the device itself has no bytes
+MOST_TRANSFERS: Final = 32
+"""The longest list: 1024 bytes, up to which Python lets other threads run during an `ioctl`."""
+BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
+DEFAULT_BUFSIZ: Final = 4096
+_ALIGNED: Final = 128
+"""What a transfer takes of spidev's buffer at least: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
+_LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
+_SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
+"""struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
+A speed and bits of 0 are the device's own."""
+_MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(MOST_TRANSFERS + 1))
+"""SPI_IOC_MESSAGE(count)."""
+_NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
 class KernelDevice:
-    """`/dev/spidevB.C` through the `spidev` package; one `transfer` is one write, and so one chip-select cycle."""
+    """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus."""
 
     def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
@@ -36,10 +45,14 @@ class KernelDevice:
                 "or try --sim for a simulated controller"
             ) from error
         self._path = path
-        self._most_patience_s = self._patience_s = PATIENCE_S if exclusive else PATIENCE_SHARED_S
         self._spare = spare
         self._spi = spidev.SpiDev()
         self._listener: Listener | None = None
+        self.most_transfers = most_transfers()
+        self._data = array.array("B", bytes(MOST_TRANSFERS * _LONGEST))
+        self._data_at = self._data.buffer_info()[0]
+        self._bytes = memoryview(self._data)
+        self._list = bytearray(MOST_TRANSFERS * _SEGMENT.size)
         # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
         # behaved unexpectedly, and the gateway must go on to its Stops.
         try:
@@ -69,51 +82,43 @@ class KernelDevice:
         if self._spare is not None:
             self._spare.fill()
 
-    def transfer(self, data: bytes) -> None:
-        """Write `data` in one transaction. Raises SpiError, whatever spidev raises (SystemError if it was short)."""
-        try:
-            self._spi.writebytes2(data)
-        except Exception as error:
-            raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
+    def transfer(self, batch: Batch) -> None:
+        """Write the batch in one call; a single transfer without a pause is a plain write. Raises SpiError.
 
-    @contextmanager
-    def lock(self) -> Iterator[None]:
-        """The bus lock: no other gateway or `stop-servos` writes between the transfers of one frame.
-
-        A Stop from `stop-servos` between an announcement and its body would be lost, and everything after it misread.
-        The locks are record locks, independent of the one that `exclusive` takes, and end with their process.
+        Raises BatchRejectedError where the kernel rejects the list: it looks at all of it before the first bit leaves.
         """
-        # The next in line locks the queue while it waits, so a program that writes without a pause cannot keep the bus.
-        queued = self._lock(_QUEUE)
-        held = self._lock(_BUS)
-        if queued:
-            self._unlock(_QUEUE)
         try:
-            yield
-        finally:
-            if held:
-                self._unlock(_BUS)
+            if len(batch) == 1 and not batch[0].pause_us:
+                self._spi.writebytes2(batch[0].data)
+                return
+            size = self._fill(batch)
+            sent = fcntl.ioctl(self._spi.fileno(), _MESSAGES[len(batch)], self._list)
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in _NO_LISTS:
+                raise BatchRejectedError(
+                    f"{self._path}: the kernel rejects a list of {len(batch)} transfers: {_cause_of(error)}"
+                ) from error
+            raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
+        if sent != size:
+            raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
 
-    def _lock(self, place: int) -> bool:
-        """Wait for a lock, but not for long. False: not locked in time, and the frame is written all the same."""
-        give_up_s = time.monotonic() + self._patience_s
-        while True:
-            try:
-                fcntl.lockf(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
-            except (BlockingIOError, PermissionError):  # another program's frame is under way
-                if time.monotonic() > give_up_s:
-                    self._patience_s = 0.0
-                    return False
-                time.sleep(LOCK_PAUSE_S)
-            except OSError:  # the device is going away, and the transfer will report it
-                return False
-            else:
-                self._patience_s = self._most_patience_s
-                return True
+    def _fill(self, batch: Batch) -> int:
+        """Describe the batch to the kernel; its size in bytes."""
+        size, last = 0, len(batch) - 1
+        for place, (data, pause_us) in enumerate(batch):
+            end = size + len(data)
+            self._bytes[size:end] = data
+            # With cs_change chip select is released behind a transfer; behind the last it would be kept.
+            _SEGMENT.pack_into(
+                self._list, place * _SEGMENT.size,
+                self._data_at + size, 0, end - size, 0, pause_us, 0, place != last, 0, 0, 0, 0,
+            )  # fmt: skip
+            size = end
+        return size
 
-    def _unlock(self, place: int) -> None:
-        with suppress(OSError):
-            fcntl.lockf(self._spi.fileno(), fcntl.LOCK_UN, 1, place)
+    def fileno(self) -> int | None:
+        """The device's file."""
+        return int(self._spi.fileno())
 
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now; False if not opened as `exclusive`."""
@@ -126,6 +131,15 @@ class KernelDevice:
             self._spi.close()
         if self._spare is not None:
             self._spare.fill()
+
+
+def most_transfers(bufsiz: Path = BUFSIZ) -> int:
+    """The longest batch that spidev's buffer holds."""
+    try:
+        size = int(bufsiz.read_text())
+    except (OSError, ValueError):
+        size = DEFAULT_BUFSIZ
+    return max(1, min(MOST_TRANSFERS, size // _ALIGNED))
 
 
 def _cause_of(error: Exception) -> str:

@@ -26,6 +26,8 @@ class SpiValues(Protocol):
     @property
     def framing(self) -> Framing: ...
     @property
+    def batch(self) -> bool: ...
+    @property
     def frame_gap_us(self) -> float: ...
     @property
     def resync_ms(self) -> float: ...
@@ -45,6 +47,7 @@ class PlainSpi(NamedTuple):
 
     framing: Framing
     device: str = "/dev/spidev0.0"
+    batch: bool = True
     speed_hz: int = 2_500_000
     frame_gap_us: float = 50.0
     resync_ms: float = 1000.0
@@ -64,7 +67,7 @@ LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "repeats": (0, 100),
     "repeat_interval_ms": (1, 1000),
 }
-NOT_FOR_STOPS: Final = frozenset({"avoid_deg", "batch"})
+NOT_FOR_STOPS: Final = frozenset({"avoid_deg"})
 """Settings of [spi] that no Stop depends on; they are not looked at."""
 _WHOLE: Final = frozenset({"speed_hz", "repeats"})
 
@@ -95,6 +98,8 @@ def read(path: Path) -> tuple[PlainSpi, PlainRepeats] | None:
 def _is_right(name: str, value: Any) -> bool:
     if name in {"device", "framing"}:
         return isinstance(value, str) and (name == "framing" or (value.startswith("/") and "\0" not in value))
+    if name == "batch":
+        return isinstance(value, bool)
     low, high = LIMITS[name]
     known = isinstance(value, int if name in _WHOLE else int | float) and not isinstance(value, bool)
     return known and low <= value <= high

@@ -21,13 +21,13 @@ import functools
 import struct
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Final
 
 from gateway.errors import SpiError
 from gateway.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.protocol.framing import Framing
+from gateway.spi import Batch
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000
@@ -93,7 +93,14 @@ class SimulatedController:
 
     # ---- the device
 
-    def transfer(self, data: bytes) -> None:
+    most_transfers = 64
+
+    def transfer(self, batch: Batch) -> None:
+        """Take the transfers one after the other. Raises SpiError only for a fault that was caused on purpose."""
+        for data, _ in batch:
+            self.take(data)
+
+    def take(self, data: bytes) -> None:
         """Take the bytes of one transfer. Raises SpiError only for a fault that was caused on purpose."""
         if self._stall_s > 0:
             stall_s, self._stall_s = self._stall_s, 0.0
@@ -114,9 +121,8 @@ class SimulatedController:
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
 
-    def lock(self) -> AbstractContextManager[None]:
+    def fileno(self) -> None:
         """No other program can reach this controller."""
-        return nullcontext()
 
     def stop_servos_at_work(self) -> bool:
         """No other program can reach this controller."""

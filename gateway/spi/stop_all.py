@@ -23,14 +23,14 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
 
     Returns whether a gateway on the same device has noticed; None: no gateway runs there.
 
-    It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. The bus lock
-    keeps its transfers out of the gateway's frames.
+    It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. Each batch is
+    atomic on the bus, so none comes into a frame of the gateway's.
     """
 
     def open_device() -> KernelDevice:
         return KernelDevice(spi.device, spi.speed_hz, exclusive=False)
 
-    bus = bus_for(spi, open_device, shared_device=True)
+    bus = bus_for(spi, open_device)
     notice = Notice(spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None
@@ -58,19 +58,24 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
 def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:
     """One Stop for each leg: the legs whose Stop was written, and what failed last.
 
-    Unless it is `opened` already, the device is opened first, and again after each failure: opening writes the
-    preamble, which synchronises the controller. After any exception at one leg, even from a bug of ours, the
-    other legs are still tried: this is the last attempt to stop the robot.
+    Unless it is `opened` already, the device is opened first. All six are one batch. What of it failed, even from a bug
+    of ours, is tried leg by leg, with the device opened again where it was at fault: this is the last attempt to stop
+    the robot.
     """
     stopped: set[int] = set()
     fault: Exception | None = None
-    for leg in LEGS:
+    for legs in (LEGS, *((leg,) for leg in LEGS)):
+        if not stopped.isdisjoint(legs):
+            continue
         try:
             if not opened:
                 bus.open()
-            opened = True
-            bus.write(stop_leg(leg))
-            stopped.add(leg)
+                opened = True
+            report = bus.write([stop_leg(leg) for leg in legs], preamble=True)
         except Exception as error:
-            fault, opened = error, False
+            fault = error
+            continue
+        stopped |= {legs[sent.place] for sent in report.sent if sent.heard}
+        if report.fault is not None:
+            fault, opened = report.fault, False
     return stopped, fault

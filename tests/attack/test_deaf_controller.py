@@ -43,11 +43,11 @@ def test_what_a_doubled_byte_does_is_known() -> None:
     assert 0.3 < tally.dead.total() / tally.faults < 0.7
 
 
-@pytest.mark.parametrize("in_pause", [False, True])
-def test_a_stall_anywhere(in_pause: bool) -> None:
-    for tally in stretch_gaps(every=331, first=16 + in_pause, in_pause=in_pause).values():
+@pytest.mark.parametrize("first", [16, 17])
+def test_a_stall_anywhere(first: int) -> None:
+    for tally in stretch_gaps(every=83, first=first).values():
         check(tally)
-        # A stall that nothing could see costs the body behind it, which is then sent again.
-        assert tally.most_missed <= (0 if in_pause else 1), "no repeat and no stream has to come first"
+        assert tally.faults > 20
+        assert tally.most_missed == 0, "a frame's transfers leave together"
         assert not tally.unasked, "no half of a body is written"
         assert not tally.corruptions

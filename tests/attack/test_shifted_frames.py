@@ -54,8 +54,8 @@ def test_the_simulated_controller_dies_of_what_the_rule_says(op: Op, whole_deg: 
         died = set()
         for what, data in lost_and_doubled(frame):
             controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: 0)
-            controller.transfer(data)
-            controller.transfer(b"\x0e")
+            controller.take(data)
+            controller.take(b"\x0e")
             if controller.dead is not None:
                 died.add(what)
         assert bool(died) is (whole_deg in KILLS), (frame, died)

@@ -31,6 +31,7 @@ from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime.conductor import Conductor
 from gateway.service import rules
 from gateway.settings import Settings
+from gateway.spi import Batch
 from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
 from tests.benchmarks.table import Row
@@ -54,8 +55,8 @@ class _Device(SimulatedController):
         self.taken: list[int] = []
         self._before = 0
 
-    def transfer(self, data: bytes) -> None:
-        del data
+    def transfer(self, batch: Batch) -> None:
+        del batch
         if tracemalloc.is_tracing():
             now, peak = tracemalloc.get_traced_memory()
             self.taken.append(peak - self._before)

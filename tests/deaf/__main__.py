@@ -33,13 +33,9 @@ def main() -> int:
             doubled = lose_bytes(log, every=options.every, tick_phase_ns=phase_ns, doubled=True)
             print(f"bytes doubled, ticks at {phase_ns} ns: {doubled.text}", flush=True)
         if options.only in (None, "gaps"):
-            in_pause = phase_ns > 0
-            where = "in the bus's pauses" if in_pause else "just before the first bit"
-            for stall_ms, stalled in stretch_gaps(
-                every=options.every, tick_phase_ns=phase_ns, in_pause=in_pause
-            ).items():
+            for stall_ms, stalled in stretch_gaps(every=options.every, tick_phase_ns=phase_ns).items():
                 bad |= bool(stalled.stops_after_repeat or stalled.left_on)
-                print(f"stalls of {stall_ms:g} ms {where}, ticks at {phase_ns} ns: {stalled.text}", flush=True)
+                print(f"stalls of {stall_ms:g} ms before a call, ticks at {phase_ns} ns: {stalled.text}", flush=True)
     print(f"{time.monotonic() - begun_s:.0f} s")
     return 1 if bad else 0
 

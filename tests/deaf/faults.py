@@ -118,7 +118,7 @@ def lose_bytes(
                 faulty,
             )
             clock.now_ns = written.at_ns
-        controller.transfer(written.data)
+        controller.take(written.data)
         watcher.saw(written.at_ns, written.data, repeat=written.repeat)
     assert not watcher.missed, "without a fault, all is executed"
     return tally
@@ -135,7 +135,7 @@ def _states(log: list[Written], clock: _Clock, controller: SimulatedController) 
     for written in log:
         clock.now_ns = written.at_ns
         executed = controller.executed
-        controller.transfer(written.data)
+        controller.take(written.data)
         states.append(pulses(controller) if controller.executed > executed or not states else states[-1])
     return states
 
@@ -148,7 +148,7 @@ def _play_on(
     for place in range(index, len(log)):
         at_ns, data, repeat = log[place]
         clock.now_ns = at_ns
-        controller.transfer(data if place > index else spoilt)
+        controller.take(data if place > index else spoilt)
         if controller.dead is not None:
             break
         watcher.saw(at_ns, data, repeat=repeat)
@@ -163,14 +163,16 @@ def stretch_gaps(
     first: int = 0,
     stalls_ms: tuple[float, ...] = STALLS_MS,
     tick_phase_ns: int = 0,
-    in_pause: bool = False,
 ) -> dict[float, Tally]:
-    """Let the machine stall once before each transfer of the minute; with `every`, before one in so many."""
+    """Let the machine stall once before each call of the minute; with `every`, before one in so many.
+
+    Within a call it cannot: the transfers of a call leave together.
+    """
     tallies = {stall_ms: Tally() for stall_ms in stalls_ms}
     for before, number in _moments(every, first, tick_phase_ns):
         for stall_ms, tally in tallies.items():
             scene = before.copy()
-            scene.stall_at(number, round(stall_ms * MS), in_pause=in_pause)
+            scene.stall_at(number, round(stall_ms * MS))
             scene.run_until(before.loop.clock_ns + round(stall_ms * MS) + AFTER_NS)
             scene.watcher.end(scene.loop.clock_ns)
             where = f"transfer {number}"
@@ -183,16 +185,18 @@ def stretch_gaps(
 
 
 def _moments(every: int, first: int, tick_phase_ns: int) -> Iterator[tuple[Scene, int]]:
-    """A scene just before the step that makes the transfer of that number, for each that is wanted.
+    """A scene just before the step whose call begins with the transfer of that number, for each that is wanted.
 
     The minute is always the same, so a first run of it says which steps those are; a copy takes longer than a step.
     """
     ahead, scene = (Scene(minute(), tick_phase_ns=tick_phase_ns) for _ in range(2))
+    calls = 0
     while ahead.loop.clock_ns < END_NS:
-        begun = ahead.transfers
+        ahead.calls.clear()
         if not ahead.step():
             break
-        wanted = [number for number in range(begun, ahead.transfers) if (number - first) % every == 0]
+        wanted = [number for place, number in enumerate(ahead.calls, calls) if (place - first) % every == 0]
+        calls += len(ahead.calls)
         if wanted:
             before = scene.copy()
             yield from ((before, number) for number in wanted)

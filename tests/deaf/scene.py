@@ -17,7 +17,8 @@ from gateway.protocol.framing import Framing
 from gateway.runtime.conductor import Conductor
 from gateway.service import BEAT_S, rules
 from gateway.settings import Settings
-from gateway.spi.bus import Bus
+from gateway.spi import Batch
+from gateway.spi.bus import CS_CHANGE_NS, Bus, Report
 from gateway.spi.simulator import SimulatedController
 from schemas import keys
 from tests.deaf.minute import Message
@@ -26,10 +27,10 @@ from tests.support.unshared import UnsharedDevice
 
 MS = 1_000_000
 BEGIN_NS = 10_000 * MS
-TRANSFER_NS = 45_000
-"""Of a ONE LEG frame at 2.5 MHz, and about what the system call takes for any other."""
-SLEEP_LATE_NS = 60_000
-"""By how much a sleep takes longer than asked."""
+BYTE_NS = 3_200
+"""At 2.5 MHz."""
+CALL_NS = 25_000
+"""About what a call takes beside what the wire needs."""
 
 
 class Timer:
@@ -105,13 +106,13 @@ class Written(NamedTuple):
 
 
 class MarkedBus(Bus):
-    """A bus that says of each frame whether it repeats a Stop."""
+    """A bus that says of each batch whether it repeats Stops."""
 
     repeating = False
 
-    def write(self, frame: Frame, *, first_repeat: bool = False) -> None:
-        self.repeating = (first_repeat or self.repeating) and frame.is_stop
-        super().write(frame, first_repeat=first_repeat)
+    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
+        self.repeating = preamble
+        return super().write(frames, preamble=preamble)
 
 
 class Scene(UnsharedDevice):
@@ -128,16 +129,17 @@ class Scene(UnsharedDevice):
         self._messages = messages
         self._next_message = 0
         self.transfers = 0
-        self._stall: tuple[int, int, bool] | None = None
+        self.calls: list[int] = []
+        """The first transfer of each call since the last copy."""
+        self._stall: tuple[int, int] | None = None
         self._waiting: list[Received] = []
         spi = self.settings.spi
         self.bus = MarkedBus(
             self._open,
             spi.framing,
-            frame_gap_ns=round(spi.frame_gap_us * 1000),
+            frame_gap_us=spi.frame_gap_us,
             resync_ns=round(spi.resync_ms * 1e6),
             clock=self.loop.now_ns,
-            pause=self._pause,
         )
         self.conductor = Conductor(
             self.settings,
@@ -184,21 +186,23 @@ class Scene(UnsharedDevice):
     def _open(self) -> Self:
         return self
 
-    def _pause(self, duration_s: float) -> None:
-        self.loop.clock_ns += round(duration_s * 1e9) + SLEEP_LATE_NS
-        if self._stall is not None and self._stall[2]:
-            self._stand_still()
-
     # ---- the device
 
-    def transfer(self, data: bytes) -> None:
+    def transfer(self, batch: Batch) -> None:
+        """Nothing stands still within a call."""
         self._stand_still()
+        self.calls.append(self.transfers)
+        self.loop.clock_ns += CALL_NS
+        for data, pause_us in batch:
+            self.take(data)
+            self.loop.clock_ns += BYTE_NS * len(data) + pause_us * 1000 + CS_CHANGE_NS
+
+    def take(self, data: bytes) -> None:
         repeat = self.bus.repeating and len(data) > 1
         self.log.append(Written(self.loop.clock_ns, data, repeat))
-        self.controller.transfer(data)
+        self.controller.take(data)
         self.watcher.saw(self.loop.clock_ns, data, repeat=repeat)
         self.transfers += 1
-        self.loop.clock_ns += TRANSFER_NS
 
     def _stand_still(self) -> None:
         if self._stall is not None and self.transfers == self._stall[0]:
@@ -232,12 +236,12 @@ class Scene(UnsharedDevice):
     def copy(self) -> "Scene":
         """Another one that goes on from here by itself. What only counts, or is never changed, is shared."""
         self.log.clear()
+        self.calls.clear()
         self.controller.transfers.clear()
         counts = (self.conductor.metrics, self.bus.transfer_latency)
         shared = (self.settings, self._messages, *counts, self.conductor.owner)  # one thread needs no lock of its own
         return copy.deepcopy(self, {id(each): each for each in shared})
 
-    def stall_at(self, transfer: int, duration_ns: int, *, in_pause: bool) -> None:
-        """Let the machine stand still before that transfer, counted from the start: in the bus's pause, where there is
-        one, or only when the bus has last looked at the clock."""
-        self._stall = transfer, duration_ns, in_pause
+    def stall_at(self, transfer: int, duration_ns: int) -> None:
+        """Let the machine stand still before the call that begins with that transfer, counted from the start."""
+        self._stall = transfer, duration_ns

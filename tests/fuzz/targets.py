@@ -171,7 +171,7 @@ def fuzz_simulator(data: bytes) -> str:
         sent = data[position + 2 : position + 2 + length]
         position += 2 + length
         now_ns += PAUSES_NS[pause % len(PAUSES_NS)]
-        controller.transfer(sent)
+        controller.take(sent)
         reference.transfer(sent, now_ns)
     servos = controller.servos
     assert {servo_id for servo_id, servo in servos.items() if servo.energised} == reference.energised

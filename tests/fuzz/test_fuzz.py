@@ -222,7 +222,7 @@ def test_one_controller_for_a_long_time_keeps_no_more_than_it_says() -> None:
         for _ in range(3):
             for _ in range(2 * KEPT_TRANSFERS):
                 now_ns += chance.choice((0, 1_000_000, 1_000_000_000))
-                controller.transfer(chance.randbytes(14))
+                controller.take(chance.randbytes(14))
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()

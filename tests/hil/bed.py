@@ -52,7 +52,10 @@ def missing_packages() -> str:
 
 @dataclass(frozen=True)
 class Segment:
-    """One `spi_ioc_transfer` of a message; a plain write is one segment with the device's own speed and bits."""
+    """One `spi_ioc_transfer` of a message; a plain write is one segment with the device's own speed and bits.
+
+    `delay_us` is the pause that was asked for behind it.
+    """
 
     data: bytes
     speed_hz: int
@@ -63,15 +66,26 @@ class Segment:
 
 @dataclass(frozen=True)
 class Transfer:
-    """One call that puts bytes on the wire, as it arrived; `errno` is what it was answered, 0 for success."""
+    """One chip-select cycle that puts bytes on the wire; `errno` is what its call was answered for it, 0 for success.
+
+    A call makes several where chip select is released between its transfers; the first that fails is the last.
+    """
 
     monotonic_ns: int
+    """When it begins: when its call arrived, and its place on the wire."""
     kind: Literal["write", "message", "read"]
     data: bytes
     errno: int
     opening: int
     mode: int
     segments: tuple[Segment, ...]
+    call: int
+    """The number of its call: the same for what left together."""
+
+    @property
+    def pause_us(self) -> int:
+        """The pause that was asked for behind it."""
+        return self.segments[-1].delay_us
 
     @property
     def delivered(self) -> bool:
@@ -246,9 +260,28 @@ class SpiTestbed:
             raise TimeoutError(f"waited {timeout_s} s for opening {number}; arrived: {self._summary()}")
         return found[0]
 
-    def fail(self, errno: int = errors.EIO, count: int | None = None) -> None:
-        """The next `count` transfers answer `errno`; with None, all of them until `heal`."""
-        self._command("fail", code=errno, count=count)
+    def fail(self, errno: int = errors.EIO, count: int | None = None, *, after: int = 0) -> None:
+        """`after` so many, the next `count` transfers answer `errno`; with None, all of them until `heal`.
+
+        In a list of transfers, those before it are on the wire, and those behind it are not.
+        """
+        self._command("fail", code=errno, count=count, after=after)
+
+    def fail_by_chance(self, share: float, seed: int) -> None:
+        """Each transfer fails with this probability, until `heal`."""
+        self._command("fail_by_chance", share=share, seed=seed)
+
+    def reject_lists(self, errno: int = errors.EINVAL) -> None:
+        """A kernel that takes no lists of transfers: calls of more than one answer `errno`."""
+        self._command("reject_lists", code=errno)
+
+    def ignore_cs_change(self, *, ignore: bool = True) -> None:
+        """A driver that does not release chip select within a call: a list of transfers is one cycle."""
+        self._command("ignore_cs_change", ignore=ignore)
+
+    def set_bufsiz(self, size: int) -> None:
+        """How many bytes a call may hold, where each transfer takes a multiple of 128."""
+        self._command("set_bufsiz", size=size)
 
     def shorten(self, count: int | None = None) -> None:
         """The next `count` transfers are short: half of the bytes reach the wire, and spidev is told so."""
@@ -342,4 +375,5 @@ def _event(record: dict[str, Any]) -> Event:
         opening,
         record["mode"],
         segments,
+        record["call"],
     )

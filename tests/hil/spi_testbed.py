@@ -8,9 +8,12 @@ What is missing:    spi_testbed.py --check                      (one Debian pack
 On the socket, JSON lines both ways. Out: first `ready` with the environment for children, then every `open`, setting
 and transfer as it arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "fail", …}`.
 
-The answers follow Linux's drivers/spi/spidev.c and spi-bcm2835.c (Raspberry Pi 4): 8 bits only, no lsb-first, 4096
-bytes a transfer, mode and bits outlive the program that set them, the speed falls back at every opening, and an open
-descriptor whose device has gone answers ESHUTDOWN for ever. Nothing is ever received: MISO reads zeros.
+The answers follow Linux's drivers/spi/spidev.c, spi.c and spi-bcm2835.c (Raspberry Pi 4): 8 bits only, no lsb-first,
+mode and bits outlive the program that set them, the speed falls back at every opening, and an open descriptor whose
+device has gone answers ESHUTDOWN for ever. A message holds 4096 bytes, of which each transfer takes a multiple of 128.
+Its transfers follow one another with their pauses, and with chip select released behind those with `cs_change`: each
+such cycle is an event of its own, with the time at which it begins. A call lasts as long as the wire needs, and no
+other call comes into it. Nothing is ever received: MISO reads zeros.
 """
 
 import argparse
@@ -18,6 +21,7 @@ import ctypes
 import errno
 import json
 import os
+import random
 import shutil
 import signal
 import socket
@@ -37,6 +41,9 @@ NODE = "spidev0.0"
 PRELOAD = "libumockdev-preload.so.0"
 DEFAULT_SPEED_HZ = 125_000_000  # what the Pi's device tree gives spidev0.0
 BUFSIZ = 4096  # spidev's module parameter, its default
+ALIGNED = 128  # ARCH_DMA_MINALIGN: what a transfer takes of that is a multiple of it
+CS_CHANGE_NS = 10_000  # for how long Linux releases chip select between two transfers, beside their pause
+SPIN_NS = 150_000  # a sleep may end later than asked by as much
 SHORT = -1  # in place of an errno: half of the bytes are taken, and the caller is told so
 # From linux/spi/spi.h: CPHA, CPOL, CS_HIGH, 3WIRE, NO_CS: all that spi-bcm2835 supports.
 SUPPORTED_MODE_BITS = 0x01 | 0x02 | 0x04 | 0x10 | 0x40
@@ -82,19 +89,49 @@ class SpiController:
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
         self._fail_errno = 0
         self._fail_left: int | None = 0
+        self._fail_after = 0
+        self._share = 0.0  # of transfers that fail by chance
+        self._chance = random.Random()  # noqa: S311  (faults, no secrets)
+        self._bufsiz = BUFSIZ
+        self._list_errno = 0
+        self._ignores_cs_change = False
+        self._calls = 0
         self._delay_s = 0.0
         self._blocking = False
         self._held: list[Callable[[int], None]] = []
 
-    def fail(self, code: int, count: int | None) -> None:
-        """The next `count` transfers answer `code`, an errno or SHORT; with None, all until `heal`."""
+    def fail(self, code: int, count: int | None, after: int = 0) -> None:
+        """`after` so many, the next `count` transfers answer `code`, an errno or SHORT; with None, all until `heal`.
+
+        A transfer that fails ends its message: what comes before it is on the wire, and what follows is not.
+        """
         with self._lock:
-            self._fail_errno, self._fail_left = code, count
+            self._fail_errno, self._fail_left, self._fail_after = code, count, after
+
+    def fail_by_chance(self, share: float, seed: int) -> None:
+        """Each transfer fails with EIO with this probability, until `heal`."""
+        with self._lock:
+            self._share, self._chance = share, random.Random(seed)  # noqa: S311  (faults, no secrets)
 
     def heal(self) -> None:
         """No more errors and delays."""
         with self._lock:
-            self._fail_left, self._delay_s = 0, 0.0
+            self._fail_left, self._delay_s, self._share = 0, 0.0, 0.0
+
+    def reject_lists(self, code: int) -> None:
+        """Messages of more than one transfer answer `code` from now on; 0: they are taken."""
+        with self._lock:
+            self._list_errno = code
+
+    def ignore_cs_change(self, ignore: bool) -> None:
+        """A driver that leaves chip select alone within a message: its transfers are one cycle."""
+        with self._lock:
+            self._ignores_cs_change = ignore
+
+    def set_bufsiz(self, size: int) -> None:
+        """How many bytes a message may hold."""
+        with self._lock:
+            self._bufsiz = size
 
     def delay(self, delay_ms: float) -> None:
         """Each transfer from now on takes this long."""
@@ -173,50 +210,85 @@ class SpiController:
 
     def _transfer(self, now_ns: int, client: Any, kind: str, segments: list[tuple[bytes, int, int, int, int]]) -> None:
         with self._lock:
-            opening = self._opening(now_ns, client)
-            code = self._verdict(client, sum(len(segment[0]) for segment in segments))
-            if code == SHORT:
-                code, segments = 0, [(data[: len(data) // 2], hz, bits, us, cs) for data, hz, bits, us, cs in segments]
-            length = sum(len(segment[0]) for segment in segments)
-            self._emit(
-                {
-                    "t": now_ns,
-                    "kind": kind,
-                    "data": b"".join(segment[0] for segment in segments).hex(),
-                    "errno": code,
-                    "opening": opening,
-                    "mode": self._mode,
-                    "segments": [
-                        {
-                            "data": data.hex(),
-                            "speed_hz": speed_hz or self._speed_hz,
-                            "bits_per_word": bits or self._bits,
-                            "delay_us": delay_us,
-                            "cs_change": bool(cs_change),
-                        }
-                        for data, speed_hz, bits, delay_us, cs_change in segments
-                    ],
-                }
-            )
+            opening, length, at_ns = self._opening(now_ns, client), 0, now_ns
+            self._calls += 1
+            code = self._rejection(client, [segment[0] for segment in segments])
+            rejected = bool(code)
+            for cycle in [segments] if rejected else self._cycles(segments):
+                code = code or self._verdict()
+                taken = [self._described(segment, half=code == SHORT) for segment in cycle]
+                data = bytes.fromhex("".join(segment["data"] for segment in taken))
+                self._emit(
+                    {
+                        "t": at_ns,
+                        "kind": kind,
+                        "data": data.hex(),
+                        "errno": max(code, 0),
+                        "opening": opening,
+                        "mode": self._mode,
+                        "call": self._calls,
+                        "segments": taken,
+                    }
+                )
+                length += len(data)
+                if code:
+                    break
+                for segment in taken:
+                    at_ns += len(bytes.fromhex(segment["data"])) * 8_000_000_000 // segment["speed_hz"]
+                    at_ns += segment["delay_us"] * 1000
+                at_ns += CS_CHANGE_NS
+            if rejected:
+                at_ns = now_ns
             if self._blocking:
-                self._held.append(lambda late: _answer(client, length, late or code))
+                self._held.append(lambda late: _answer(client, length, late or max(code, 0)))
                 return
             delay_s = self._delay_s
         if delay_s:
-            threading.Timer(delay_s, _answer, (client, length, code)).start()
-        else:
-            _answer(client, length, code)
+            threading.Timer(delay_s, _answer, (client, length, max(code, 0))).start()
+            return
+        while (left_ns := at_ns - CS_CHANGE_NS - time.monotonic_ns()) > 0:
+            if left_ns > SPIN_NS:
+                time.sleep((left_ns - SPIN_NS) / 1e9)
+        _answer(client, length, max(code, 0))
 
-    def _verdict(self, client: Any, length: int) -> int:
+    def _cycles(self, segments: list[tuple[bytes, int, int, int, int]]) -> list[list[tuple[bytes, int, int, int, int]]]:
+        """The same in chip-select cycles."""
+        cycles: list[list[tuple[bytes, int, int, int, int]]] = [[]]
+        for segment in segments:
+            cycles[-1].append(segment)
+            if segment[4] and segment is not segments[-1] and not self._ignores_cs_change:
+                cycles.append([])
+        return cycles
+
+    def _described(self, segment: tuple[bytes, int, int, int, int], *, half: bool) -> dict[str, Any]:
+        data, speed_hz, bits, delay_us, cs_change = segment
+        return {
+            "data": data[: len(data) // 2 if half else None].hex(),
+            "speed_hz": speed_hz or self._speed_hz,
+            "bits_per_word": bits or self._bits,
+            "delay_us": delay_us,
+            "cs_change": bool(cs_change),
+        }
+
+    def _rejection(self, client: Any, data: list[bytes]) -> int:
+        """Why none of a call's transfers is made; 0: they are."""
         if self._clients[client] <= self._gone_before:
             return errno.ESHUTDOWN
-        if length > BUFSIZ:
-            return errno.EMSGSIZE
-        if self._fail_left == 0:
-            return 0
-        if self._fail_left is not None:
-            self._fail_left -= 1
-        return self._fail_errno
+        if len(data) > 1 and self._list_errno:
+            return self._list_errno
+        held = sum(-(-len(each) // ALIGNED) * ALIGNED for each in data)
+        return errno.EMSGSIZE if held > self._bufsiz else 0
+
+    def _verdict(self) -> int:
+        """What becomes of the next transfer."""
+        if self._fail_left != 0:
+            if self._fail_after:
+                self._fail_after -= 1
+            else:
+                if self._fail_left is not None:
+                    self._fail_left -= 1
+                return self._fail_errno
+        return errno.EIO if self._share and self._chance.random() < self._share else 0
 
     def _read_setting(self, now_ns: int, client: Any, argument: Any, number: int, size: int) -> None:
         with self._lock:
@@ -277,7 +349,11 @@ class Testbed:
         self.commands: dict[str, Callable[..., None]] = {
             "sync": lambda: None,
             "fail": self._controller.fail,
+            "fail_by_chance": self._controller.fail_by_chance,
             "heal": self._controller.heal,
+            "reject_lists": self._controller.reject_lists,
+            "ignore_cs_change": self._controller.ignore_cs_change,
+            "set_bufsiz": self._controller.set_bufsiz,
             "delay": self._controller.delay,
             "block": self._controller.block,
             "release": self._controller.release,

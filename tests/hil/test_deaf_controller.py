@@ -1,4 +1,5 @@
-"""The service is stopped (SIGSTOP) between an announcement and its body, for longer than the controller waits.
+"""Without batches, the service is stopped (SIGSTOP) between an announcement and its body, for longer than the
+controller waits. With batches there is no such moment.
 
 What it wrote is given to a simulated controller, which reads it as the published firmware does, at the same times.
 """
@@ -31,7 +32,10 @@ def test_a_service_that_stood_still_in_the_middle_of_a_frame_still_stops_the_rob
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
     watchdog = {"timeout_ms": 10_000, "repeats": repeats}
     limits = {"max_age_ms": 0}  # a busy machine may hold the service for so long that what it then reads is rejected
-    with start(tmp_path, wire, watchdog=watchdog, limits=limits) as gateway, gateway.client() as client:
+    with (
+        start(tmp_path, wire, watchdog=watchdog, limits=limits, spi={"batch": False}) as gateway,
+        gateway.client() as client,
+    ):
         assert client.ask(keys.LEGS_COMMAND, LEGS_START).accepted
         if repeats:
             time.sleep(0.2)  # until nothing is repeated any more, and the next announcement is the set's

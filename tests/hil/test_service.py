@@ -42,8 +42,14 @@ def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_comma
         transfers = wire.expect_opening(*STOPS)
         wire.expect_nothing()
         assert {(each.kind, each.mode, each.bits_per_word, each.speed_hz) for each in transfers} == {
-            ("write", 0, 8, 2_500_000)
+            ("message", 0, 8, 2_500_000)
         }
+        assert {each.call for each in transfers} == {1}, "one system call"
+        begins_ns = [each.monotonic_ns for each in transfers]
+        for before, begin_ns, next_ns in zip(transfers, begins_ns, begins_ns[1:], strict=False):
+            zero = before.data == b"\0"
+            assert before.pause_us == (100 if zero else 50)
+            assert next_ns - begin_ns >= len(before.data) * 3200 + before.pause_us * 1000
         assert {each.opening for each in transfers} == {1}
         order = [type(event) for event in wire.bed.events]
         assert order.index(Transfer) > max(place for place, kind in enumerate(order) if kind is Setting)
@@ -82,7 +88,7 @@ def test_leg_and_servo_commands_byte_for_byte(gateway: Gateway, wire: Wire) -> N
         assert client.stop(3).accepted
         wire.expect(STOPS[2])
         assert client.servo(32, "set", 90).reason is Reason.SERVO_STOPPED
-        assert client.set_leg(1, 1, 2, 3).reason is Reason.SERVO_STOPPED  # two of the three never ran
+        assert client.set_leg(1, 11, 12, 13).reason is Reason.SERVO_STOPPED  # two of the three never ran
         wire.expect_nothing()
 
 

@@ -108,7 +108,7 @@ class Replay:
     def give(self, data: bytes, now_ns: int) -> None:
         """One transfer."""
         self.now_ns = now_ns
-        self.controller.transfer(data)
+        self.controller.take(data)
 
     def energised_for_good(self) -> frozenset[int]:
         """The servos that are on now, or come on when a receive under way is given up (a second after it began)."""

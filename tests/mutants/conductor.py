@@ -17,8 +17,6 @@ CONDUCTOR = Subject(
         "tests/unit/test_recorder.py",
     ),
     mutants=(
-        Mutant("FIRST_REOPEN_S: Final = 0.02", "FIRST_REOPEN_S: Final = 0.2", "after a fault, no Stop for 200 ms"),
-        Mutant("LAST_REOPEN_S: Final = 1.0", "LAST_REOPEN_S: Final = 5.0", "a device that is back is not looked for"),
         Mutant(
             "        if fault is not None:\n            raise fault\n        self._arm()\n",
             "        self._arm()\n",
@@ -169,43 +167,7 @@ CONDUCTOR = Subject(
             "            self._bus_failed(fault)\n        return written",
             "nobody hears of a change of mode",
         ),
-        Mutant(
-            "if fault is not None and not effect.frame.is_stop:",
-            "if fault is not None:",
-            "when one Stop fails, the others are not tried",
-        ),
-        Mutant(
-            "if fault is not None and not effect.frame.is_stop:", "if False:", "after a failed Stop, servos are started"
-        ),
-        Mutant(
-            "first_repeat=repeats and not before)",
-            "first_repeat=False)",
-            "a repeated run of Stops finds a deaf controller",
-        ),
-        Mutant(
-            "first_repeat=repeats and not before)",
-            "first_repeat=repeats)",
-            "each repeated Stop waits for a preamble of its own",
-        ),
-        Mutant("first_repeat=repeats and not before)", "first_repeat=not before)", "a first Stop waits for a preamble"),
-        Mutant(
-            "len(on_wire)\n                        continue\n",
-            "len(on_wire)\n",
-            "a Stop that failed counts as written",
-        ),
         Mutant("frame.heard and ", "", "a Stop that may not have been heard counts as written"),
-        Mutant("+= len(on_wire)", "+= 0", "frames that may not have been heard are not counted"),
-        Mutant(
-            "written += (on_wire := unheard(error, effect, self.bus))",
-            "on_wire = unheard(error, effect, self.bus)",
-            "the black box lacks what was written",
-        ),
-        Mutant("                    self.metrics.frames[effect.cause] += 1\n", "", "frames are not counted"),
-        Mutant(
-            "                        self.metrics.watchdog_stops.record(now_ns - effect.deadline_ns)\n",
-            "                        pass\n",
-            "how late a Stop was is not measured",
-        ),
         Mutant(
             "                case Completed() if fault is not None:\n",
             "                case Completed() if False:\n",
@@ -242,31 +204,11 @@ CONDUCTOR = Subject(
             "a zero that failed is forgotten",
         ),
         Mutant(
-            "self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)",
-            "pass",
-            "a device that is gone is looked for 50 times a second",
-        ),
-        Mutant(
-            "self._reopen_s = min(2 * self._reopen_s, LAST_REOPEN_S)",
-            "self._reopen_s = 2 * self._reopen_s",
-            "a device that is back is not looked for",
-        ),
-        Mutant(
             '            logger.debug("the SPI device does not answer yet: %s", error)\n            self._reopen_later()\n',
             '            logger.debug("the SPI device does not answer yet: %s", error)\n',
             "a device that is back is looked for once only",
         ),
         Mutant("        self._step(BusOpened())\n", "        pass\n", "after a fault, servos go on as they were"),
-        Mutant(
-            "            self._in_fault = False\n            self._reopen_s",
-            "            self._reopen_s",
-            "a second fault is not told",
-        ),
-        Mutant(
-            "            self._reopen_s = FIRST_REOPEN_S\n            self._reopen_timer",
-            "            self._reopen_timer",
-            "after a second fault, no Stop for a second",
-        ),
         Mutant(
             "                self._loop.call_soon_threadsafe(self.done.set)\n",
             "                pass\n",

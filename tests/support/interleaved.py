@@ -15,6 +15,7 @@ from typing import Any, Final
 import zenoh
 
 from gateway.protocol.framing import Framing
+from gateway.spi import Batch
 from gateway.spi.simulator import SimulatedController
 
 PATIENCE_S: Final = 10.0
@@ -253,7 +254,7 @@ class SteppedLoop:
 
 
 class SteppedController(SimulatedController):
-    """Gives way before each transfer, in which nobody else may write."""
+    """Gives way before each batch, in which nobody else may write."""
 
     stage: Stage
 
@@ -262,9 +263,9 @@ class SteppedController(SimulatedController):
         self.stage = stage
         self._writes = False
 
-    def transfer(self, data: bytes) -> None:
+    def transfer(self, batch: Batch) -> None:
         assert not self._writes, "two threads write at once"
         self._writes = True
         self.stage.point()
-        super().transfer(data)
+        super().transfer(batch)
         self._writes = False

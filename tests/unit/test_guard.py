@@ -1,40 +1,53 @@
-"""The guard at the device's edge: a transfer passes if and only if the framing makes it of a legal frame."""
+"""The guard at the device's edge: a batch passes if and only if the framing makes all of it of legal frames."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
 from gateway.errors import SpiError
 from gateway.protocol.frames import Frame, FrameError, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.protocol.framing import Framing
+from gateway.spi import Batch, Transfer
 from gateway.spi.guard import GuardedDevice, IllegalTransferError
 from gateway.spi.simulator import SimulatedController
 from tests.support.unshared import UnsharedDevice
 from tests.unit.test_frames import ILLEGAL, frames
 
+PREFIXED = Framing.LENGTH_PREFIXED
 STOP_1 = stop_leg(1).to_bytes()
 START_11 = OneServo(11, ServoOp(Op.START, 90_00)).to_bytes()
 STOP_WITH_ANGLE = bytes.fromhex("06 02 20 02 5a 00")
 ZERO = b"\0"
-PREAMBLE = [ZERO] * 16
 
 
 class Recorder(UnsharedDevice):
-    """An SPI device that keeps what it is given, and fails when told to."""
+    """An SPI device that keeps what it is given."""
 
     def __init__(self) -> None:
-        self.seen: list[bytes] = []
-        self.failing = False
+        self.batches: list[Batch] = []
         self.closed = 0
 
-    def transfer(self, data: bytes) -> None:
-        if self.failing:
-            raise SpiError("told to fail")
-        self.seen.append(data)
+    def transfer(self, batch: Batch) -> None:
+        self.batches.append(batch)
+
+    def stop_servos_at_work(self) -> bool:
+        return True
 
     def close(self) -> None:
         self.closed += 1
+
+
+def passes(framing: Framing, *data: bytes) -> bool:
+    """Whether a batch of these transfers reaches the device; as a whole, or not at all."""
+    device = Recorder()
+    batch = [Transfer(each, 7) for each in data]
+    try:
+        GuardedDevice(device, framing).transfer(batch)
+    except IllegalTransferError:
+        assert device.batches == []
+        return False
+    assert device.batches == [batch]
+    return True
 
 
 def is_canonical(data: bytes) -> bool:
@@ -42,6 +55,22 @@ def is_canonical(data: bytes) -> bool:
         return decode(data).to_bytes() == data
     except FrameError:
         return False
+
+
+def legal(framing: Framing, data: list[bytes]) -> bool:
+    """The rule, said in another way: cut into zeros and frames, nothing is left."""
+    left = list(data)
+    while left:
+        first = left.pop(0)
+        if framing is PREFIXED:
+            if first == ZERO:
+                continue
+            if not (left and len(first) == 1 and first[0] == len(left[0])):
+                return False
+            first = left.pop(0)
+        if not is_canonical(first):
+            return False
+    return True
 
 
 bytes_near_a_frame = st.one_of(
@@ -53,178 +82,87 @@ bytes_near_a_frame = st.one_of(
         st.integers(0, 255),
     ),
 )
+parts = st.one_of(
+    frames.map(lambda frame: [frame.to_bytes()]),
+    frames.map(lambda frame: list(PREFIXED.transfers(frame.to_bytes()))),
+    bytes_near_a_frame.map(lambda data: [data]),
+    bytes_near_a_frame.map(lambda data: [bytes((min(len(data), 255),)), data]),
+    st.sampled_from([[ZERO], [ZERO] * 16, [b"\x06"], [b"\x0e"], [bytes(16)], [STOP_1], [START_11]]),
+)
+
+
+@given(st.lists(parts, min_size=1, max_size=6), st.sampled_from(Framing))
+def test_legal_frames_pass_and_nothing_else(batch: list[list[bytes]], framing: Framing) -> None:
+    data = [each for part in batch for each in part]
+    assert passes(framing, *data) is legal(framing, data)
 
 
 @given(bytes_near_a_frame)
-def test_plain_passes_legal_frames_and_nothing_else(data: bytes) -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.PLAIN)
-    if is_canonical(data):
-        guarded.transfer(data)
-        assert device.seen == [data]
-    else:
-        with pytest.raises(IllegalTransferError):
-            guarded.transfer(data)
-        assert device.seen == []
-
-
-@given(bytes_near_a_frame)
-def test_an_announced_body_is_a_legal_frame_of_that_length(data: bytes) -> None:
+def test_one_transfer(data: bytes) -> None:
+    assert passes(Framing.PLAIN, data) is is_canonical(data)
+    assert passes(PREFIXED, data) is (data == ZERO)
     for announced in (6, 14):
-        device = Recorder()
-        guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-        guarded.transfer(bytes((announced,)))
-        if is_canonical(data) and len(data) == announced:
-            guarded.transfer(data)
-            assert device.seen[1:] == [data]
-        elif data != bytes(1):  # a zero begins to fill the body's place
-            with pytest.raises(IllegalTransferError):
-                guarded.transfer(data)
-            assert device.seen[1:] == []
-
-
-@given(st.binary(max_size=20))
-def test_only_announcements_and_zeros_come_unannounced(data: bytes) -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    if data in (b"\x06", b"\x0e", ZERO):
-        guarded.transfer(data)
-        assert device.seen == [data]
-    else:
-        with pytest.raises(IllegalTransferError):
-            guarded.transfer(data)
-        assert device.seen == []
+        assert passes(PREFIXED, bytes((announced,)), data) is (is_canonical(data) and len(data) == announced)
 
 
 def test_the_two_lengths_that_may_be_announced() -> None:
     for length in range(1, 256):
-        guarded = GuardedDevice(Recorder(), Framing.LENGTH_PREFIXED)
-        if length in (6, 14):
-            guarded.transfer(bytes((length,)))
-        else:
-            with pytest.raises(IllegalTransferError, match="announces no frame"):
-                guarded.transfer(bytes((length,)))
+        body = START_11 if length == 6 else STOP_1
+        assert passes(PREFIXED, bytes((length,)), body) is (length in (6, 14))
+
+
+def test_an_announcement_and_its_body_are_in_one_batch() -> None:
+    assert not passes(PREFIXED, b"\x0e")
+    assert not passes(PREFIXED, b"\x0e", STOP_1, b"\x06")
+    assert not passes(PREFIXED, STOP_1)
+    assert not passes(PREFIXED, b"\x0e", ZERO)
+    assert passes(PREFIXED, ZERO, b"\x0e", STOP_1, ZERO)
 
 
 @given(st.lists(frames, max_size=5))
 def test_all_that_a_framing_makes_passes(sent: list[Frame]) -> None:
     for framing in Framing:
-        device = Recorder()
-        guarded = GuardedDevice(device, framing)
-        expected = list(framing.preamble)
-        expected += [data for frame in sent for data in framing.transfers(frame.to_bytes())]
-        for data in expected:
-            guarded.transfer(data)
-        assert device.seen == expected
+        expected = [data for frame in sent for data in framing.transfers(frame.to_bytes())]
+        assert passes(framing, *framing.preamble, *expected)
 
 
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("vector", ILLEGAL, ids=lambda vector: vector["why"])
-def test_no_illegal_vector_passes(framing: Framing, vector: dict[str, str]) -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, framing)
+def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, vector: dict[str, str]) -> None:
     data = bytes.fromhex(vector["bytes"])
-    if framing is Framing.LENGTH_PREFIXED:
-        guarded.transfer(b"\x0e" if len(data) == 14 else b"\x06")
-    before = list(device.seen)
-    with pytest.raises(IllegalTransferError):
-        guarded.transfer(data)
-    assert device.seen == before
+    announcement = [b"\x0e" if len(data) == 14 else b"\x06"] if framing is PREFIXED else []
+    assert not passes(framing, *announcement, data)
+    assert not passes(framing, *framing.transfers(STOP_1), *announcement, data)
+    assert not passes(framing, *announcement, data, *framing.transfers(STOP_1))
 
 
 def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
-    device = Recorder()
     with pytest.raises(IllegalTransferError, match="06 02 20 02 00 00"):
-        GuardedDevice(device, Framing.PLAIN).transfer(STOP_WITH_ANGLE)
-    assert device.seen == []
+        GuardedDevice(Recorder(), Framing.PLAIN).transfer([Transfer(STOP_WITH_ANGLE, 0)])
 
 
 def test_plain_has_no_preamble_and_no_announcements() -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.PLAIN)
     for data in (ZERO, bytes(16), b"\x0e", b"\x06", b""):
-        with pytest.raises(IllegalTransferError):
-            guarded.transfer(data)
-    assert device.seen == []
-
-
-def test_the_preamble_may_fill_the_place_of_an_announced_body() -> None:
-    for announcement in (b"\x06", b"\x0e"):
-        device = Recorder()
-        guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-        sent = [announcement, *PREAMBLE, b"\x0e", STOP_1]
-        for data in sent:
-            guarded.transfer(data)
-        assert device.seen == sent
-
-
-@pytest.mark.parametrize("zeros", range(1, 16))
-@pytest.mark.parametrize("data", [b"\x06", b"\x0e", STOP_1, START_11], ids=["06", "0e", "14 bytes", "6 bytes"])
-def test_nothing_comes_into_the_zeros_that_fill_a_bodys_place(zeros: int, data: bytes) -> None:
-    """It would be taken for the rest of that body."""
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    for sent in (b"\x0e" if len(data) != 6 else b"\x06", *PREAMBLE[:zeros]):
-        guarded.transfer(sent)
-    before = list(device.seen)
-    with pytest.raises(IllegalTransferError):
-        guarded.transfer(data)
-    assert device.seen == before
-    for sent in (*PREAMBLE[zeros:], b"\x0e", STOP_1):
-        guarded.transfer(sent)
-
-
-@pytest.mark.parametrize("zeros", [1, 5, 16, 17])
-def test_where_a_length_is_awaited_a_frame_may_come_into_a_preamble(zeros: int) -> None:
-    """Zeros are lengths that mean nothing there; a first Stop waits for none of them."""
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    for data in (*[ZERO] * zeros, b"\x0e", STOP_1):
-        guarded.transfer(data)
-    assert len(device.seen) == zeros + 2
+        assert not passes(Framing.PLAIN, data)
 
 
 @pytest.mark.parametrize("zeros", [bytes(length) for length in range(2, 20)], ids=len)
 def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> None:
-    for announcements in ([], [b"\x06"], [b"\x0e"], [b"\x0e", ZERO]):
-        device = Recorder()
-        guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-        for data in announcements:
-            guarded.transfer(data)
-        with pytest.raises(IllegalTransferError):
-            guarded.transfer(zeros)
+    assert not passes(PREFIXED, zeros)
+    assert not passes(PREFIXED, ZERO, zeros)
+    for announcement in (b"\x06", b"\x0e"):
+        assert not passes(PREFIXED, announcement, zeros)
 
 
-def test_a_rejection_leaves_the_guard_as_it_was() -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    guarded.transfer(b"\x0e")
-    for illegal in (b"\x0e", b"\x06", START_11, b"", STOP_1[:-1]):
-        with pytest.raises(IllegalTransferError):
-            guarded.transfer(illegal)
-    guarded.transfer(STOP_1)
-    assert device.seen == [b"\x0e", STOP_1]
-
-
-@pytest.mark.parametrize("next_transfer", [b"\x06", b"\x0e", ZERO], ids=["06", "0e", "zero"])
-@pytest.mark.parametrize(
-    "already", [(), (b"\x0e",), (b"\x0e", ZERO)], ids=["announcement fails", "body fails", "a zero fails"]
-)
-def test_after_a_failed_transfer_comes_an_announcement_or_a_zero(
-    already: tuple[bytes, ...], next_transfer: bytes
-) -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.LENGTH_PREFIXED)
-    for data in already:
-        guarded.transfer(data)
-    device.failing = True
+def test_a_device_s_fault_comes_through_and_changes_nothing() -> None:
+    controller = SimulatedController(PREFIXED)
+    guarded = GuardedDevice(controller, PREFIXED)
+    batch = [Transfer(data, 0) for data in (b"\x0e", STOP_1)]
+    controller.fail_next(1)
     with pytest.raises(SpiError):
-        guarded.transfer({0: b"\x0e", 1: STOP_1, 2: ZERO}[len(already)])
-    device.failing = False
-    with pytest.raises(IllegalTransferError):  # nobody knows whether its announcement arrived
-        guarded.transfer(STOP_1)
-    guarded.transfer(next_transfer)
-    assert device.seen == [*already, next_transfer]
+        guarded.transfer(batch)
+    guarded.transfer(batch)
+    assert controller.executed == 1
 
 
 def test_a_bug_is_not_an_spi_error() -> None:
@@ -233,67 +171,10 @@ def test_a_bug_is_not_an_spi_error() -> None:
     assert issubclass(IllegalTransferError, RuntimeError)
 
 
-def test_close_reaches_the_device() -> None:
+def test_the_rest_is_the_device_s() -> None:
     device = Recorder()
-    GuardedDevice(device, Framing.PLAIN).close()
+    guarded = GuardedDevice(device, Framing.PLAIN)
+    guarded.close()
     assert device.closed == 1
-
-
-class GuardedController(RuleBasedStateMachine):
-    """Whatever is tried, in whatever order, a guarded controller keeps its memory and stays synchronised."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now_ns = 0
-        self.controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: self.now_ns)
-        self.guarded = GuardedDevice(self.controller, Framing.LENGTH_PREFIXED)
-        self.announced: int | None = None
-        self.filled = 0
-        self.frames = 0
-
-    @rule(data=st.one_of(bytes_near_a_frame, st.sampled_from([b"\x06", b"\x0e", ZERO, bytes(16), STOP_1, START_11])))
-    def try_anything(self, data: bytes) -> None:
-        if data == ZERO:
-            expected = True
-        elif self.announced is None:
-            expected = data in (b"\x06", b"\x0e")
-        else:
-            expected = not self.filled and is_canonical(data) and len(data) == self.announced
-        try:
-            self.guarded.transfer(data)
-        except IllegalTransferError:
-            assert not expected
-        else:
-            assert expected
-            self.note(data)
-        assert self.controller.executed == self.frames
-        assert not self.controller.corruptions
-
-    def note(self, data: bytes) -> None:
-        if data == ZERO:
-            self.filled += self.announced is not None
-            if self.filled == 16:
-                self.announced, self.filled = None, 0
-        else:
-            self.frames += len(data) > 1
-            self.announced = data[0] if len(data) == 1 else None
-
-    @precondition(lambda self: self.announced is None)
-    @rule(frame=frames)
-    def send(self, frame: Frame) -> None:
-        for data in Framing.LENGTH_PREFIXED.transfers(frame.to_bytes()):
-            self.guarded.transfer(data)
-        self.frames += 1
-        assert self.controller.executed == self.frames
-
-    @rule()
-    def fail_then_recover(self) -> None:
-        self.controller.fail_next(1)
-        with pytest.raises(SpiError):
-            self.guarded.transfer(ZERO)
-        for data in PREAMBLE:
-            self.guarded.transfer(data)
-        self.announced, self.filled = None, 0
-
-
-TestGuardedController = GuardedController.TestCase
+    assert guarded.stop_servos_at_work()
+    assert guarded.most_transfers == device.most_transfers

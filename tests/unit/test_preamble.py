@@ -132,12 +132,15 @@ async def test_a_slow_stream_has_it_ahead_of_a_frame() -> None:
 
 
 async def test_a_first_stop_comes_into_a_preamble_that_is_under_way() -> None:
-    robot = await prefixed(frame_gap_us=1000)
+    robot = await prefixed()
     robot.put(LEG_3, START)
-    while not any(data == ZERO for _, data in robot.controller.transfers):
+    while not robot.conductor.bus.resync_due:
         await asyncio.sleep(0.02)
         robot.put(LEG_3, SET)
-        await asyncio.sleep(0.0005)
+    for _ in range(20):  # turns of the loop
+        if any(data == ZERO for _, data in robot.controller.transfers):
+            break
+        await asyncio.sleep(0)
     before = len(robot.controller.transfers)
     assert 0 < [data for _, data in robot.controller.transfers].count(ZERO) < PREAMBLE_ZEROS
     assert robot.ask(keys.ESTOP).stop_frames == 6

@@ -18,6 +18,7 @@ from gateway.recorder import format as form
 from gateway.recorder import place, reader
 from gateway.recorder.recorder import RingRecorder, incident_id
 from gateway.settings import Settings
+from gateway.spi.bus import TRIES
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode
@@ -127,8 +128,8 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
 async def test_nothing_is_recorded_between_a_stop_and_its_frame(
     folder: Path, framing: Framing, only_stops: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where a frame takes two transfers, a move is recorded first: the process may be killed between them."""
-    robot = recorded(folder, spi={"framing": framing})
+    """Where a frame takes two calls, a move is recorded first: the process may be killed between them."""
+    robot = recorded(folder, spi={"framing": framing, "batch": False})
     await asyncio.sleep(1)  # the repeats of the start's Stops, with their preambles
     there: list[list[Any]] = []
     monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
@@ -143,8 +144,9 @@ async def test_nothing_is_recorded_between_a_stop_and_its_frame(
 
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("framing", Framing)
-async def test_a_setpoint_is_one_record_where_a_frame_is_one_transfer(folder: Path, framing: Framing) -> None:
-    robot = recorded(folder, spi={"framing": framing}, watchdog={"repeats": 0})
+@pytest.mark.parametrize("batch", [True, False])
+async def test_a_setpoint_is_one_record_where_a_frame_is_one_call(folder: Path, framing: Framing, batch: bool) -> None:
+    robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
     robot.put(LEG_3, START)
     before = reader.read(folder / place.RING).records
     for angle in (0.01, 90, 180):
@@ -153,7 +155,7 @@ async def test_a_setpoint_is_one_record_where_a_frame_is_one_transfer(folder: Pa
     records = reader.read(folder / place.RING).records[len(before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
     assert kinds == [form.CommandRecord, form.FrameWritten] * 3
-    one = 1 if framing is Framing.PLAIN else 2
+    one = 1 if batch or framing is Framing.PLAIN else 2
     assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3 * one
     for command, frame in zip(records[::2], records[1::2], strict=True):
         assert isinstance(command.content, form.CommandRecord)
@@ -266,20 +268,21 @@ async def test_a_fault_of_the_bus_is_an_incident(folder: Path, monkeypatch: pyte
 
 
 @pytest.mark.virtual_time
-async def test_a_stop_behind_a_preamble_that_failed_is_there_and_told_but_counts_as_failed(folder: Path) -> None:
+async def test_stops_of_a_batch_that_failed_are_there_as_they_were_written(folder: Path) -> None:
+    """Also the one behind zeros that failed again and again: it is on the wire, but counts as failed."""
     robot = recorded(folder, spi={"framing": Framing.LENGTH_PREFIXED}, telemetry={"frames": True})
     await asyncio.sleep(1)
     robot.controller.transfers.clear()
     robot.reports.clear()
     told, counted = len(contents(folder)), robot.conductor.state().spi.frames
-    robot.controller.fail_next(2)  # leg 1's announcement, then the first zero ahead of leg 2's Stop
-    assert robot.ask(keys.ESTOP).stop_frames == 4
+    robot.controller.fail_next(1 + TRIES)  # the first announcement, then zeros
+    assert robot.ask(keys.ESTOP).stop_frames == 6
     bodies = [data for _, data in robot.controller.transfers if len(data) > 1]
-    assert bodies == [stop_leg(number).to_bytes() for number in LEGS[1:]]
+    assert bodies == [stop_leg(number).to_bytes() for number in (*LEGS, 1)], "leg 1's is written again"
     frames = [each for each in contents(folder)[told:] if isinstance(each, form.FrameWritten)]
     assert [(frame.data, frame.cause) for frame in frames] == [(data, Cause.ESTOP) for data in bodies]
     assert [(frame.bytes, frame.cause) for frame in robot.records] == [(data.hex(), Cause.ESTOP) for data in bodies]
-    assert robot.conductor.state().spi.frames - counted == robot.conductor.metrics.frames[Cause.ESTOP] == 5
+    assert robot.conductor.state().spi.frames - counted == robot.conductor.metrics.frames[Cause.ESTOP] == 7
     await asyncio.sleep(0.1)
     again = [frame.data for frame in contents(folder, form.FrameWritten) if frame.cause == Cause.STARTUP][-6:]
     assert again == [stop_leg(number).to_bytes() for number in LEGS], "all six come again"

@@ -256,7 +256,7 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
     (Mode, "starting idle active estopped bus_fault stopping"),
     (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
      "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked "
-     "landing calibrated overflow"),
+     "landing calibrated overflow bus_unbatched"),
     (Cause, "command watchdog estop startup shutdown repeat"),
 ])  # fmt: skip
 def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:

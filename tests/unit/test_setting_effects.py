@@ -6,7 +6,6 @@ Zenoh settings and `telemetry.state_hz` with a running service in test_service.p
 
 import asyncio
 import re
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,9 @@ import pytest
 from pydantic import BaseModel
 
 from gateway.protocol.frames import OneServo, stop_leg
+from gateway.protocol.framing import Framing
 from gateway.settings import Settings
+from gateway.spi import Batch
 from gateway.spi.bus import bus_for
 from gateway.spi.simulator import SimulatedController
 from schemas import keys
@@ -187,21 +188,52 @@ def test_framing(framing: str, transfers: int) -> None:
     controller = SimulatedController(settings.spi.framing)
     bus = bus_for(settings.spi, lambda: controller)
     bus.open()
-    bus.write(stop_leg(1))
+    bus.write([stop_leg(1)])
     assert len(controller.transfers) == transfers
     assert controller.executed == 1
 
 
-@pytest.mark.parametrize("frame_gap_us", [0, 100, 1000])
-def test_frame_gap_us(frame_gap_us: float) -> None:
+class Batches(SimulatedController):
+    """Keeps the batches that it is given."""
+
+    def __init__(self) -> None:
+        super().__init__(Framing.PLAIN)
+        self.batches: list[Batch] = []
+
+    def transfer(self, batch: Batch) -> None:
+        self.batches.append(tuple(batch))
+        super().transfer(batch)
+
+
+@pytest.mark.parametrize(("frame_gap_us", "pause_us"), [(0, 0), (0.1, 1), (100, 100), (999.5, 1000)])
+def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
     settings = Settings.model_validate({"spi": {"frame_gap_us": frame_gap_us}})
-    controller = SimulatedController(settings.spi.framing)
+    controller = Batches()
     bus = bus_for(settings.spi, lambda: controller)
     bus.open()
-    for number in LEGS:
-        bus.write(stop_leg(number))
-    times_ns = [at_ns for at_ns, _ in controller.transfers]
-    assert all(later - earlier >= frame_gap_us * 1000 for earlier, later in pairwise(times_ns))
+    bus.write([stop_leg(number) for number in LEGS])
+    assert [[each.pause_us for each in batch] for batch in controller.batches] == [[pause_us] * 6]
+
+
+@pytest.mark.parametrize(("batch", "calls"), [(True, 1), (False, 6)])
+def test_batch(batch: bool, calls: int) -> None:
+    settings = Settings.model_validate({"spi": {"batch": batch}})
+    controller = Batches()
+    bus = bus_for(settings.spi, lambda: controller)
+    bus.open()
+    bus.write([stop_leg(number) for number in LEGS])
+    assert len(controller.batches) == calls
+    assert len(controller.transfers) == 6
+
+
+@pytest.mark.parametrize(("speed_hz", "last_ns"), [(2_500_000, 44_800), (1_000_000, 112_000)])
+def test_speed_hz(speed_hz: int, last_ns: int) -> None:
+    """It says where a frame's place on the wire is."""
+    settings = Settings.model_validate({"spi": {"speed_hz": speed_hz}})
+    now_ns = iter((0, 10**9))
+    bus = bus_for(settings.spi, Batches, clock=lambda: next(now_ns))
+    bus.open()
+    assert [sent.ns for sent in bus.write([stop_leg(1)]).sent] == [last_ns]
 
 
 def test_none_is_forgotten() -> None:

@@ -29,6 +29,7 @@ device = "/dev/spidev0.0"
 speed_hz = 2_500_000
 framing = "plain"
 frame_gap_us = 50
+batch = true
 resync_ms = 1000
 [limits]
 leg_rate_hz = 50.0
@@ -89,6 +90,7 @@ device = "/dev/spidev1.1"
 speed_hz = 1
 framing = "length-prefixed"
 frame_gap_us = 0.5
+batch = false
 resync_ms = 0
 avoid_deg = []
 [limits]

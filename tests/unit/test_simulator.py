@@ -42,7 +42,7 @@ class Bench:
 
     def transfer(self, *transfers: str | bytes) -> None:
         for data in transfers:
-            self.controller.transfer(bytes.fromhex(data) if isinstance(data, str) else data)
+            self.controller.take(bytes.fromhex(data) if isinstance(data, str) else data)
 
     def send(self, *sent: bytes) -> None:
         for frame in sent:

@@ -21,7 +21,7 @@ def test_failed_transfers_reach_nobody(bench: Bench) -> None:
     bench.controller.fail_next(2)
     for _ in range(2):
         with pytest.raises(SpiError):
-            bench.controller.transfer(START_11)
+            bench.controller.take(START_11)
     assert not bench.controller.transfers
     bench.send(START_11)
     assert bench.controller.executed == 1

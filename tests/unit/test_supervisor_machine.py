@@ -154,7 +154,7 @@ class SupervisorMachine(RuleBasedStateMachine):
                 data = effect.frame.to_bytes()
                 assert decode(data) == effect.frame
                 try:
-                    self.controller.transfer(data)
+                    self.controller.take(data)
                 except SpiError as error:
                     fault = error
         if fault is not None:

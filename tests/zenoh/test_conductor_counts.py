@@ -46,8 +46,11 @@ async def test_an_emergency_stop_says_how_long_it_took_and_is_measured() -> None
     assert list(robot.conductor.metrics.emergency_stops.recent_us) == [ack.latency_us]
     robot.controller.fail_next(1)
     ack = robot.ask(keys.ESTOP)
-    assert ack.stop_frames == 5
-    assert len(robot.conductor.metrics.emergency_stops.recent_us) == 1, "it was none for all legs"
+    assert ack.stop_frames == 6, "those that failed were tried again at once"
+    robot.controller.fail_next(1000)
+    ack = robot.ask(keys.ESTOP)
+    assert ack.stop_frames == 0
+    assert len(robot.conductor.metrics.emergency_stops.recent_us) == 2, "that was none for all legs"
 
 
 async def test_a_delete_engages_the_emergency_stop() -> None:
@@ -110,7 +113,7 @@ async def test_the_end_says_whether_all_six_stops_were_written() -> None:
     assert not robot.conductor.shut_down()
 
 
-async def test_a_device_that_will_not_open_is_tried_again_and_again_with_growing_pauses() -> None:
+async def test_a_device_that_will_not_open_is_tried_again_and_again_with_the_same_pauses() -> None:
     robot = await started_and_quiet()
     device = WillNotOpen(robot, 10)
     for _ in range(2):
@@ -124,8 +127,7 @@ async def test_a_device_that_will_not_open_is_tried_again_and_again_with_growing
         pauses_ms = [
             (later - earlier) / MS for earlier, later in zip(device.tried_ns, device.tried_ns[1:], strict=False)
         ]
-        assert pauses_ms == sorted(pauses_ms)
-        assert pauses_ms[-1] <= 2000
+        assert pauses_ms == pytest.approx([20] * len(pauses_ms), abs=0.1), "no leg is known to be stopped meanwhile"
         device = WillNotOpen(robot, 10)
     assert len(robot.events(Kind.BUS_FAULT)) == len(robot.events(Kind.BUS_RECOVERED)) == 2, "each fault is told once"
 

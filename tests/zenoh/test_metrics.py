@@ -62,7 +62,7 @@ async def test_each_stop_is_timed() -> None:
 @pytest.mark.virtual_time
 async def test_an_emergency_stop_that_was_not_written_is_not_timed() -> None:
     robot = await started_and_quiet()
-    robot.controller.fail_next(1)
+    robot.controller.fail_next(1000)
     robot.put(keys.ESTOP)
     assert robot.conductor.metrics.emergency_stops.max_us is None
 
@@ -144,7 +144,7 @@ def test_prometheus_reads_everything(tmp_path: Path) -> None:
         assert value(samples, "hexapod_watchdog_stop_latency_seconds_count") == 1
         assert value(samples, "hexapod_emergency_stop_latency_seconds_count") == 1
         assert value(samples, "hexapod_emergency_stop_latency_seconds_sum") > 0
-        assert value(samples, "hexapod_spi_transfer_seconds_count") == 6 + 1 + 1 + 6
+        assert value(samples, "hexapod_spi_transfer_seconds_count") == 4, "Stops, a start, a Stop, Stops"
         assert value(samples, "hexapod_loop_lag_seconds_bucket", le="+Inf") >= 0
         assert value(samples, "process_resident_memory_bytes") > 1e6
 

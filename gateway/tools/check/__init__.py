@@ -120,6 +120,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     yield spi_device
     yield device.speed(settings.spi)
     yield device.framing(settings.spi)
+    yield device.lists(settings.spi)
     kept = calibration.kept(settings)
     yield kept
     if kept.verdict is not Verdict.FAILURE and "not for you" not in kept.sentence:

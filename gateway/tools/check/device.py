@@ -22,6 +22,9 @@ STOP_BITS: Final = 8 * ONE_LEG_LEN
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
 
+RELEASING_DRIVERS: Final = ("spi-bcm2835",)
+"""Drivers that leave chip select to Linux's spi.c, which releases it where `cs_change` says so."""
+
 _NAME: Final = "SPI device"
 _HELD: Final = "is held by a running gateway"
 
@@ -129,6 +132,33 @@ def framing(spi: SpiSettings) -> Result:
         )
     avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
     return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
+
+
+def lists(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
+    """Whether the driver is known to release chip select between transfers of one call, as a plain controller needs."""
+    name = "SPI lists"
+    if not spi.batch:
+        return ok(name, "spi.batch is false: one system call for each transfer")
+    driver = _driver_of(sys_class / Path(spi.device).name / "device")
+    if driver in RELEASING_DRIVERS:
+        return ok(name, f"the driver {driver} releases chip select between the transfers of a call")
+    if spi.framing is not Framing.PLAIN:
+        return ok(
+            name, f"{driver or 'the driver'} may keep chip select within a call; the published firmware ignores it"
+        )
+    return warning(
+        name,
+        f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
+        "try six legs at once on a stand; if only the first leg obeys, set spi.batch = false",
+    )
+
+
+def _driver_of(device: Path) -> str | None:
+    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
+    try:
+        return (device.resolve(strict=True).parents[2] / "driver").resolve(strict=True).name
+    except (OSError, IndexError):
+        return None
 
 
 def _most_hz(file: Path) -> int | None:

@@ -1,0 +1,114 @@
+"""A bus on which some transfers fail, in no order: every leg gets its Stop all the same, and soon.
+
+Transfers that fail do not reach the controller, and end their call. A simulated controller that reads the rest as the
+published firmware does says when the last servo was off.
+"""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from gateway.client import Client, leg_payload
+from gateway.protocol.framing import Framing
+from schemas import keys
+from schemas.robot import LEGS
+from tests.hil.bed import SpiTestbed, Transfer
+from tests.hil.wire import LATE_S, Replay, Wire, settings_for, start
+from tests.support.gateway_process import COMMAND, write_settings
+
+pytestmark = pytest.mark.hil
+
+AIM_MS = 100.0
+TRIALS = int(os.environ.get("TRIALS", "100"))
+STOP_SERVOS = 8
+ALL_START = {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}}
+WATCHDOG = {"timeout_ms": 10_000, "repeats": 3}
+
+
+def off_ms(framing: Framing, transfers: list[Transfer], since_ns: int) -> float | None:
+    """How long after `since_ns` the last servo was off; None: one is still on."""
+    replay, off_ns = Replay(framing), None
+    for each in transfers:
+        replay.play([each])
+        if each.monotonic_ns >= since_ns:
+            off_ns = None if replay.controller.energised else off_ns or each.monotonic_ns
+    return None if off_ns is None else (off_ns - since_ns) / 1e6
+
+
+def trial(bed: SpiTestbed, framing: Framing, client: Client, share: float, seed: int) -> float | None:
+    """Six legs run, transfers begin to fail, and somebody presses the emergency stop."""
+    before = len(bed.transfers)
+    assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
+    bed.fail_by_chance(share, seed)
+    since_ns = time.monotonic_ns()
+    client.publish(keys.ESTOP, {})
+    deadline_s = time.monotonic() + 3
+    while (found := off_ms(framing, bed.transfers[before:], since_ns)) is None and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    bed.heal()
+    wait_until_at_rest(client)
+    return found
+
+
+def wait_until_at_rest(client: Client) -> None:
+    """Until the last repeats are written and a reset is taken."""
+    deadline_s = time.monotonic() + LATE_S
+    while time.monotonic() < deadline_s:
+        time.sleep(0.12)
+        if client.reset().accepted:
+            return
+    raise TimeoutError("the bus did not recover")
+
+
+def figures(found: list[float | None]) -> str:
+    times = sorted(float("inf") if each is None else each for each in found)
+    in_time = sum(each <= AIM_MS for each in times)
+    return f"{in_time} of {len(times)} within {AIM_MS:g} ms; p50 {times[len(times) // 2]:.1f}, worst {times[-1]:.1f} ms"
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2])
+@pytest.mark.parametrize("framing", Framing)
+def test_an_emergency_stop_stops_all_legs_though_transfers_fail(
+    tmp_path: Path, spi_testbed: SpiTestbed, framing: Framing, share: float
+) -> None:
+    spi_testbed.prefer()
+    wire = Wire(spi_testbed, framing)
+    with start(tmp_path, wire, watchdog=WATCHDOG) as gateway, gateway.client() as client:
+        found = [trial(spi_testbed, framing, client, share, seed) for seed in range(TRIALS)]
+    print(f"{framing}, {share:.0%} fail: {figures(found)}")
+    assert sum(each is not None and each <= AIM_MS for each in found) >= 0.99 * TRIALS, figures(found)
+
+
+@pytest.mark.parametrize("framing", Framing)
+def test_stop_servos_stops_all_legs_though_transfers_fail(
+    tmp_path: Path, spi_testbed: SpiTestbed, framing: Framing
+) -> None:
+    spi_testbed.prefer()
+    wire = Wire(spi_testbed, framing)
+    config = write_settings(tmp_path / "gateway.toml", settings_for(wire, watchdog=WATCHDOG))
+    found = []
+    for seed in range(STOP_SERVOS):
+        before = len(spi_testbed.transfers)
+        spi_testbed.fail_by_chance(0.2, seed)
+        child = spi_testbed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
+        code = child.wait(LATE_S)
+        spi_testbed.heal()
+        transfers = spi_testbed.transfers[before:]
+        replay = Replay(framing)
+        for leg in LEGS:
+            for data in framing.transfers(
+                bytes.fromhex("0e01") + b"".join(bytes((10 * leg + joint, 1, 90, 0)) for joint in (1, 2, 3))
+            ):
+                replay.give(data, transfers[0].monotonic_ns - 1)
+        off_ns = None
+        for each in transfers:
+            replay.play([each])
+            if not replay.controller.energised:
+                off_ns = each.monotonic_ns
+                break
+        found.append(None if off_ns is None else (off_ns - transfers[0].monotonic_ns) / 1e6)
+        assert code == 0 or off_ns is None, str(child)
+    print(f"{framing}, stop-servos, 20 % fail: {figures(found)}")
+    assert sum(each is not None and each <= AIM_MS for each in found) == STOP_SERVOS, figures(found)
