@@ -38,9 +38,9 @@ def causes(state: GatewayState) -> tuple[str, ...]:
         "Reset: has the controller ever heard the wrong framing? Then it hears nothing, whatever is set now: set the "
         "right one, restart the gateway, and reset the controller (its reset button, or power).",
         "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
-        f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1. Where of "
-        "several legs that are commanded at once only the first obeys, the driver does not release it between the "
-        "transfers of one call: set spi.batch = false.",
+        f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1. "
+        "Where of several legs that are commanded at once only the first obeys, the driver does not release it between "
+        "the transfers of one call: set spi.batch = false.",
         "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one.",
     )
 
