@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Self
 
 from schemas.keys import leg_command
+from tests.benchmarks.batches import batches
 from tests.benchmarks.calls import calls
 from tests.benchmarks.landing import landing, landing_rejected
 from tests.benchmarks.lease import lease
@@ -222,6 +223,7 @@ def _steady(folder: Path, rounds: int, round_s: float, scenarios: Sequence[Scena
 PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "steady": steady,
     "calls": calls,
+    "batches": batches,
     "lease": lease,
     "recorder": recorder,
     "flood": flood,
