@@ -55,7 +55,7 @@ GIVEN_UP: Final = 12
 ROUNDS: Final = 50
 INSIST_NS: Final = 200_000_000
 """How often, and how long, Stops that failed are tried one by one, while the device takes anything at all. Where one in
-five transfers failed, 94 of 100 times all six were written within 0.1 s; nothing that waits meanwhile is more urgent."""
+five transfers failed, 94 of 100 times all six were written in 0.1 s; nothing that waits meanwhile is more urgent."""
 
 
 class Sent(NamedTuple):
