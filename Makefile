@@ -7,7 +7,7 @@ WHEELS ?= dist/wheels
 # terminal, and a systemd to start in a box of its own.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium
 
-.PHONY: help run quick test check bench soak mutants schemas docs format clean wheels debian-packages
+.PHONY: help run quick test check bench walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -17,6 +17,7 @@ help:
 	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
+	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption; a picture"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  faults made by hand in the modules that keep the robot safe: does a test fail for each?"
 	@echo "make docs     the Python API as HTML, in build/docs"
@@ -51,6 +52,9 @@ check: $(VENV)/dev
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick)
+
+walk: $(VENV)/dev
+	$(BIN)/python -m tests.walking
 
 soak: $(VENV)/dev
 	$(BIN)/python -m tests.benchmarks.soak

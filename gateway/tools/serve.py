@@ -31,4 +31,4 @@ def next_step(endpoints: Sequence[str], command: str) -> str:
         made = "NAME.json5 is made by: hexapod-gateway certs issue NAME --role operator, where ca.key is"
         return f"Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 ({made})"
     connect = "" if DEFAULT_ENDPOINT in plain else f" --connect {plain[0]}"
-    return f"Try, in a second terminal: {command} send leg 3 start 90 45 120 --hold 5{connect}"
+    return f"Try, in a second terminal: {command} walk --forward 0.1 --seconds 5{connect}"

@@ -20,7 +20,6 @@ from gateway.tools.terminal import say
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")
-_GAIT: Final = Path("examples/tripod_gait.py")
 _LOOK_S: Final = 0.1
 """How soon the end of a gateway that never becomes ready is noticed."""
 _END_S: Final = 5.0
@@ -54,8 +53,7 @@ def try_out(console: Sequence[str]) -> int:
         gateway = start("run", "--sim", NOTIFY_SOCKET=f"{folder}/notify")
         if _is_ready(gateway, notified) and not ended:
             start("incidents", "keep")
-            if _GAIT.exists():
-                say(f"or, for a whole gait: {_shown(Path(sys.executable))} {_GAIT}")
+            say(f"or, from the keyboard: {_command()} walk")
             if list(console) != [NO_CONSOLE]:
                 start("console", *console)
         status = gateway.wait()

@@ -18,6 +18,7 @@ ALONE: Final = (
     "attack/test_console_starved.py",
     "zenoh/test_calibrate.py",
     "zenoh/test_calibrate_terminal.py",
+    "zenoh/test_walk_command.py",
     "zenoh/test_watch_terminal.py",
     "hil/test_crash_story.py",  # an incident takes in five seconds after the end
 )

@@ -9,7 +9,6 @@ from xml.etree import ElementTree as Xml
 
 import pytest
 
-from examples import tripod_gait
 from gateway.errors import ConfigError
 from gateway.geometry import ELKAPOD, foot_m, joint_name, load, transforms, urdf
 from gateway.geometry.kinematics import from_rpy, plus, rotated, times
@@ -43,17 +42,6 @@ def test_a_straight_leg_ends_where_its_lengths_add_up_to() -> None:
         assert x == pytest.approx(mount.xyz_m[0] + out_m * math.cos(mount.yaw_rad), abs=1e-6)
         assert y == pytest.approx(mount.xyz_m[1] + out_m * math.sin(mount.yaw_rad), abs=1e-6)
         assert z == pytest.approx(-0.03 + 0.02428 + 0.0086, abs=1e-6)
-
-
-def test_the_gaits_stance_is_level_and_stands_on_the_ground() -> None:
-    """The example solves the inverse problem, with a straight and longer shin; hence the 2 cm."""
-    for seconds in (0.0, 0.25, 0.6):
-        for leg, angles_deg in tripod_gait.pose(seconds).items():
-            joints = {10 * leg + n: GEOMETRY.joint_rad(10 * leg + n, deg) for n, deg in enumerate(angles_deg, start=1)}
-            _, _, z = foot_m(GEOMETRY, leg, joints)
-            phase = seconds % 1 if leg in tripod_gait.FIRST_TRIPOD else (seconds + 0.5) % 1
-            _, up_m = tripod_gait.foot_path(phase)
-            assert z == pytest.approx(-0.03 - tripod_gait.HEIGHT_M + up_m, abs=0.02)
 
 
 @pytest.mark.parametrize("pose", POSES, ids=("zero", "bent"))

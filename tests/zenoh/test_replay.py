@@ -12,10 +12,12 @@ from typing import Any, Final
 
 import pytest
 
-from examples import tripod_gait
 from gateway.client import Client
+from gateway.geometry import load
 from gateway.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.recordings import Recording
+from gateway.walking import STILL, Engine
+from gateway.walking import Robot as GeometryRobot
 from schemas.calibration import ServoChange
 from schemas.keys import FRAME
 from schemas.telemetry import Cause, FrameRecord
@@ -36,12 +38,14 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
 
 
 def ride(robot: Client) -> list[FrameRecord]:
-    """A second of the tripod gait, a servo alone, a leg that falls silent, an emergency stop: all frames."""
+    """A second of standing up, a servo alone, a leg that falls silent, an emergency stop: all frames."""
     heard = frames(robot)
+    engine = Engine(GeometryRobot(load()))
+    engine.stand()
     with robot.stream(50) as stream:
         begun_s = time.monotonic()
-        while (elapsed_s := time.monotonic() - begun_s) < 1:
-            stream.set(tripod_gait.pose(elapsed_s))
+        while time.monotonic() - begun_s < 1:
+            stream.set(engine.step(STILL, 0.02))
     stop = stop_leg(6).to_bytes().hex()
     stopped_ns = heard.wait(lambda record: record.cause == "command" and record.bytes == stop).monotonic_ns
     heard.wait(lambda record: record.cause == "repeat" and record.monotonic_ns > stopped_ns, count=18)

@@ -29,8 +29,7 @@ def test_it_says_that_it_is_ready_where_and_what_to_try(tmp_path: Path) -> None:
         gateway.child.wait_for_output("Try")
         assert gateway.child.stdout.splitlines() == [
             f"{READY}: {gateway.endpoint} → a simulated controller (plain)",
-            "Try, in a second terminal: hexapod-gateway send leg 3 start 90 45 120 --hold 5 "
-            f"--connect {gateway.endpoint}",
+            f"Try, in a second terminal: hexapod-gateway walk --forward 0.1 --seconds 5 --connect {gateway.endpoint}",
         ]
 
 

@@ -165,7 +165,7 @@ class Screen:
                 else:
                     self._ended.wait(TICK_S)
             except (GatewayError, RuntimeError) as error:
-                self._message = str(error)
+                self._message = str(error).replace("start_again() goes on", "g goes on")
                 self._pad.release()
 
     # ---- drawing

@@ -1,0 +1,59 @@
+"""`make walk`: every gait, direction and assumption; a table, and a picture of the paths. Exit code 1: one is off."""
+
+import itertools
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from gateway.walking import Velocity
+from tests.walking.judge import judge, table
+from tests.walking.physics import VARIATIONS
+from tests.walking.picture import draw
+from tests.walking.recorded import Leg, directions, record
+
+SECONDS: Final = 10.0
+SPEEDS_M_S: Final = {"tripod": 0.08, "ripple": 0.04, "wave": 0.02}
+"""Two thirds of what each gait's strides reach."""
+TURNS_RAD_S: Final = {"tripod": 0.25, "ripple": 0.12, "wave": 0.06}
+
+
+def course(gait: str, seconds: float = SECONDS) -> list[Leg]:
+    """Every 45 degrees, both turns and a curve."""
+    speed, turn = SPEEDS_M_S[gait], TURNS_RAD_S[gait]
+    return [
+        *directions(speed, seconds),
+        Leg("turn left", Velocity(0, 0, turn), seconds),
+        Leg("turn right", Velocity(0, 0, -turn), seconds),
+        Leg("curve", Velocity(speed / 2, 0, turn / 2), seconds),
+        Leg("curve back", Velocity(-speed / 2, 0, turn / 2), seconds),
+    ]
+
+
+def main() -> int:
+    print(f"Three gateways write the frames of {len(course('wave'))} parts of {SECONDS:g} s each (three minutes) …")
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as threads:
+        recordings = list(threads.map(lambda gait: record(Path(folder), gait, course(gait)), SPEEDS_M_S))
+    print(f"{len(VARIATIONS)} worlds walk by them: {'; '.join(map(str, VARIATIONS))} …")
+    jobs = list(itertools.product(recordings, VARIATIONS))
+    with ProcessPoolExecutor() as processes:
+        verdicts = list(processes.map(judge, *zip(*jobs, strict=True)))
+    print(table([result for verdict in verdicts for result in verdict.results]))
+    print(f"slowest tick of a walker: {max(recording.slowest_tick_ms for recording in recordings):.1f} ms")
+    tracks = {
+        recording.gait: [verdict.track for (one, _), verdict in zip(jobs, verdicts, strict=True) if one is recording]
+        for recording in recordings
+    }
+    picture = Path("build") / "walk.svg"
+    picture.parent.mkdir(exist_ok=True)
+    draw(picture, tracks)
+    print(f"the paths: {picture}")
+    faults = [fault for verdict in verdicts for fault in verdict.faults]
+    for fault in faults:
+        print(fault)
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
