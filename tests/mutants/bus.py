@@ -14,6 +14,56 @@ BUS = Subject(
     ),
     mutants=(
         Mutant(
+            "LONGEST_NS: Final = 1_000_000",
+            "LONGEST_NS: Final = 9_000_000",
+            "a Stop waits for long calls of frames that move",
+        ),
+        Mutant("ZERO_PAUSE_US: Final = 100", "ZERO_PAUSE_US: Final = 1", "zeros jam a healthy controller"),
+        Mutant(
+            "PREAMBLE_ZEROS - self._zeros) if wanted else 0",
+            "0) if wanted else 0",
+            "after a fault, Stops that nobody receives",
+        ),
+        Mutant(
+            "wanted = preamble or not self._synchronised",
+            "wanted = not self._synchronised",
+            "a repeated run of Stops finds a deaf controller",
+        ),
+        Mutant(
+            "wanted = preamble or not self._synchronised",
+            "wanted = preamble",
+            "after a fault, Stops that nobody receives",
+        ),
+        Mutant(
+            "            if stops and self._device is not None:\n                self._insist(data, report)\n",
+            "",
+            "Stops of a batch that failed wait for the device to be opened again",
+        ),
+        Mutant(
+            "if part and self.announces and ended_ns - begun_ns > LOST_BODY_NS:",
+            "if False:",
+            "a body that came too late counts as received",
+        ),
+        Mutant(
+            "        self._synchronised = False  # until it has succeeded\n",
+            "",
+            "after a fault, frames that nobody receives",
+        ),
+        Mutant(
+            "                    if heard:\n                        left.remove(place)\n",
+            "                    left.remove(place)\n",
+            "a Stop that may not have been received counts as written",
+        ),
+        Mutant("min(wire_ns, ended_ns)", "ended_ns", "all frames of a batch have the same time"),
+        Mutant("ceil(frame_gap_us)", "int(frame_gap_us)", "the pause is shorter than what was asked for"),
+        Mutant("        batch=settings.batch,\n", "", "spi.batch is ignored"),
+        Mutant("        speed_hz=settings.speed_hz,\n", "", "times on the wire are those of another clock"),
+        Mutant(
+            "self._device, self._batch, report.rejection = device, False, str(rejection)",
+            "self._batch, report.rejection = False, str(rejection)",
+            "each list is tried and rejected anew",
+        ),
+        Mutant(
             "LOST_BODY_NS: Final = 900_000_000",
             "LOST_BODY_NS: Final = 9_000_000_000",
             "a body that came too late counts as heard",
@@ -55,6 +105,22 @@ GUARD = Subject(
     "gateway/spi/guard.py",
     tests=("tests/unit/test_guard.py", "tests/unit/test_guard_agrees.py", "tests/unit/test_bus_device.py"),
     mutants=(
+        Mutant(
+            '        if announced_len is not None:\n            raise IllegalTransferError(f"the frame of',
+            '        if False:\n            raise IllegalTransferError(f"the frame of',
+            "an announcement without its body puts the controller out of sync",
+        ),
+        Mutant(
+            "                if data != _ZERO:\n",
+            "                if data not in (_ZERO, bytes(2)):\n",
+            "two zeros in one transfer jam a healthy controller",
+        ),
+        Mutant(
+            "    if data not in _ANNOUNCEMENTS:\n",
+            "    if len(data) != 1:\n",
+            "a length that overruns the controller's memory is announced",
+        ),
+        Mutant("    if data != canonical:\n", "    if False:\n", "a Stop with an angle passes"),
         Mutant(
             "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))",
             "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,)), bytes((65,))))",

@@ -1,0 +1,112 @@
+"""Lists of transfers on the emulated device: what the kernel side of a batch sends, and what a driver makes of it."""
+
+import errno
+import itertools
+import json
+import sys
+
+import pytest
+
+from gateway.spi.bus import CS_CHANGE_NS
+from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.child import Child
+
+pytestmark = pytest.mark.hil
+
+WRITER = """
+import json, sys
+from gateway.errors import BatchRejectedError, SpiError
+from gateway.spi import Transfer
+from gateway.spi.kernel import KernelDevice
+device = KernelDevice("/dev/spidev0.0", 2_500_000, exclusive=False)
+for line in sys.stdin:
+    count, batch = json.loads(line)
+    answer = "written"
+    for _ in range(count):
+        try:
+            device.transfer([Transfer(bytes.fromhex(data), pause_us) for data, pause_us in batch])
+        except BatchRejectedError:
+            answer = "rejected"
+        except SpiError as error:
+            answer = str(error)
+    print(answer, flush=True)
+"""
+FRAME = [["0e", 50], ["0e010b0200000c0200000d020000", 50]]
+ZEROS = [["00", 100]] * 4
+
+
+def writer(bed: SpiTestbed) -> Child:
+    return bed.spawn([sys.executable, "-c", WRITER])
+
+
+def write(child: Child, batch: list[list[object]], count: int = 1) -> str:
+    return child.ask(json.dumps([count, batch])).strip()
+
+
+def data_of(transfers: list[Transfer]) -> list[str]:
+    return [each.data.hex() for each in transfers]
+
+
+def test_a_batch_is_one_call_of_cycles_with_the_pauses_that_were_asked_for(spi_testbed: SpiTestbed) -> None:
+    child = writer(spi_testbed)
+    assert write(child, [*ZEROS, *FRAME]) == "written"
+    transfers = spi_testbed.transfers
+    assert data_of(transfers) == [str(data) for data, _ in [*ZEROS, *FRAME]]
+    assert [each.pause_us for each in transfers] == [pause for _, pause in [*ZEROS, *FRAME]]
+    assert {(each.kind, each.call) for each in transfers} == {("message", 1)}
+    assert [each.segments[0].cs_change for each in transfers] == [True] * 5 + [False], "else chip select would be kept"
+    for before, after in itertools.pairwise(transfers):
+        lasts_ns = 3200 * len(before.data) + before.pause_us * 1000 + CS_CHANGE_NS
+        assert after.monotonic_ns - before.monotonic_ns == lasts_ns
+    assert write(child, [["0e", 0]]) == "written"
+    assert spi_testbed.transfers[-1].kind == "write", "one transfer without a pause is a plain write"
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_what_is_before_a_transfer_that_fails_is_on_the_wire_and_what_follows_is_not(
+    spi_testbed: SpiTestbed, place: int
+) -> None:
+    child = writer(spi_testbed)
+    spi_testbed.fail(errno.EIO, count=1, after=place)
+    assert "Input/output error" in write(child, [*ZEROS, *FRAME])
+    transfers = spi_testbed.transfers
+    assert [each.errno for each in transfers] == [0] * place + [errno.EIO]
+    assert write(child, FRAME) == "written"
+
+
+def test_a_driver_that_ignores_cs_change_makes_one_long_cycle_of_it(spi_testbed: SpiTestbed) -> None:
+    child = writer(spi_testbed)
+    spi_testbed.ignore_cs_change()
+    assert write(child, [*FRAME, *FRAME]) == "written"
+    assert data_of(spi_testbed.transfers) == ["".join(str(data) for data, _ in [*FRAME, *FRAME])]
+
+
+@pytest.mark.parametrize("code", [errno.EINVAL, errno.EMSGSIZE])
+def test_a_kernel_without_lists_takes_single_transfers(spi_testbed: SpiTestbed, code: int) -> None:
+    child = writer(spi_testbed)
+    spi_testbed.reject_lists(code)
+    assert write(child, FRAME) == "rejected"
+    assert spi_testbed.delivered == []
+    assert write(child, FRAME[:1]) == "written"
+
+
+def test_a_list_that_is_longer_than_the_buffer_is_rejected_and_none_of_it_leaves(spi_testbed: SpiTestbed) -> None:
+    child = writer(spi_testbed)
+    spi_testbed.set_bufsiz(5 * 128)
+    assert write(child, [*ZEROS, *FRAME]) == "rejected"
+    assert spi_testbed.delivered == []
+    assert write(child, [*ZEROS[:3], *FRAME]) == "written"
+
+
+def test_of_two_writers_none_comes_into_the_other_s_batch(spi_testbed: SpiTestbed) -> None:
+    children = [writer(spi_testbed) for _ in range(2)]
+    for child, batch in zip(children, (ZEROS, FRAME), strict=True):
+        child.tell(json.dumps([100, batch]))
+    transfers = spi_testbed.wait_for_count(600, timeout_s=30)
+    written = data_of(transfers)
+    while written:
+        expected = [str(data) for data, _ in (ZEROS if written[0] == "00" else FRAME)]
+        assert written[: len(expected)] == expected
+        written = written[len(expected) :]
+    order = [each.opening for each in transfers]
+    assert order != sorted(order), "they did take turns"
