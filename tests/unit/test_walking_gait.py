@@ -75,9 +75,9 @@ def test_another_gait_in_any_phase_is_no_jump(of: str, then: str, velocity: Velo
 def test_stop_ends_in_any_phase_within_a_stride_on_six_feet(of: str, ticks: int) -> None:
     walked = Walked(Engine(robot("default"), of)).stands()
     for _ in range(100 + ticks):
-        walked.tick(Velocity(0.08, 0.02, 0.2))
+        walked.tick(Velocity(0.3, 0.05))
     walked.engine.stop()
-    took_s = walked.until(Posture.STANDING, GAITS[of].period_s, Velocity(0.08, 0.02, 0.2))
+    took_s = walked.until(Posture.STANDING, GAITS[of].period_s, Velocity(0.3, 0.05))
     assert took_s <= GAITS[of].period_s
     assert len(walked.engine.standing) == 6
     assert all(foot[2] == 0 for foot in walked.engine.feet.values())

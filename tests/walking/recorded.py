@@ -15,7 +15,8 @@ from tests.support.heard import frames
 SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "telemetry": {"frames": True},
     "limits": {"leg_rate_hz": 60},  # at exactly the walk's rate setpoints wait for their slots
-    "watchdog": {"timeout_ms": 1000},  # it outlasts a moment in which this machine is busy
+    "watchdog": {"timeout_ms": 10_000},  # it outlasts a moment in which this machine is busy
+    "lease": {"ttl_ms": 10_000},
 }
 
 
