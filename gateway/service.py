@@ -35,7 +35,7 @@ from gateway.host.ownership import Ownership
 from gateway.host.servos_file import ServosFile
 from gateway.host.systemd import SystemdNotifier
 from gateway.protocol.frames import centidegrees
-from gateway.recorder.messages import STOP_FACTS
+from gateway.recorder.format import STOP_FACTS
 from gateway.recorder.place import folder_of
 from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
 from gateway.runtime import prometheus as exposition

@@ -54,6 +54,10 @@ pack_slot_into: Final = _SLOT.pack_into
 START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
 
 
+STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
+"""Among the facts of a start: when `stop-servos` wrote before it, as in `gateway.host.stop_note`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Start:
     """A gateway starts. `wall_ns` is the time that people read at this moment."""

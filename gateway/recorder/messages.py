@@ -63,8 +63,6 @@ class Note(Report):
     key: str | None = None
 
 
-STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
-"""Among the facts of a start: when `stop-servos` wrote before it, as in `gateway.host.stop_note`."""
 COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
 
 
@@ -137,7 +135,7 @@ class _Decisions:
 def _stops_before(start: form.Record, incident: Incident) -> Iterator[Message]:
     """What `stop-servos` wrote before this start, after the end of the gateway before it."""
     facts = start.content.facts if isinstance(start.content, form.Start) else {}
-    match [facts.get(name) for name in STOP_FACTS]:
+    match [facts.get(name) for name in form.STOP_FACTS]:
         case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
             wall_ns = incident.wall_ns(first_ns)
             repeated = f"repeated for {(last_ns - first_ns) / 1e6:.0f} ms"
@@ -202,7 +200,7 @@ def _message(
 def _note(record: form.Record, time: datetime) -> tuple[str, Report] | None:
     match record.content:
         case form.Start(facts=facts):
-            shown = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in STOP_FACTS)
+            shown = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
             return RECORDER, Note(time=time, what="start", detail=shown)
         case form.End(why=why):
             return RECORDER, Note(time=time, what="end", detail=why)
