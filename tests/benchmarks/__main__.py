@@ -23,6 +23,7 @@ from typing import Self
 from schemas.keys import leg_command
 from tests.benchmarks.batches import batches
 from tests.benchmarks.calls import calls
+from tests.benchmarks.dense import dense
 from tests.benchmarks.landing import landing, landing_rejected
 from tests.benchmarks.lease import lease
 from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb, say
@@ -227,6 +228,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "lease": lease,
     "recorder": recorder,
     "flood": flood,
+    "dense": dense,
     "landing": landing,
     "landing-rejected": landing_rejected,
     "idle": idle,

@@ -2,8 +2,9 @@
 
     python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50 [--log FILE] [--shape SHAPE]
 
-Of the shapes, `apart` spreads the legs evenly over time, `burst` publishes all in one instant (and notes for each when
-the first one was), `one-message` is all legs in one message on `hexapod/legs/cmd`, `asked` are acknowledged commands.
+Of the shapes, `apart` spreads the legs evenly over time, `servos` does so with each servo's own key, `burst` publishes
+all in one instant (and notes for each when the first one was), `one-message` is all legs in one message on
+`hexapod/legs/cmd`, `asked` are acknowledged commands.
 
 It prints `ready` once it is connected. Then each line on its standard input is a number of seconds to publish for; it
 answers `done COUNT`. The log is appended to after each: three 64-bit numbers a message (leg, number, monotonic ns).
@@ -24,8 +25,9 @@ from pathlib import Path
 import zenoh
 
 from gateway.edge.session import client_config
-from schemas.keys import LEASE, LEGS_COMMAND, leg_command
+from schemas.keys import LEASE, LEGS_COMMAND, leg_command, servo_command
 from schemas.lease import LeaseAck
+from schemas.robot import JOINTS
 
 ANGLES = 180_00
 """How many numbers fit into one angle: 0.00° to 179.99°."""
@@ -38,6 +40,11 @@ def payload(number: int) -> str:
         f'{{"servos":[{{"op":"start","angle_deg":{high / 100}}},'
         f'{{"op":"start","angle_deg":{low / 100}}},{{"op":"start","angle_deg":90}}]}}'
     )
+
+
+def servo_payload(number: int) -> str:
+    """A servo's command: nobody reads a number out of its frame, but no two in a row have the same angle."""
+    return f'{{"op":"start","angle_deg":{60 + number % 60}}}'
 
 
 def acquired(session: zenoh.Session) -> str:
@@ -91,8 +98,10 @@ class Stream:
         one_message = shape == "one-message"
         self._legs = legs
         self._shape = shape
-        self._pause_s = 0.0 if not hz else 1 / hz / (len(legs) if shape in ("apart", "asked") else 1)
         keys = [LEGS_COMMAND] if one_message else [leg_command(leg) for leg in legs]
+        if shape == "servos":
+            keys = [servo_command(leg * 10 + joint) for joint in JOINTS for leg in legs]
+        self._pause_s = 0.0 if not hz else 1 / hz / (len(keys) if shape in ("apart", "servos", "asked") else 1)
         self._sends: list[Send] = [
             _asking(session, key)
             if shape == "asked"
@@ -111,7 +120,7 @@ class Stream:
         noted_ns = 0
         for index, send in itertools.cycle(enumerate(self._sends)):
             number = next(self._numbers)
-            text = legs_payload(number, self._legs) if self._shape == "one-message" else payload(number)
+            text = self._text(number)
             text = text[:-1] + self._end
             begins = self._shape != "burst" or index == 0
             if begins and self._pause_s:
@@ -127,6 +136,11 @@ class Stream:
             for leg in self._legs if self._shape == "one-message" else self._legs[index : index + 1]:
                 log.extend((leg, number, noted_ns if answered_ns is None else answered_ns))
         return count
+
+    def _text(self, number: int) -> str:
+        if self._shape == "one-message":
+            return legs_payload(number, self._legs)
+        return servo_payload(number) if self._shape == "servos" else payload(number)
 
 
 def _putting(publisher: zenoh.Publisher) -> Send:
@@ -160,7 +174,7 @@ def main() -> None:
     parser.add_argument("--legs", type=int, nargs="+", required=True)
     parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg; 0: a flood")
     parser.add_argument("--log", type=Path, help="leave it out for runs without end: it grows")
-    parser.add_argument("--shape", choices=("apart", "burst", "one-message", "asked"), default="apart")
+    parser.add_argument("--shape", choices=("apart", "servos", "burst", "one-message", "asked"), default="apart")
     parser.add_argument("--lease", action="store_true", help="acquire the lease, and send its token with each message")
     parser.add_argument("--block", action="store_true", help="wait where the way is congested, and lose nothing")
     options = parser.parse_args()
