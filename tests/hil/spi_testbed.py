@@ -40,6 +40,7 @@ from typing import Any
 NODE = "spidev0.0"
 PRELOAD = "libumockdev-preload.so.0"
 DEFAULT_SPEED_HZ = 125_000_000  # what the Pi's device tree gives spidev0.0
+SLOWEST_HZ = 500_000_000 // 65536  # spi-bcm2835 divides its 500 MHz by no more, however slow a clock is asked for
 BUFSIZ = 4096  # spidev's module parameter, its default
 ALIGNED = 128  # ARCH_DMA_MINALIGN: what a transfer takes of that is a multiple of it
 CS_CHANGE_NS = 10_000  # for how long Linux releases chip select between two transfers, beside their pause
@@ -234,7 +235,7 @@ class SpiController:
                 if code:
                     break
                 for segment in taken:
-                    at_ns += len(bytes.fromhex(segment["data"])) * 8_000_000_000 // segment["speed_hz"]
+                    at_ns += len(bytes.fromhex(segment["data"])) * 8_000_000_000 // max(segment["speed_hz"], SLOWEST_HZ)
                     at_ns += segment["delay_us"] * 1000
                 at_ns += CS_CHANGE_NS
             if rejected:

@@ -113,6 +113,13 @@ def test_a_message_carries_its_own_speed(spi_testbed: SpiTestbed, peer: Peer) ->
     assert spi_testbed.transfers[0].segments == (Segment(b"\x0e", 1_000_000, 8, 7, False),)
 
 
+def test_the_clock_is_never_slower_than_a_raspberry_pi_s(spi_testbed: SpiTestbed, peer: Peer) -> None:
+    """What asks for 1 Hz gets 7.6 kHz: a byte takes a millisecond, and not eight seconds."""
+    peer.call("set", "max_speed_hz", 1)
+    assert 12_000 < peer.call("time", "writebytes2", "00" * 12, 1)["ok"] < 2_000_000, "in microseconds"
+    assert spi_testbed.transfers[0].speed_hz == 1
+
+
 def test_what_a_raspberry_pi_does_not_set(spi_testbed: SpiTestbed, peer: Peer) -> None:
     assert peer.call("set", "lsbfirst", True) == failed(errno.EINVAL)
     assert peer.call("set", "bits_per_word", 16) == failed(errno.EINVAL)
