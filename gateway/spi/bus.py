@@ -95,10 +95,14 @@ class Bus:
         speed_hz: int = 2_500_000,
         batch: bool = True,
         resync_ns: int = 0,
+        avoid_cdeg: tuple[int, int] | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`resync_ns` 0: a stream without a pause is not resynchronised. `pause` is for `batch=False`."""
+        """`resync_ns` 0: a stream without a pause is not resynchronised. `pause` is for `batch=False`.
+
+        `avoid_cdeg`: angles that the guard rejects.
+        """
         self._open_device = open_device
         self._framing = framing
         self.announces = framing is Framing.LENGTH_PREFIXED
@@ -110,6 +114,7 @@ class Bus:
         self._byte_ns = 8_000_000_000 // speed_hz
         self._batch = batch
         self._resync_ns = resync_ns
+        self._avoid_cdeg = avoid_cdeg
         self._clock = clock
         self._pause = pause
         self._opened: SpiDevice | None = None
@@ -134,7 +139,7 @@ class Bus:
         except SpiError:
             self.errors += 1
             raise
-        self._device = GuardedDevice(self._opened if self._batch else self._one_by_one(self._opened), self._framing)
+        self._device = self._guarded(self._opened if self._batch else self._one_by_one(self._opened))
 
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
         """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
@@ -276,9 +281,12 @@ class Bus:
             if not self._batch:
                 raise
             # Nothing of it was written. If it can be written transfer by transfer, all that follows is.
-            device = GuardedDevice(self._one_by_one(self._opened), self._framing)
+            device = self._guarded(self._one_by_one(self._opened))
             device.transfer(batch)
             self._device, self._batch, report.rejection = device, False, str(rejection)
+
+    def _guarded(self, device: SpiDevice) -> GuardedDevice:
+        return GuardedDevice(device, self._framing, self._avoid_cdeg)
 
     def _one_by_one(self, device: SpiDevice) -> OneByOne:
         return OneByOne(device, self._clock, self._pause)
@@ -328,6 +336,7 @@ def bus_for(
         speed_hz=settings.speed_hz,
         batch=settings.batch,
         resync_ns=round(settings.resync_ms * 1e6),
+        avoid_cdeg=settings.avoid_cdeg,
         clock=clock,
         pause=pause,
     )

@@ -31,6 +31,8 @@ class SpiValues(Protocol):
     def frame_gap_us(self) -> float: ...
     @property
     def resync_ms(self) -> float: ...
+    @property
+    def avoid_cdeg(self) -> tuple[int, int] | None: ...
 
 
 class RepeatValues(Protocol):
@@ -51,6 +53,10 @@ class PlainSpi(NamedTuple):
     speed_hz: int = 2_500_000
     frame_gap_us: float = 50.0
     resync_ms: float = 1000.0
+
+    @property
+    def avoid_cdeg(self) -> None:
+        """A Stop has no angle."""
 
 
 class PlainRepeats(NamedTuple):

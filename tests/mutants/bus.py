@@ -98,6 +98,7 @@ BUS = Subject(
         ),
         Mutant("overdue = self._resync_ns > 0 and now_ns", "overdue = now_ns", "resync_ms = 0 does not switch it off"),
         Mutant("resync_ns=round(settings.resync_ms * 1e6)", "resync_ns=0", "spi.resync_ms is ignored"),
+        Mutant("avoid_cdeg=settings.avoid_cdeg", "avoid_cdeg=None", "the guard ignores spi.avoid_deg"),
     ),
 )
 
@@ -121,6 +122,11 @@ GUARD = Subject(
             "a length that overruns the controller's memory is announced",
         ),
         Mutant("    if data != canonical:\n", "    if False:\n", "a Stop with an angle passes"),
+        Mutant(
+            "legal = legal and not avoid_from_cdeg <= whole_deg * 100 + hundredths < avoid_to_cdeg",
+            "pass",
+            "an angle of which the firmware can die passes",
+        ),
         Mutant(
             "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))",
             "frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,)), bytes((65,))))",

@@ -5,11 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import SpiError
-from gateway.protocol.frames import Frame, FrameError, OneServo, Op, ServoOp, decode, stop_leg
+from gateway.protocol.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.protocol.framing import Framing
 from gateway.spi import Batch, Transfer
 from gateway.spi.guard import GuardedDevice, IllegalTransferError
 from gateway.spi.simulator import SimulatedController
+from schemas.robot import LEGS, SERVO_IDS
 from tests.support.unshared import UnsharedDevice
 from tests.unit.test_frames import ILLEGAL, frames
 
@@ -134,6 +135,38 @@ def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, ve
     assert not passes(framing, *announcement, data)
     assert not passes(framing, *framing.transfers(STOP_1), *announcement, data)
     assert not passes(framing, *announcement, data, *framing.transfers(STOP_1))
+
+
+@pytest.mark.parametrize("op", [Op.START, Op.SET])
+@pytest.mark.parametrize(
+    ("angle_cdeg", "avoided"), [(0, False), (99, False), (1_00, True), (2_50, True), (3_99, True), (4_00, False)]
+)
+def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle_cdeg: int, *, avoided: bool) -> None:
+    servo, elsewhere = ServoOp(op, angle_cdeg), ServoOp(op, 90_00)
+    for frame in (
+        OneServo(63, servo),
+        OneLeg(6, (servo, elsewhere, elsewhere)),
+        OneLeg(6, (elsewhere, STOP, servo)),
+    ):
+        batch = [Transfer(data, 0) for each in (stop_leg(1), frame) for data in PREFIXED.transfers(each.to_bytes())]
+        GuardedDevice(Recorder(), PREFIXED).transfer(batch)
+        device = Recorder()
+        guarded = GuardedDevice(device, PREFIXED, (1_00, 4_00))
+        if avoided:
+            with pytest.raises(IllegalTransferError, match=f"to {angle_cdeg / 100:g} degrees, which is never sent"):
+                guarded.transfer(batch)
+        else:
+            guarded.transfer(batch)
+        assert device.batches == ([] if avoided else [batch])
+
+
+def test_no_stop_is_rejected_for_its_angle() -> None:
+    """A Stop's angle is written as 0, which this interval contains."""
+    stops: list[Frame] = [*(stop_leg(leg) for leg in LEGS), *(OneServo(servo, STOP) for servo in SERVO_IDS)]
+    for stop in stops:
+        device = Recorder()
+        GuardedDevice(device, Framing.PLAIN, (0, 180_01)).transfer([Transfer(stop.to_bytes(), 0)])
+        assert len(device.batches) == 1
 
 
 def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:

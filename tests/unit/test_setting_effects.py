@@ -6,17 +6,19 @@ Zenoh settings and `telemetry.state_hz` with a running service in test_service.p
 
 import asyncio
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import BaseModel
 
-from gateway.protocol.frames import OneServo, stop_leg
+from gateway.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.protocol.framing import Framing
 from gateway.settings import Settings
 from gateway.spi import Batch
 from gateway.spi.bus import bus_for
+from gateway.spi.guard import IllegalTransferError
 from gateway.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.robot import LEGS
@@ -224,6 +226,28 @@ def test_batch(batch: bool, calls: int) -> None:
     bus.write([stop_leg(number) for number in LEGS])
     assert len(controller.batches) == calls
     assert len(controller.transfers) == 6
+
+
+@pytest.mark.parametrize(
+    ("spi", "written"),
+    [
+        ({"framing": "length-prefixed"}, False),
+        ({"framing": "length-prefixed", "avoid_deg": []}, True),
+        ({"framing": "length-prefixed", "avoid_deg": [2, 4]}, True),
+        ({"framing": "plain"}, True),
+        ({"framing": "plain", "avoid_deg": [1, 4]}, False),
+    ],
+)
+@pytest.mark.parametrize("batch", [True, False])
+def test_the_guard_knows_avoid_deg(spi: dict[str, object], written: bool, batch: bool) -> None:
+    settings = Settings.model_validate({"spi": {**spi, "batch": batch, "frame_gap_us": 0}})
+    controller = SimulatedController(settings.spi.framing)
+    bus = bus_for(settings.spi, lambda: controller, pause=lambda _: None)
+    bus.open()
+    frame = OneServo(11, ServoOp(Op.SET, 1_99))
+    with nullcontext() if written else pytest.raises(IllegalTransferError):
+        bus.write([frame])
+    assert (frame.to_bytes() in [data for _, data in controller.transfers]) is written
 
 
 @pytest.mark.parametrize(("speed_hz", "last_ns"), [(2_500_000, 44_800), (1_000_000, 112_000)])
