@@ -297,5 +297,20 @@ class Lease:
                 subscriber.undeclare()
 
 
+class LentLease(Lease):
+    """A lease that somebody else acquired, renews and releases: for `Client.carry`, in a program that drives for them.
+
+    Only commands that carry it prolong it, and a question where the gateway rejects one.
+    """
+
+    def __init__(self, client: "Client", token: str) -> None:
+        super().__init__(client, take=False, wait_s=0.0, source=None, on_lost=None, on_asked=None)
+        self._token, self._holds, self.ttl_ms = token, _Holds.YES, TTL_MS
+
+    def release(self) -> None:
+        """Commands carry it no more; it is not ours to give back."""
+        self._end(_Holds.RELEASED)
+
+
 def _error(ack: "LeaseAck") -> LeaseError:
     return LeaseError(ack.reason or "", ack.detail or "", ack.holder)

@@ -40,6 +40,8 @@ class Walk:
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
 
+    With `wait=False` a call returns at once, for programs that have a clock of their own, and look at `state`.
+
     >>> with Client(endpoint) as robot, robot.walk() as walk:
     ...     walk.stand()
     ...     for _ in range(50):
@@ -80,7 +82,9 @@ class Walk:
 
     # ---- what a program calls
 
-    def go(self, forward_m_s: float = 0.0, left_m_s: float = 0.0, turn_rad_s: float = 0.0) -> None:
+    def go(
+        self, forward_m_s: float = 0.0, left_m_s: float = 0.0, turn_rad_s: float = 0.0, *, wait: bool = True
+    ) -> None:
         """Walk at this velocity for `hold_s` from now on; waits for the next tick, so a loop needs no other clock.
 
         A robot that does not stand yet stands up first. `state.scaled` says what of a velocity the legs can do.
@@ -91,9 +95,12 @@ class Walk:
             self._using().go(velocity, time.monotonic())
             self._begin()
         ticks = self._ticks
-        self._wait_for(lambda: self._ticks > ticks)
+        if wait:
+            self._wait_for(lambda: self._ticks > ticks)
 
-    def stand(self, height_m: float | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> None:
+    def stand(
+        self, height_m: float | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0, *, wait: bool = True
+    ) -> None:
         """Stand with the body that high above the ground (None: as before), leaning right and forward; waits for it."""
         self._check()
         walker = self._using()
@@ -104,15 +111,17 @@ class Walk:
         with self._changed:
             walker.stand(stance, time.monotonic())
             self._begin(Posture.STANDING)
-        self._wait_for(lambda: self._awaited is None)
+        if wait:
+            self._wait_for(lambda: self._awaited is None)
 
-    def sit(self) -> None:
+    def sit(self, *, wait: bool = True) -> None:
         """Lie down on the belly; waits for it. The servos hold on until the `with` ends, or `rest_s` is over."""
         self._check()
         with self._changed:
             self._using().sit(time.monotonic())
             self._begin(Posture.SITTING)
-        self._wait_for(lambda: self._awaited is None)
+        if wait:
+            self._wait_for(lambda: self._awaited is None)
 
     def walk_as(self, gait: str) -> None:
         """Another gait; the walk pauses for the change. Raises WalkError for one that there is not."""
@@ -134,6 +143,11 @@ class Walk:
             self._end_stream()
             self._wanted = False
             self._walker = self._found()
+
+    @property
+    def error(self) -> GatewayError | None:
+        """What has ended it, and what each call raises, until `start_again`."""
+        return self._error
 
     @property
     def state(self) -> WalkState:

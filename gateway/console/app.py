@@ -2,7 +2,7 @@
 
 import asyncio
 from contextlib import suppress
-from typing import Any, Final
+from typing import Final
 
 from gateway import __version__
 from gateway.console.door import SignedIn
@@ -13,6 +13,7 @@ from gateway.console.pages import EndError, Page, Pages
 from gateway.console.register import Register
 from gateway.console.stops import Stops
 from gateway.console.websocket import POLICY_VIOLATION, ClosedError, WebSocket
+from gateway.geometry import Geometry
 
 MAX_PAGES: Final = 64
 """Open at once, as many as the gateway takes sessions."""
@@ -33,15 +34,16 @@ class Console:
     """What all pages share."""
 
     def __init__(
-        self, register: Register, link: GatewayLink, stops: Stops, pages: Pages, *, person: str, geometry: Any
+        self, register: Register, link: GatewayLink, stops: Stops, pages: Pages, *, person: str, geometry: Geometry
     ) -> None:
-        """`geometry` goes into a page's first message. Made on the pages' loop."""
+        """Made on the pages' loop."""
         self._register = register
         self._link = link
         self._pages = pages
         self._stops = stops
         self._person = person
         self._geometry = geometry
+        self._shape = geometry.model_dump(mode="json")
         self._loop = asyncio.get_running_loop()
         self._open: dict[WebSocket, asyncio.Task[None]] = {}
 
@@ -80,9 +82,17 @@ class Console:
         await websocket.closed.wait()
 
     async def _serve_page(self, websocket: WebSocket, session: SignedIn) -> None:
-        page = Page(self._pages.next_number(), self._person, session.role, self._link, self._stops)
+        page = Page(
+            self._pages.next_number(),
+            self._person,
+            session.role,
+            self._link,
+            self._stops,
+            self._geometry,
+            self._register.new_link,
+        )
         hello = Hello(
-            role=session.role, person=self._person, source=page.source, version=__version__, geometry=self._geometry
+            role=session.role, person=self._person, source=page.source, version=__version__, geometry=self._shape
         )
         self._pages.add(page)
         try:

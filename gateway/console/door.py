@@ -11,6 +11,7 @@ import mimetypes
 from collections.abc import Mapping
 from dataclasses import dataclass
 from email.utils import formatdate
+from html import escape
 from http import HTTPStatus
 from pathlib import Path
 from typing import Final
@@ -31,8 +32,8 @@ KEY_PREFIX: Final = "key."
 """A page offers this with the session's key as a second subprotocol: a WebSocket's request has no other place for it
 that a script can fill."""
 KEY_HEADER: Final = "X-Console-Key"
-PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js")
-"""They take the key of a new session out of the address, and into the page's keeping."""
+PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
+"""The first three take the key of a new session out of the address, and into the page's keeping."""
 
 CONTENT_POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
@@ -120,6 +121,8 @@ class Door:
         else:
             entry = self._register.cookie(cookie)
         if entry is None:
+            if path == "/":
+                return self._refused("You are not signed in.")
             return _no(f"You are not signed in. {ANOTHER} {this_command()} console --link")
         role: Role = "operator" if entry.role == self._role == "operator" else "observer"
         if path == WEBSOCKET:
@@ -131,13 +134,19 @@ class Door:
     def _enter(self, token: str) -> Answer:
         found = self._register.exchange(token)
         if found is None:
-            return _no(f"This link was used already, or is too old. {ANOTHER} {this_command()} console --link")
+            return self._refused("This link was used already, or is too old.")
         secure = "; Secure" if self._site.certificate is not None else ""
         cookie = f"{self._site.cookie}={found.cookie}; HttpOnly; Max-Age={SESSION_S}; Path=/; SameSite=strict{secure}"
         response = _response(HTTPStatus.SEE_OTHER, b"", "plain")
         response.headers["Location"] = f"{PUBLIC[0]}#{found.key}"
         response.headers["Set-Cookie"] = cookie
         return Answer(response)
+
+    def _refused(self, why: str) -> Answer:
+        """A page for a person: what to do on a phone, and at the console's machine."""
+        page = self._files["/refused.html"].content.decode()
+        page = page.replace("WHY", escape(why)).replace("COMMAND", escape(f"{this_command()} console --link"))
+        return Answer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
 
     def _file(self, path: str, request: Request) -> Answer:
         file = self._files.get(path)
@@ -181,7 +190,7 @@ def _text(status: HTTPStatus, text: str) -> Answer:
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
     """With one request for each connection: nobody keeps one, and what comes after a request is not read."""
-    kinds = {"plain": "text/plain; charset=utf-8", "json": "application/json"}
+    kinds = {"html": "text/html; charset=utf-8", "plain": "text/plain; charset=utf-8", "json": "application/json"}
     headers = Headers(Date=formatdate(usegmt=True), Connection="close")
     if status is not HTTPStatus.NOT_MODIFIED:
         headers["Content-Length"] = str(len(body))

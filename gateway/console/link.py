@@ -73,9 +73,8 @@ class GatewayLink:
         self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, listener: Listener
     ) -> None:
         """`connect` and `zenoh_config` as for `Client`; `source` is whom the gateway names for an emergency stop."""
-        self._connect = partial(
-            Client, connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False
-        )
+        self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
+        self._source = source
         self._client: Client | None = None
         self._stop_all = Threads(AT_ONCE, "STOP ALL")
         self._stops = Threads(STOPS_AT_ONCE, "Stops")
@@ -97,6 +96,10 @@ class GatewayLink:
         self._looking: asyncio.Task[None] | None = None
 
     # ---- what pages send
+
+    def client(self, source: str) -> Client:
+        """A session of its own, named so; waits for it. Raises GatewayError."""
+        return self._connect(source=source)
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
         """Put a command, once; at most a millisecond, since Zenoh drops what finds no place. Raises ZenohError."""
@@ -163,7 +166,7 @@ class GatewayLink:
 
     async def _try_to_open(self) -> bool:
         try:
-            self._client = await asyncio.to_thread(self._connect)
+            self._client = await asyncio.to_thread(self.client, self._source)
         except UnreachedError as error:
             self._tell("gone", self._link.detail or str(error))
             return False

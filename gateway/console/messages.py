@@ -10,8 +10,9 @@ and rejects what was delayed on its way. A page that has the lease renews it its
 
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from pydantic import BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
+from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
 
+from gateway.walking import GAITS, Posture
 from schemas import keys
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
 from schemas.telemetry import Ack, Event, GatewayState, Report
@@ -19,6 +20,13 @@ from schemas.telemetry import Ack, Event, GatewayState, Report
 MAX_BYTES: Final = 8192
 """Of a message from a page: a payload that the gateway takes (4096), and what is around it."""
 MAX_ID: Final = 2**53
+
+
+def _known_gait(name: str) -> str:
+    if name not in GAITS:
+        raise ValueError(f"the gaits are {', '.join(GAITS)}")
+    return name
+
 
 Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; the answer repeats it")]
 Role = Literal["operator", "observer"]
@@ -28,6 +36,8 @@ CalibrateVerb = Literal[
     "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
     "undo", "write", "landing", "accept_default",
 ]  # fmt: skip
+Speed = Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]
+Gait = Annotated[str, Field(max_length=16), AfterValidator(_known_gait)]
 _WITH_ANGLE: Final = frozenset({"test", "jog", "stands_at"})
 
 _BY_THE_CONSOLE: Final = frozenset({"source", "sent_ms", "lease"})
@@ -155,7 +165,34 @@ class Calibrate(Closed):
         return self
 
 
-FromPage = Alive | Command | StopAll | Reset | Lease | Calibrate
+class WalkWish(Closed):
+    """What the page wants of the robot's walk, 20 times a second while it walks or stands; used once (`walking.py`).
+
+    `press` is the number of the button's or stick's press that it belongs to; it grows. Velocities are the body's;
+    `height_m` null: the usual one. `sits`: lie down, and have the servos stopped. Each wish is complete, so none that
+    is lost is missed.
+    """
+
+    type: Literal["walk"]
+    id: Id
+    press: Id
+    sent_ms: SentMs
+    forward_m_s: Speed = 0.0
+    left_m_s: Speed = 0.0
+    turn_rad_s: Annotated[float, Field(ge=-4, le=4, allow_inf_nan=False)] = 0.0
+    gait: Gait = "tripod"
+    height_m: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
+    sits: bool = False
+
+
+class LinkFor(Closed):
+    """A link for a second device, such as a phone; answered by `LinkForMessage`."""
+
+    type: Literal["link_for"]
+    id: Id
+
+
+FromPage = Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor
 FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
 
 
@@ -174,6 +211,7 @@ class Hello(Report):
     source: str
     version: str
     geometry: dict[str, Any]
+    gaits: list[str] = Field(default_factory=lambda: list(GAITS))
 
 
 class StateMessage(Report):
@@ -245,6 +283,38 @@ class LeaseMessage(Report):
     holder: str | None = None
     verified: bool | None = None
     ttl_ms: float | None = None
+
+
+class WalkMessage(Report):
+    """How the page's walk goes: ten times a second while it lasts, and once when it is over (`posture` null).
+
+    `id` is the newest wish that was used. `waits`: what the page has pressed is used up, and moves nothing any more.
+    `commanded` and `scaled` (what of it the legs can do, and in `limit` why) are forward and left in m/s, and the turn
+    in rad/s. `lost` are legs that somebody else has stopped. `detail`: why it ended, or waits.
+    """
+
+    type: Literal["walk"] = "walk"
+    press: int
+    id: int | None = None
+    posture: Posture | None = None
+    gait: str | None = None
+    height_m: float | None = None
+    commanded: list[float] = Field(default_factory=list)
+    scaled: list[float] = Field(default_factory=list)
+    limit: str = ""
+    lost: list[int] = Field(default_factory=list)
+    waits: bool = True
+    detail: str = ""
+
+
+class LinkForMessage(Report):
+    """A link that works once, and its QR code: a row of 0 (light) and 1 (dark) for each line."""
+
+    type: Literal["link_for"] = "link_for"
+    id: int
+    url: str | None = None
+    rows: list[str] = Field(default_factory=list)
+    error: str | None = None
 
 
 class Draft(Report):

@@ -13,14 +13,25 @@ from gateway.console.messages import (
     CalibrationMessage,
     EventMessage,
     LeaseMessage,
+    LinkForMessage,
     LinkMessage,
     Stopping,
+    WalkMessage,
 )
 
 KEPT: Final = 64
 """Events, and acknowledgements; the oldest make way."""
 
-Message = EventMessage | AckMessage | LinkMessage | LeaseMessage | CalibrationMessage | Stopping
+Message = (
+    EventMessage
+    | AckMessage
+    | LinkMessage
+    | LeaseMessage
+    | CalibrationMessage
+    | Stopping
+    | WalkMessage
+    | LinkForMessage
+)
 
 
 class Outgoing:
@@ -30,8 +41,9 @@ class Outgoing:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
         self._acks: deque[AckMessage] = deque(maxlen=KEPT)
-        self._answers: deque[LeaseMessage | CalibrationMessage] = deque(maxlen=KEPT)
+        self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage] = deque(maxlen=KEPT)
         self._link: LinkMessage | None = None
+        self._walk: WalkMessage | None = None
         self._state: Callable[[], str] | None = None
         self._events: deque[EventMessage] = deque(maxlen=KEPT)
         self._events_lost = 0
@@ -45,10 +57,12 @@ class Outgoing:
                     del self._stops[next(iter(self._stops))]
             case AckMessage():
                 self._acks.append(message)
-            case LeaseMessage() | CalibrationMessage():
+            case LeaseMessage() | CalibrationMessage() | LinkForMessage():
                 self._answers.append(message)
             case LinkMessage():
                 self._link = message
+            case WalkMessage():
+                self._walk = message
             case EventMessage():
                 if len(self._events) == KEPT:
                     self._events_lost += 1 + self._events[0].left_out
@@ -67,6 +81,8 @@ class Outgoing:
         messages: list[Message] = [*self._stops.values(), *self._acks, *self._answers]
         if self._link is not None:
             messages.append(self._link)
+        if self._walk is not None:
+            messages.append(self._walk)
         texts = [message.model_dump_json() for message in messages]
         if self._state is not None:
             texts.append(self._state())
@@ -80,5 +96,5 @@ class Outgoing:
         self._acks.clear()
         self._answers.clear()
         self._events.clear()
-        self._link = self._state = None
+        self._link = self._walk = self._state = None
         return texts

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from gateway.console.calibrating import Calibrating
 from gateway.console.driving import Driving
+from gateway.console.inviting import Inviting
 from gateway.console.link import GatewayLink
 from gateway.console.messages import (
     FROM_PAGE,
@@ -27,21 +28,27 @@ from gateway.console.messages import (
     Command,
     EventMessage,
     Lease,
+    LinkFor,
     LinkMessage,
     Reset,
     Role,
     StopAll,
     Stopping,
+    WalkWish,
 )
 from gateway.console.outgoing import Outgoing
 from gateway.console.stops import Stops
+from gateway.console.walking import Walking
 from gateway.core.staleness import Staleness
 from gateway.errors import GatewayError
+from gateway.geometry import Geometry
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
 
 MAX_AGE_MS: Final = 500.0
 """The gateway's default (`limits.max_age_ms`). It cannot know how long a page's first command took; its pings tell."""
+WISH_AGE_MS: Final = 250.0
+"""Of a wish for the walk: what comes later counts as silence (`walking.SILENT_S`)."""
 MAX_QUESTIONS: Final = 16
 """Of one page, under way at once."""
 MAX_STOPS: Final = 32
@@ -114,7 +121,16 @@ def _state_text(state: str, heard_ns: int) -> str:
 class Page:
     """One page's WebSocket: takes its messages, and answers into `outgoing`."""
 
-    def __init__(self, number: int, person: str, role: Role, link: GatewayLink, stops: Stops) -> None:
+    def __init__(
+        self,
+        number: int,
+        person: str,
+        role: Role,
+        link: GatewayLink,
+        stops: Stops,
+        geometry: Geometry,
+        new_link: Callable[[], str],
+    ) -> None:
         self.source = f"{person[:40]} (page {number})"
         self.outgoing = Outgoing()
         self._role = role
@@ -122,7 +138,10 @@ class Page:
         self._stops = stops
         self._driving = Driving(link.lease_requests, self.source, self.outgoing.put)
         self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
+        self._walking = Walking(link.client, f"{self.source} walks", geometry, self.outgoing.put)
+        self._inviting = Inviting(new_link, self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
+        self._wishes = Staleness(WISH_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
         self._leg_stops: dict[tuple[str, str], asyncio.Task[None]] = {}
         """By their key and what they stop; a newer one makes an older give way."""
@@ -139,17 +158,18 @@ class Page:
             raise EndError(_first_fault(error)) from error
         if isinstance(message, Alive):
             self._is_late(message.now_ms)
+            self._is_late(message.now_ms, self._wishes)
         elif self._role != "operator":
             raise EndError("this page only looks")
         else:
             self._do(message)
 
     def close(self) -> None:
-        """The WebSocket is closed. A stop that it asked for goes on; the lease is given back."""
-        self._driving.close()
+        """The WebSocket is closed. A stop that it asked for goes on; the lease is given back, after the walk."""
+        self._walking.leave(self._driving.close)
         self._stops.leave(self)
 
-    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate) -> None:
+    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor) -> None:
         match message:
             case StopAll():
                 self._stops.press(self, message.id)
@@ -162,13 +182,24 @@ class Page:
                 else:
                     self._reject(message.id, keys.RESET, late)
             case Lease():
-                if self._driving.is_full:
-                    raise EndError("too many requests for the lease wait for their answers")
-                self._driving.ask(message)
+                self._lease(message)
+            case WalkWish():
+                if self._is_late(message.sent_ms, self._wishes) is None:
+                    self._walking.take(message, self._driving.token if self._driving.mine else None)
+            case LinkFor():
+                self._inviting.ask(message.id)
             case Calibrate():
                 if self._calibrating.is_full:
                     raise EndError("too many steps of the calibration wait for their answers")
                 self._calibrating.ask(message, mine=self._driving.mine)
+
+    def _lease(self, message: Lease) -> None:
+        if self._driving.is_full:
+            raise EndError("too many requests for the lease wait for their answers")
+        if message.do == "release":  # who walks sits down first
+            self._walking.end(partial(self._driving.ask, message))
+        else:
+            self._driving.ask(message)
 
     def _command(self, message: Command) -> None:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
@@ -177,6 +208,9 @@ class Page:
             self._stop(message, {**payload, "sent_ms": None})
         elif late is not None:
             self._reject(message.id, message.key, late)
+        elif self._walking.active:
+            if message.id is not None:
+                self.outgoing.put(AckMessage(id=message.id, took_ms=0.0, error="this page walks; sit down first"))
         elif message.id is not None:
             self._ask(message.id, message.key, payload)
         else:
@@ -188,9 +222,9 @@ class Page:
         lease = {} if token is None else {"lease": token}
         return {**payload, **lease, "source": self.source, "sent_ms": sent_ms}
 
-    def _is_late(self, sent_ms: float) -> str | None:
+    def _is_late(self, sent_ms: float, among: Staleness | None = None) -> str | None:
         now_ns = time.monotonic_ns()
-        return self._staleness.too_old(None, sent_ms, now_ns, now_ns)
+        return (among or self._staleness).too_old(None, sent_ms, now_ns, now_ns)
 
     def _reject(self, message_id: int | None, key: str, detail: str) -> None:
         if message_id is not None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 
 import segno
 
@@ -35,7 +35,7 @@ from gateway.console.tls import server_context
 from gateway.edge.config_file import get
 from gateway.edge.session import client_config
 from gateway.errors import AddressTakenError, ConfigError
-from gateway.geometry import load
+from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
 from gateway.settings import LogSettings
 from gateway.tools.terminal import hint, say, this_command
@@ -72,7 +72,7 @@ def serve(options: Options) -> NoReturn:
     if connect is None and options.zenoh_config is None:
         connect = DEFAULT_ENDPOINT
     person, role = _identity(connect, options.zenoh_config)
-    geometry = load(options.geometry).model_dump(mode="json")
+    geometry = load(options.geometry)
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
@@ -99,7 +99,7 @@ async def _run(
     connect: str | None,
     person: str,
     role: Role,
-    geometry: Any,
+    geometry: Geometry,
 ) -> NoReturn:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(report)

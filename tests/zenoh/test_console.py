@@ -12,6 +12,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+import segno
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from gateway.client import Client
@@ -138,7 +139,11 @@ def test_the_cookie(console: Console) -> None:
     assert path == "/enter.html"
     cookie = answer.headers["set-cookie"]
     assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
-    assert httpx.get(link).status_code == 403, "it works once"
+    again = httpx.get(link)
+    assert (again.status_code, again.headers["content-type"]) == (403, "text/html; charset=utf-8"), "it works once"
+    assert "This link was used already" in again.text
+    assert "<strong>Another device</strong> shows a QR code" in again.text
+    assert httpx.get(console.url + "/refused.css").status_code == 200
     name, _, value = cookie.partition(";")[0].partition("=")
     assert console.get(**SignedIn(f"{name}={value}", key).headers).json()["role"] == "operator"
     assert console.get(**SignedIn(f"{name}={value[:-1]}", key).headers).status_code == 403
@@ -371,3 +376,12 @@ def descendants(pid: int) -> list[int]:
 
 def command_line(pid: int) -> bytes:
     return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
+def test_a_page_gets_a_link_for_another_device_with_its_qr_code(console: Console, page: Page) -> None:
+    page.send(type="link_for", id=7)
+    found = page.wait("link_for")
+    assert found["url"].startswith(f"{console.url}/?token=")
+    assert found["rows"] == ["".join(map(str, row)) for row in segno.make(found["url"], error="l").matrix]
+    with console.page(console.sign_in(found["url"])) as second:
+        assert second.hello["role"] == "operator"

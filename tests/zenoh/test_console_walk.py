@@ -1,0 +1,300 @@
+"""A page walks: its wishes come to a real gateway 20 times a second; whatever silences it makes the robot stand."""
+
+import itertools
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.client import Client
+from schemas.telemetry import Mode
+from tests.support.console_process import Console, Page, SignedIn
+from tests.support.gateway_process import Gateway
+
+FORWARD: Final = {"forward_m_s": 0.06}
+STEP_S: Final = 0.05
+LATE_S: Final = 30.0
+PATIENT: Final[dict[str, dict[str, Any]]] = {"watchdog": {"timeout_ms": 2000}, "lease": {"ttl_ms": 5000}}
+"""It outlasts a moment in which this machine is busy."""
+
+
+class Pad(threading.Thread):
+    """What a page does while its pad is held: it sends what `wish` is, 20 times a second, until it is frozen."""
+
+    def __init__(self, page: Page) -> None:
+        super().__init__(daemon=True)
+        self._page = page
+        self._ids = itertools.count(1)
+        self._presses = itertools.count(1)
+        self._ended = threading.Event()
+        self._runs = threading.Event()
+        self.press = 0
+        self.wish: dict[str, Any] = {}
+        self.start()
+
+    def hold(self, **wish: Any) -> None:
+        """A new press, and what it wants from now on."""
+        self.press = next(self._presses)
+        self.wish = wish
+        self._runs.set()
+
+    def thaw(self) -> None:
+        """Go on with what it sent."""
+        self._runs.set()
+
+    def freeze(self) -> None:
+        """Send nothing more."""
+        self._runs.clear()
+
+    def once(self, delay_ms: float = 0.0, **wish: Any) -> None:
+        """One wish, which took so long."""
+        sent_ms = self._page.now_ms() - delay_ms
+        self._page.send(type="walk", id=next(self._ids), press=self.press, sent_ms=sent_ms, **wish)
+
+    def run(self) -> None:
+        while not self._ended.wait(STEP_S):
+            if self._runs.is_set():
+                self.once(**self.wish)
+
+    def close(self) -> None:
+        self._ended.set()
+        self.join()
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway"), PATIENT) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def session(console: Console) -> SignedIn:
+    return console.sign_in()
+
+
+@pytest.fixture(autouse=True)
+def robot(gateway: Gateway) -> Iterator[Client]:
+    """At rest."""
+    with gateway.client(source="watcher") as client:
+        client.reset()
+        client.stop()
+        yield client
+
+
+@pytest.fixture
+def page(console: Console, session: SignedIn) -> Iterator[Page]:
+    with console.page(session) as opened:
+        is_free(opened)
+        acquire(opened)
+        yield opened
+
+
+@pytest.fixture
+def pad(page: Page) -> Iterator[Pad]:
+    held = Pad(page)
+    yield held
+    held.close()
+
+
+def acquire(page: Page) -> None:
+    page.send(type="lease", id=1, do="acquire")
+    assert page.wait("lease", lambda message: message["id"] == 1)["mine"]
+
+
+def walk(page: Page, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The next report of the walk that fits."""
+    return page.wait("walk", fits, timeout_s=LATE_S)
+
+
+def posture(page: Page, wanted: str | None) -> dict[str, Any]:
+    return walk(page, lambda message: message["posture"] == wanted)
+
+
+def walks(page: Page, pad: Pad) -> None:
+    """Let it walk."""
+    pad.hold(**FORWARD)
+    posture(page, "walking")
+
+
+def is_free(page: Page) -> None:
+    """Wait until the robot rests and nobody drives."""
+    page.state(lambda state: state["mode"] == "idle" and state["lease"]["holder"] is None)
+
+
+def is_idle(page: Page) -> None:
+    page.state(lambda state: state["mode"] == "idle")
+
+
+def test_it_stands_walks_while_held_stands_when_let_go_and_sits(page: Page, pad: Pad, robot: Client) -> None:
+    pad.hold()
+    assert posture(page, "standing")["waits"] is False
+    assert robot.state().mode is Mode.ACTIVE
+    assert robot.state().legs[0].source == f"{page.hello['source']} walks"
+    pad.hold(**FORWARD, turn_rad_s=0.2)
+    walking = walk(page, lambda message: message["posture"] == "walking" and message["scaled"] == [0.06, 0.0, 0.2])
+    assert walking["gait"] == "tripod"
+    pad.wish = {}
+    posture(page, "standing")
+    pad.hold(gait="wave", height_m=0.13)
+    walk(page, lambda message: (message["gait"], message["height_m"], message["posture"]) == ("wave", 0.13, "standing"))
+    pad.hold(sits=True)
+    assert posture(page, None)["detail"] == ""
+    is_idle(page)
+
+
+def test_a_page_that_falls_silent_stands_then_sits_and_its_last_wish_is_not_repeated(
+    page: Page, pad: Pad, robot: Client
+) -> None:
+    walks(page, pad)
+    pad.freeze()
+    frozen_s = time.monotonic()
+    still = walk(page, lambda message: message["commanded"] == [0, 0, 0])
+    assert time.monotonic() - frozen_s < 1.0  # 0.25 and what a busy machine adds
+    assert still["waits"]
+    assert posture(page, "standing")["id"] == still["id"]
+    assert time.monotonic() - frozen_s < 5.0
+    assert robot.state().mode is Mode.ACTIVE
+    posture(page, None)
+    assert time.monotonic() - frozen_s > 5.25
+    is_idle(page)
+    pad.thaw()  # it wakes, with the thumb still on it
+    for _ in range(10):
+        assert page.state()["mode"] == "idle"
+    walks(page, pad)
+
+
+def test_a_page_that_wakes_with_its_pad_still_held_goes_on_with_a_new_press_only(page: Page, pad: Pad) -> None:
+    walks(page, pad)
+    pad.freeze()
+    walk(page, lambda message: message["waits"])
+    pad.thaw()
+    posture(page, "standing")
+    last = 0
+    for _ in range(10):  # a second: it is heard, and so does not sit down, and does not walk
+        found = walk(page, lambda _: True)
+        assert (found["posture"], found["waits"]) == ("standing", True)
+        assert found["id"] > last
+        last = found["id"]
+    walks(page, pad)
+
+
+def test_wishes_that_were_delayed_count_as_silence(page: Page, pad: Pad) -> None:
+    walks(page, pad)
+    pad.freeze()
+    ended = threading.Event()
+
+    def late() -> None:
+        while not ended.wait(STEP_S):
+            pad.once(delay_ms=300, **FORWARD)
+
+    sender = threading.Thread(target=late)
+    sender.start()
+    try:
+        walk(page, lambda message: message["commanded"] == [0, 0, 0])
+        posture(page, "standing")
+    finally:
+        ended.set()
+        sender.join()
+
+
+def test_a_page_that_is_closed_leaves_a_robot_that_sits_down_and_gives_the_lease_back(
+    console: Console, session: SignedIn
+) -> None:
+    with console.page(session) as gone, console.page(session) as other:
+        is_free(gone)
+        acquire(gone)
+        pad = Pad(gone)
+        walks(gone, pad)
+        pad.close()
+        gone.socket.close()
+        is_free(other)
+
+
+def test_who_gives_the_lease_up_sits_down_first(page: Page, pad: Pad) -> None:
+    walks(page, pad)
+    page.send(type="lease", id=2, do="release")
+    page.state(lambda state: state["mode"] == "idle")
+    assert not page.wait("lease", lambda message: message["id"] == 2)["mine"]
+
+
+def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: Pad, robot: Client) -> None:
+    walks(page, pad)
+    assert robot.stop(3).accepted
+    halted = posture(page, "halted")
+    assert halted["lost"] == [3]
+    assert "leg 3 is stopped" in walk(page, lambda message: message["detail"] != "")["detail"]
+    assert not robot.state().legs[2].servos[0].running
+    pad.hold(**FORWARD)
+    posture(page, "walking")
+    robot.estop()
+    assert "emergency stop" in posture(page, None)["detail"]
+    assert page.reset(robot.state().estop)["ack"]["accepted"]
+    is_idle(page)
+    for _ in range(10):
+        assert page.state()["mode"] == "idle"
+    walks(page, pad)
+
+
+def test_without_the_lease_nothing_walks_and_joints_wait_for_the_walk(
+    console: Console, session: SignedIn, page: Page, pad: Pad
+) -> None:
+    with console.page(session) as other:
+        other.state()
+        second = Pad(other)
+        second.hold(**FORWARD)
+        assert "does not have the lease" in walk(other, lambda _: True)["detail"]
+        second.close()
+    walks(page, pad)
+    answer = page.ask("hexapod/leg/3/cmd", {"servos": [{"op": "set", "angle_deg": 90}] * 3})
+    assert "this page walks" in answer["error"]
+
+
+def test_what_the_legs_cannot_do_is_said(page: Page, pad: Pad) -> None:
+    pad.hold(height_m=0.9)
+    assert walk(page, lambda message: message["detail"] != "")["waits"]
+    pad.hold(forward_m_s=0.9)
+    found = walk(page, lambda message: message["posture"] == "walking" and message["limit"] != "")
+    assert found["commanded"] == [0.9, 0, 0]
+    assert found["scaled"][0] < 0.5
+
+
+def test_a_console_that_dies_leaves_it_to_the_watchdog(tmp_path: Path) -> None:
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 500}, "lease": {"ttl_ms": 5000}}) as gateway:
+        with Console(tmp_path, "--connect", gateway.endpoint) as console, console.page(console.sign_in()) as page:
+            page.state()
+            acquire(page)
+            pad = Pad(page)
+            walks(page, pad)
+            pad.close()
+            console.child.send_signal(signal.SIGKILL)
+        with gateway.client() as client:
+            end_s = time.monotonic() + LATE_S
+            while client.state().mode is not Mode.IDLE:
+                assert time.monotonic() < end_s
+            assert client.state().watchdog.expirations > 0
+
+
+def test_a_stop_all_while_it_walks_is_as_quick(console: Console, session: SignedIn, page: Page, pad: Pad) -> None:
+    took_ms: dict[str, list[float]] = {"resting": [], "walking": []}
+    with console.page(session) as other:
+        for kind, took in took_ms.items():
+            for _ in range(10):
+                if kind == "walking":
+                    walks(page, pad)
+                began_s = time.perf_counter()
+                stopped = other.stop_all()
+                took.append((time.perf_counter() - began_s) * 1000)
+                assert page.reset(stopped["estop"])["ack"]["accepted"]
+    for kind, took in took_ms.items():
+        print(f"{kind}: p50 {sorted(took)[5]:.1f} ms, at most {max(took):.1f} ms")
+    assert max(took_ms["walking"]) < 250
