@@ -129,12 +129,19 @@ class Opened:
         """Get the lease and choose these legs."""
         self["lease-acquire"].click()
         expect(self["driver"]).to_have_text("you")
+        self.show_joints()
         self["run-none"].click()
         for leg in legs:
             self.page.locator("#run-chooser label").nth(leg - 1).click()
 
+    def show_joints(self) -> None:
+        """Open what is advanced."""
+        if self["advanced"].get_attribute("open") is None:
+            self["drive-title"].click()
+
     def select(self, leg: int) -> None:
         """The leg that the sliders belong to."""
+        self.show_joints()
         self.page.locator("#leg-chooser label").nth(leg - 1).click()
 
     def expect_status(self, leg: int, word: str | Pattern[str]) -> None:

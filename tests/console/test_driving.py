@@ -107,9 +107,9 @@ def hold(page: Opened, robot: Robot, *legs: int) -> int:
 def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(pages: Visitor, robot: Robot) -> None:
     page = pages.open()
     page.select(3)
-    page["joint-1"].fill("100.5")
+    page["joint-1"].fill("45")
+    page["joint-3"].fill("45")
     page.drive(3, 5)
-    page["joints"].fill("45")
     page.page.get_by_label("Joint 2, degrees, typed").fill("77.25")
     page.page.get_by_label("Joint 2, degrees, typed").press("Enter")
     since = len(robot.bed.transfers)

@@ -30,6 +30,8 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     anna["lease-take"].click()
     anna["question-no"].click()
     expect(bert["driver"]).to_have_text("you")
+    bert.show_joints()
+    bert["run-all"].click()
     bert.page.keyboard.down("h")
     bert.expect_status(1, "runs")
     anna["lease-take"].click()

@@ -90,6 +90,7 @@ def test_stop_all_stops_and_says_what_is_known(visitor: Visitor, gateway: Gatewa
         if how == "tap":
             page["stop-all"].click()
         else:
+            page.show_joints()
             page["joint-1"].focus()
             page.page.keyboard.press(how)
         expect(page["stop-known"]).to_contain_text("6 Stops written within")
@@ -126,6 +127,7 @@ def test_another_program_stop_is_named(visitor: Visitor, gateway: Gateway) -> No
 
 def test_a_space_that_is_typed_into_a_name_stops_nothing(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open()
+    page.show_joints()
     page["pose-name"].press_sequentially("high h")
     expect(page["pose-name"]).to_have_value("high h")
     with gateway.client() as robot:
@@ -134,12 +136,14 @@ def test_a_space_that_is_typed_into_a_name_stops_nothing(visitor: Visitor, gatew
 
 def test_poses_are_kept_in_the_browser(visitor: Visitor) -> None:
     page = visitor.open()
+    page.show_joints()
     page["joint-1"].fill("33")
     page["pose-name"].fill("bow")
     page["pose-keep"].click()
     page["joint-1"].fill("90")
     page.page.reload()
     page.expect_live()
+    page.show_joints()
     page["pose-name"].fill("bow")
     page["pose-load"].click()
     expect(page["joint-1"]).to_have_value("33")
@@ -156,7 +160,7 @@ def test_nothing_flickers_while_nothing_changes(visitor: Visitor) -> None:
             touched.push(...places.filter((place) => place.className !== "age").map((place) => place.id));
           };
           const options = { subtree: true, childList: true, characterData: true };
-          for (const id of ["leg-rows", "labels", "stop", "said", "events", "controls", "lease", "mode"])
+          for (const id of ["leg-rows", "labels", "stop", "said", "events", "walk-controls", "controls", "lease"])
             new MutationObserver(note).observe(document.getElementById(id), options);
           const wanted = window.messages + 10;
           const look = () => (window.messages < wanted ? requestAnimationFrame(look) : done(touched));
@@ -231,6 +235,7 @@ def test_an_observer_looks_and_is_sent_to_the_switch(browser: Browser, gateway: 
         expect(page["stop-known"]).to_have_text("This page may only look: use the switch")
         expect(page["stop-all"]).to_be_disabled()
         expect(page["controls"]).not_to_be_visible()
+        expect(page["walk-controls"]).not_to_be_visible()
         page.page.keyboard.press("Escape")
         page.page.keyboard.press("h")
         page.expect_live()

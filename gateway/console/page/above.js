@@ -8,6 +8,9 @@ import { LEGS, legPoints } from "./kinematics.js";
 const SVG = "http://www.w3.org/2000/svg";
 /** Half of what is shown, in millimetres: a leg stretched out, and its label. */
 const REACH = 530;
+/** Half of the floor; a picture is wider than high, or the other way round. */
+const FLOOR = 1800;
+const MESH_M = 0.15;
 
 export class Above {
   /** @param {HTMLElement} place @param {Geometry} geometry */
@@ -17,7 +20,11 @@ export class Above {
     this.canvas = node("svg", { viewBox: `${-REACH} ${-REACH} ${2 * REACH} ${2 * REACH}`, class: "above", role: "img" });
     const mounts = Object.values(geometry.leg_mounts).map((mount) => mount.xyz_m);
     const around = [...mounts].sort((a, b) => Math.atan2(a[1], a[0]) - Math.atan2(b[1], b[0]));
-    for (const radius of [250, 500]) this.canvas.append(node("circle", { r: String(radius), class: "ring" }));
+    const mesh = String(MESH_M * 1000);
+    this.pattern = node("pattern", { id: "mesh", width: mesh, height: mesh, patternUnits: "userSpaceOnUse" });
+    this.pattern.append(node("path", { d: `M ${mesh} 0 H 0 V ${mesh}`, class: "mesh" }));
+    const all = String(2 * FLOOR);
+    this.canvas.append(this.pattern, node("rect", { x: `${-FLOOR}`, y: `${-FLOOR}`, width: all, height: all, fill: "url(#mesh)" }));
     this.canvas.append(node("polygon", { points: around.map(flat).join(" "), class: "body" }));
     const front = Math.max(...mounts.map((mount) => mount[0])) * 1000;
     const tip = `0,${-front * 0.8} ${-front * 0.2},${-front * 0.42} ${front * 0.2},${-front * 0.42}`;
@@ -37,9 +44,12 @@ export class Above {
     place.append(this.canvas);
   }
 
-  /** @param {Map<number, LegPose>} poses */
-  update(poses) {
+  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry */
+  update(poses, odometry) {
     this.poses = poses;
+    const degrees = (-odometry.turned * 180) / Math.PI;
+    const crossing = /** @type {[number, number, number]} */ ([...odometry.crossing(MESH_M), 0]);
+    this.pattern.setAttribute("patternTransform", `translate(${flat(crossing)}) rotate(${degrees.toFixed(2)})`);
     for (const [leg, pose] of poses) {
       const parts = this.legs.get(leg);
       if (!parts) continue;

@@ -21,11 +21,10 @@ export class Drive {
     this.told = told;
     this.poses = new Poses();
     /** @type {Set<number>} */
-    this.chosen = new Set(LEGS);
+    this.chosen = new Set();
     this.choices = new Map(LEGS.map((leg) => [leg, this.#choice(leg)]));
     this.selectors = new Map(LEGS.map((leg) => [leg, this.#selector(leg)]));
-    this.sliders = JOINTS.map((joint) => this.#slider(`Joint ${joint}`, [joint]));
-    this.all = this.#slider("All three", JOINTS);
+    this.sliders = JOINTS.map((joint) => this.#slider(joint));
     targets.addEventListener("change", () => this.#showTargets());
     this.#holdButton("hold", "button");
     this.#holdButton("hold-leg", "leg");
@@ -95,7 +94,6 @@ export class Drive {
   /** @param {number} leg */
   #choice(leg) {
     const input = element("input", { type: "checkbox", id: `run-${leg}` });
-    input.checked = true;
     input.addEventListener("change", () => (input.checked ? this.chosen.add(leg) : this.chosen.delete(leg)));
     input.addEventListener("keydown", (event) => {
       if (event.key === "Enter") input.click(); // space is STOP ALL
@@ -112,32 +110,28 @@ export class Drive {
     return input;
   }
 
-  /** @param {string} name @param {number[]} joints what it moves */
-  #slider(name, joints) {
-    const id = joints.length === 1 ? `joint-${joints[0]}` : "joints";
+  /** @param {number} joint */
+  #slider(joint) {
+    const id = `joint-${joint}`;
+    const name = `Joint ${joint}`;
     const range = element("input", { type: "range", id, min: "0", max: "180", step: "0.5" });
     const field = element("input", { type: "number", min: "0", max: "180", step: "any", inputmode: "decimal" });
     field.setAttribute("aria-label", `${name}, degrees, typed`);
     const now = element("span", { class: "now" });
     const set = (/** @type {string} */ value) => {
-      if (value === "") return;
-      for (const joint of joints) this.targets.set(this.model.selectedLeg * 10 + joint, Number(value));
+      if (value !== "") this.targets.set(this.model.selectedLeg * 10 + joint, Number(value));
     };
     range.addEventListener("input", () => set(range.value));
     field.addEventListener("change", () => set(field.value)); // not at each key: 1 and 12 are on the way to 120
-    byId("sliders").append(element("div", { class: "slider" }, element("label", { for: id }, name), range, field, now));
+    byId("sliders").append(element("div", { class: "slider" }, element("label", { for: id }, name), field, now, range));
     return { range, field, now };
   }
 
   #showTargets() {
-    const degrees = JOINTS.map((joint) => this.targets.get(this.model.selectedLeg * 10 + joint));
-    const mean = (degrees[0] + degrees[1] + degrees[2]) / 3;
-    [...this.sliders, this.all].forEach(({ range, field }, index) => {
-      const deg = degrees[index] ?? mean;
-      const same = index < degrees.length || degrees.every((each) => each === degrees[0]);
-      if (range.value !== String(deg)) range.value = String(deg);
-      const typed = same ? String(deg) : "";
-      if (field.value !== typed && field !== document.activeElement) field.value = typed;
+    this.sliders.forEach(({ range, field }, index) => {
+      const deg = String(this.targets.get(this.model.selectedLeg * 10 + JOINTS[index]));
+      if (range.value !== deg) range.value = deg;
+      if (field.value !== deg && field !== document.activeElement) field.value = deg;
     });
   }
 

@@ -1,10 +1,15 @@
 // @ts-check
-/** A gamepad (standard mapping) for the selected leg. Its right trigger is the dead-man: nothing runs without it. */
+/**
+ * A gamepad (standard mapping): its sticks walk. While its right trigger is pulled they turn the joints of the selected
+ * leg instead, and nothing runs without it.
+ */
 
 import { byId, show, text } from "./dom.js";
 
 const TRIGGER = 7;
+const STAND_BUTTON = 0;
 const STOP_BUTTON = 1;
+const SIT_BUTTON = 2;
 const PRESSED = 0.5;
 const DEAD_ZONE = 0.15;
 const SPEED_DEG_S = 60;
@@ -15,16 +20,21 @@ const WATCH_MS = 50;
 export class Pad {
   /**
    * @param {import("./hold.js").Hold} hold @param {import("./targets.js").Targets} targets
+   * @param {import("./walk.js").Walk} walk
    * @param {{leg: () => number, stopAll: () => void}} told
    */
-  constructor(hold, targets, told) {
+  constructor(hold, targets, walk, told) {
     this.hold = hold;
+    this.walk = walk;
     this.targets = targets;
     this.told = told;
     this.held = false;
     /** The trigger was seen released, so that its next pull is meant. */
     this.ready = false;
     this.stopping = true;
+    /** The sticks were seen in the middle, so that their next push is meant. */
+    this.centred = false;
+    this.pressing = true;
     window.addEventListener("gamepaddisconnected", () => this.#look());
     setInterval(() => this.#look(), WATCH_MS);
   }
@@ -50,7 +60,8 @@ export class Pad {
     const pad = connected();
     show(byId("gamepad"), pad !== null);
     if (!pad) {
-      this.ready = false;
+      this.ready = this.centred = false;
+      this.walk.steer({ x: 0, y: 0, turn: 0 });
       if (this.held) {
         this.held = false;
         this.hold.drop("the gamepad has gone");
@@ -61,6 +72,7 @@ export class Pad {
     const stops = pad.buttons[STOP_BUTTON]?.pressed ?? false;
     if (stops && !this.stopping) this.told.stopAll();
     this.stopping = stops;
+    this.#walk(pad);
     const pulled = (pad.buttons[TRIGGER]?.value ?? 0) > PRESSED;
     if (!pulled) this.ready = true;
     if (pulled && this.ready && !this.held) {
@@ -72,6 +84,23 @@ export class Pad {
       this.hold.release("gamepad");
     }
   }
+
+  /** @param {Gamepad} pad */
+  #walk(pad) {
+    const [x, y, turn] = [beyond(pad.axes[0]), -beyond(pad.axes[1]), beyond(pad.axes[2])];
+    const pushed = x !== 0 || y !== 0 || turn !== 0;
+    if (!pushed) this.centred = true;
+    const walks = this.centred && !this.held;
+    this.walk.steer(walks ? { x, y, turn } : { x: 0, y: 0, turn: 0 });
+    const [stand, sit] = [STAND_BUTTON, SIT_BUTTON].map((button) => pad.buttons[button]?.pressed ?? false);
+    if ((stand || sit) && !this.pressing) this.walk.go(sit);
+    this.pressing = stand || sit;
+  }
+}
+
+/** @param {number | undefined} value */
+function beyond(value = 0) {
+  return Math.abs(value) < DEAD_ZONE ? 0 : value;
 }
 
 /** @returns {Gamepad | null} */

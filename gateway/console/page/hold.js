@@ -13,6 +13,8 @@ import { legs as legsInWords } from "./dom.js";
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
 
 export const PERIOD_MS = 50;
+/** How fast a hand's slider moves a servo; a servo alone goes ten times as fast. */
+const SPEED_DEG_S = 60;
 /** With an older state than this, nothing is sent: who drives has to see. */
 export const FRESH_MS = 500;
 /** A tick that comes later than this tells of a page that was frozen. */
@@ -49,7 +51,7 @@ export function whyNot({ ack, error }) {
 export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
-   * @param {{mine: () => boolean, chosen: (held: Set<string>) => number[], target: (servo: number) => number,
+   * @param {{mine: () => boolean, chosen: (held: Set<string>) => number[], target: (servo: number, mostDeg: number) => number, busy: () => string,
    *          steer: (elapsedMs: number) => void, say: (line: string) => void, changed: () => void}} told
    */
   constructor(link, model, told) {
@@ -98,7 +100,7 @@ export class Hold {
       return;
     }
     this.lastTickMs = performance.now();
-    const why = obstacle(this, this.lastTickMs) || (this.told.chosen(new Set([what])).length ? "" : "choose a leg first");
+    const why = obstacle(this, this.lastTickMs) || this.told.busy() || (this.told.chosen(new Set([what])).length ? "" : "choose a leg first");
     if (why) {
       this.told.say(`Nothing runs: ${why}.`);
       return;
@@ -260,6 +262,6 @@ export class Hold {
 
   /** @param {number} leg @param {"start" | "set"} op */
   #payload(leg, op) {
-    return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.told.target(leg * 10 + joint) })) };
+    return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.told.target(leg * 10 + joint, SPEED_DEG_S * (PERIOD_MS / 1000)) })) };
   }
 }

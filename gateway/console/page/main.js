@@ -2,6 +2,7 @@
 /** Puts the page together. STOP ALL comes first: it works whatever fails after it. */
 
 import { Calibrate } from "./calibrate.js";
+import { Device } from "./device.js";
 import { attribute, byId, text } from "./dom.js";
 import { Drive } from "./drive.js";
 import { Pad } from "./gamepad.js";
@@ -14,6 +15,7 @@ import { Picture } from "./picture.js";
 import { Plots } from "./plots.js";
 import { StopAll } from "./stop.js";
 import { Targets } from "./targets.js";
+import { Walk } from "./walk.js";
 
 const REFRESH_MS = 100;
 
@@ -27,6 +29,7 @@ const link = new Link({ opened, closed, heard });
 const stop = new StopAll(link, model, {
   pressed: () => {
     /** @type {HTMLDialogElement} */ (byId("question")).close("no");
+    walk.end("STOP ALL was pressed");
     hold.drop("STOP ALL was pressed");
     calibrate.stop("STOP ALL was pressed");
   },
@@ -38,22 +41,32 @@ let single = model.selectedLeg;
 const hold = new Hold(link, model, {
   mine: () => lease.mine,
   chosen: (held) => drive.legsOf(held, single),
-  target: (servo) => targets.get(servo),
+  target: (servo, mostDeg) => targets.approach(servo, mostDeg, model.lastDeg.get(servo)),
+  busy: () => (walk.active ? "the robot walks; let it sit down first" : ""),
   steer: (elapsedMs) => pad.steer(elapsedMs),
   say,
-  changed: () => drive.refresh(),
+  changed: () => {
+    if (!hold.active) targets.forget();
+    drive.refresh();
+  },
 });
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: (why) => (calibrate.servo !== null ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
+  lost: (why) => (walk.active ? walk.end(why) : calibrate.servo !== null ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
 });
-const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active, say });
+const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active || walk.active, say });
+const walk = new Walk(link, model, {
+  mine: () => lease.mine,
+  busy: () => (hold.active ? "legs are held; let go first" : calibrate.servo !== null ? "a servo is under test; stop it first" : ""),
+  say,
+});
 const drive = new Drive(model, targets, hold, { say, select });
-const pad = new Pad(hold, targets, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });
+const pad = new Pad(hold, targets, walk, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });
 const numbers = new Numbers(model, select);
-const picture = new Picture(model, select);
+const picture = new Picture(model, select, say);
 const plots = new Plots(model);
+const device = new Device(link, say);
 
 /** @param {number} leg */
 function select(leg) {
@@ -74,6 +87,7 @@ function closed(why) {
   model.connected = false;
   model.linkStatus = "gone";
   if (why || !model.trouble) model.trouble = why || "the connection to the console is lost";
+  walk.end("the connection to the console is lost");
   hold.drop("the connection to the console is lost");
   calibrate.closed();
   lease.closed();
@@ -111,6 +125,12 @@ function heard(message) {
     case "calibration":
       calibrate.heard(message);
       break;
+    case "walk":
+      walk.heard(message);
+      break;
+    case "link_for":
+      device.heard(message);
+      break;
     case "lease":
       lease.heard(message);
       break;
@@ -121,6 +141,7 @@ function refresh() {
   const nowMs = performance.now();
   stop.refresh(nowMs);
   lease.refresh();
+  walk.refresh();
   drive.refresh();
   calibrate.refresh();
   attribute(document.body, "data-live", model.live(nowMs) ? "yes" : "no");

@@ -141,5 +141,5 @@ function eventLine(event) {
   const time = element("time", { datetime: event.time }, new Date(event.time).toLocaleTimeString("en-GB"));
   const who = event.source ? `${event.source}: ` : "";
   const more = event.left_out ? ` (and ${event.left_out} more)` : "";
-  return element("li", { "data-tone": tone }, time, element("b", {}, kind), `${who}${worded(event.detail)}${more}`);
+  return element("li", { "data-tone": tone }, time, element("b", {}, kind), element("span", {}, `${who}${worded(event.detail)}${more}`));
 }

@@ -3,13 +3,22 @@
 
 import { Above } from "./above.js";
 import { attribute, byId, element, show, text } from "./dom.js";
-import { LEGS } from "./kinematics.js";
+import { LEGS, legPoints } from "./kinematics.js";
 import { statusOf } from "./model.js";
+import { Odometry } from "./odometry.js";
+
+/** A picture that takes longer would delay what is sent 20 times a second. */
+const SLOW_MS = 60;
+/** So many of them in a row, and it is drawn from above. */
+const MOST_SLOW = 2;
 
 export class Picture {
-  /** @param {import("./model.js").Model} model @param {(leg: number) => void} select */
-  constructor(model, select) {
+  /** @param {import("./model.js").Model} model @param {(leg: number) => void} select @param {(line: string) => void} say */
+  constructor(model, select, say) {
     this.model = model;
+    this.say = say;
+    this.odometry = new Odometry();
+    this.slow = 0;
     this.place = byId("picture");
     /** @type {import("./scene.js").Scene | Above | null} */
     this.view = null;
@@ -26,6 +35,8 @@ export class Picture {
     );
     this.solid = /** @type {HTMLInputElement} */ (byId("view-solid"));
     for (const id of ["view-solid", "view-above"]) byId(id).addEventListener("change", () => this.#build());
+    this.solid.addEventListener("change", () => (this.insists = true));
+    this.insists = false;
     this.place.addEventListener("turned", () => this.#draw());
     new ResizeObserver(() => this.#draw()).observe(this.place);
   }
@@ -58,9 +69,27 @@ export class Picture {
     const now = JSON.stringify([...poses]);
     if (now === this.drawn || !this.view) return;
     this.drawn = now;
-    this.view.update(poses);
+    this.odometry.update(this.#feet(this.geometry));
+    const beganMs = performance.now();
+    this.view.update(poses, this.odometry);
     this.#describe();
     this.#draw();
+    this.#judge(performance.now() - beganMs);
+  }
+
+  /** Of the legs that run. @param {import("./types.js").Geometry} geometry */
+  #feet(geometry) {
+    const running = (this.model.state?.legs ?? []).filter((leg) => leg.servos.every((servo) => servo.running));
+    return new Map(running.map(({ leg }) => [leg, legPoints(geometry, leg, this.model.degrees(leg))[4]]));
+  }
+
+  /** Nobody's hold waits for a picture. @param {number} tookMs */
+  #judge(tookMs) {
+    this.slow = tookMs > SLOW_MS ? this.slow + 1 : 0;
+    if (this.slow < MOST_SLOW || !this.solid.checked || this.insists) return;
+    /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
+    this.say("3D is too slow in this browser, so the robot is drawn from above.");
+    void this.#build();
   }
 
   #draw() {
@@ -88,6 +117,7 @@ export class Picture {
     if (!geometry) return;
     this.view?.dispose();
     this.view = null;
+    this.slow = 0;
     this.drawn = "";
     if (this.solid.checked && !document.createElement("canvas").getContext("webgl2")) this.#cannot();
     if (this.solid.checked) {

@@ -13,6 +13,8 @@ const FARTHEST_M = 2.5;
 const LABEL_M = 0.1;
 const PLATE_M = 0.006;
 const GAP_M = 0.036;
+const MESH_M = 0.15;
+const LINES = 7;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = Math.PI / 24;
 
@@ -39,6 +41,7 @@ export class Scene {
     this.canvas.addEventListener("webglcontextlost", lost);
     place.append(this.canvas);
 
+    this.pixel = new Uint8Array(4);
     this.scene = new three.Scene();
     this.camera = new three.PerspectiveCamera(32, 1, 0.05, 10);
     this.camera.up.set(0, 0, 1);
@@ -63,9 +66,9 @@ export class Scene {
       new three.ShadowMaterial({ opacity: 0.22, depthWrite: false }),
     );
     shadow.receiveShadow = true;
-    this.rings = new three.LineBasicMaterial({ transparent: true, opacity: 0.35 });
-    for (const radius of [0.25, 0.5, 0.75]) this.ground.add(circle(radius, this.rings));
-    this.ground.add(shadow);
+    this.meshMaterial = new three.LineBasicMaterial({ transparent: true, opacity: 0.8 });
+    this.mesh = mesh(this.meshMaterial);
+    this.ground.add(this.mesh, shadow);
     this.scene.add(this.ground);
 
     this.bodyMaterial = new three.MeshStandardMaterial({ roughness: 0.7, metalness: 0.1 });
@@ -88,9 +91,11 @@ export class Scene {
     this.#recolour();
   }
 
-  /** @param {Map<number, LegPose>} poses */
-  update(poses) {
+  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry */
+  update(poses, odometry) {
     this.poses = poses;
+    this.mesh.position.set(...odometry.crossing(MESH_M), 0);
+    this.mesh.rotation.z = odometry.turned;
     let lowest = 0;
     for (const [leg, pose] of poses) {
       const parts = this.legs.get(leg);
@@ -126,6 +131,8 @@ export class Scene {
     this.camera.lookAt(this.centre);
     this.camera.updateProjectionMatrix();
     this.renderer.render(this.scene, this.camera);
+    const context = this.renderer.getContext();
+    context.readPixels(0, 0, 1, 1, context.RGBA, context.UNSIGNED_BYTE, this.pixel); // waits, so that its time is known
   }
 
   /** Where a leg's label belongs, in pixels of the place: on the ground, beyond its foot. @param {number} leg @returns {[number, number]} */
@@ -233,7 +240,7 @@ export class Scene {
     this.bodyMaterial.color.set(colour("--body"));
     this.servoMaterial.color.set(colour("--servo"));
     this.frontMaterial.color.set(colour("--accent"));
-    this.rings.color.set(colour("--faint"));
+    this.meshMaterial.color.set(colour("--faint"));
     for (const parts of this.legs.values()) {
       /** @type {three.LineBasicMaterial} */ (parts.ring.material).color.set(colour("--accent"));
       const { status } = parts.material.userData;
@@ -286,6 +293,18 @@ function limb(end, number, material) {
   mesh.quaternion.setFromUnitVectors(new three.Vector3(0, 1, 0), end.clone().normalize());
   mesh.castShadow = true;
   return mesh;
+}
+
+/** Squares on a round floor. @param {three.LineBasicMaterial} material */
+function mesh(material) {
+  const points = [];
+  for (let line = -LINES; line <= LINES; line += 1) {
+    const at = line * MESH_M;
+    const end = Math.sqrt((LINES * MESH_M) ** 2 - at ** 2);
+    points.push(new three.Vector3(at, -end, 0), new three.Vector3(at, end, 0));
+    points.push(new three.Vector3(-end, at, 0), new three.Vector3(end, at, 0));
+  }
+  return new three.LineSegments(new three.BufferGeometry().setFromPoints(points), material);
 }
 
 /** @param {number} radius @param {three.LineBasicMaterial} material */

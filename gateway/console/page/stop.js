@@ -13,11 +13,11 @@ const DEAF_MS = 1000;
 
 /**
  * What is known of a STOP ALL, in one line.
- * @param {{looks: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
+ * @param {{looks: boolean, touch: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
  *          latched: {estop: number, source: string | null} | null}} known
  * @returns {{tone: "bad" | "good" | "asked" | "plain", line: string}}
  */
-export function inWords({ looks, connected, why, askedMsAgo, answer, latched }) {
+export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latched }) {
   const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
   if (!connected) {
     const waits = asked ? `${asked}and asked again once connected` : why;
@@ -38,7 +38,7 @@ export function inWords({ looks, connected, why, askedMsAgo, answer, latched }) 
   if (latched) {
     return { tone: "good", line: `stopped by ${latched.source ?? "somebody"}; nothing runs until a reset` };
   }
-  return { tone: "plain", line: "Escape or space, at any time" };
+  return { tone: "plain", line: touch ? "One tap, at any time" : "Escape or space, at any time" };
 }
 
 export class StopAll {
@@ -116,6 +116,7 @@ export class StopAll {
     if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // somebody has reset it
     const known = inWords({
       looks: this.#looks,
+      touch: matchMedia("(pointer: coarse)").matches,
       connected: model.live(nowMs),
       why: model.trouble.split("\n")[0],
       askedMsAgo: this.asked ? nowMs - this.asked.atMs : null,

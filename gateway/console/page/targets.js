@@ -19,6 +19,25 @@ export class Targets extends EventTarget {
     this.degrees = new Map(SERVOS.map((servo) => [servo, NEUTRAL_DEG]));
     /** Servos that somebody has set here; others follow what was commanded. @type {Set<number>} */
     this.own = new Set();
+    /** What was sent last, on the way to these. @type {Map<number, number>} */
+    this.sent = new Map();
+  }
+
+  /**
+   * What to send next: the target, or at most `mostDeg` nearer to it than where the servo is commanded to.
+   * @param {number} servo @param {number} mostDeg @param {number | undefined} commanded undefined: nobody knows
+   */
+  approach(servo, mostDeg, commanded) {
+    const target = this.get(servo);
+    const from = this.sent.get(servo) ?? commanded ?? target;
+    const next = clamped(from + Math.max(-mostDeg, Math.min(mostDeg, target - from)));
+    this.sent.set(servo, next);
+    return next;
+  }
+
+  /** Others may have moved it meanwhile: what was sent counts no more. */
+  forget() {
+    this.sent.clear();
   }
 
   /** @param {number} servo @returns {number} */

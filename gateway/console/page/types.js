@@ -29,6 +29,10 @@
  *            detail?: string | null, holder?: string | null, verified?: boolean | null,
  *            ttl_ms?: number | null}} LeaseMessage
  *
+ * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, gait: string | null,
+ *            height_m: number | null, commanded: number[], scaled: number[], limit: string, lost: number[],
+ *            waits: boolean, detail: string}} WalkMessage
+ *
  * @typedef {{trim_deg: number, inverted: boolean, min_deg: number, max_deg: number, changed: boolean}} Draft
  * @typedef {{type: "calibration", id: number, revision: number | null, servos: Record<number, Draft>,
  *            landing: Record<number, number>, servo: number | null, shown_deg: number | null,

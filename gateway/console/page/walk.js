@@ -1,0 +1,258 @@
+// @ts-check
+/**
+ * Walking: while the pad, a key or a stick is held, this page says 20 times a second how the robot shall go. The console
+ * uses each wish once; when this page falls silent, the robot finishes its step and stands, and later sits down.
+ *
+ * Each wish carries the number of the press that it belongs to. What ends a walk uses that press up: then something has
+ * to be pressed anew.
+ */
+
+import { attribute, byId, enable, show, text } from "./dom.js";
+import { obstacle, PERIOD_MS } from "./hold.js";
+import { Keys } from "./keys.js";
+import { Stick } from "./stick.js";
+
+/** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {{x: number, y: number, turn: number}} Deflection */
+
+const SPEED_M_S = 0.1;
+const TURN_RAD_S = 0.4;
+const STEP_M = 0.01;
+const USUAL_M = 0.15;
+/** After a press, how long it is waited for the console's first word of a walk. */
+const BEGINS_MS = 6000;
+
+export class Walk {
+  /**
+   * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
+   * @param {{mine: () => boolean, busy: () => string, say: (line: string) => void}} told
+   *   `busy`: what else drives the legs, in words, or ""
+   */
+  constructor(link, model, told) {
+    this.link = link;
+    this.model = model;
+    this.told = told;
+    /** The newest press; 0: none. */
+    this.press = 0;
+    this.sits = true;
+    this.gait = "tripod";
+    /** @type {number | null} */
+    this.heightM = null;
+    /** @type {WalkMessage | null} */
+    this.report = null;
+    this.lastTickMs = 0;
+    this.pressedMs = -Infinity;
+    /** Whether something was held at the last tick. */
+    this.moved = false;
+    /** @type {ReturnType<typeof setInterval> | undefined} */
+    this.timer = undefined;
+    /** When the wishes were sent whose use is not reported yet. @type {Map<number, number>} */
+    this.sentMs = new Map();
+    this.answerMs = NaN;
+    /** What a gamepad's sticks say. @type {Deflection} */
+    this.pad = { x: 0, y: 0, turn: 0 };
+    this.thumb = new Stick("pad", true, () => this.#held());
+    this.turn = new Stick("turn", false, () => this.#held());
+    this.keys = new Keys(() => this.#held());
+    byId("stand").addEventListener("click", () => this.go(false));
+    byId("sit").addEventListener("click", () => this.go(true));
+    byId("lower").addEventListener("click", () => this.#rise(-STEP_M));
+    byId("higher").addEventListener("click", () => this.#rise(STEP_M));
+    for (const input of this.#gaits()) {
+      input.addEventListener("change", () => {
+        this.gait = input.value;
+        if (this.active) this.#press(false);
+      });
+    }
+    for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
+      [window, "blur"],
+      [document, "visibilitychange"],
+    ])) {
+      target.addEventListener(name, () => {
+        const why = this.active ? obstacle(this, performance.now()) : "";
+        if (why) this.drop(why);
+      });
+    }
+    window.addEventListener("pagehide", () => this.drop("this page was closed or left"));
+    document.addEventListener("freeze", () => this.drop("this page was frozen"));
+  }
+
+  /** Whether the robot stands or walks by this page, or is about to. */
+  get active() {
+    return this.timer !== undefined;
+  }
+
+  /** What is held now. @returns {Deflection} */
+  get deflection() {
+    const sources = [this.thumb, this.turn, this.keys, this.pad];
+    const sum = (/** @type {"x" | "y" | "turn"} */ of) => sources.reduce((all, each) => all + each[of], 0);
+    const [x, y] = [sum("x"), sum("y")];
+    const length = Math.max(1, Math.hypot(x, y));
+    return { x: x / length, y: y / length, turn: Math.max(-1, Math.min(1, sum("turn"))) };
+  }
+
+  /** Stand, or sit. @param {boolean} sits */
+  go(sits) {
+    this.#press(sits);
+  }
+
+  /** A gamepad's sticks. @param {Deflection} deflection */
+  steer(deflection) {
+    const began = !moves(this.pad) && moves(deflection);
+    this.pad = deflection;
+    if (began) this.#held();
+  }
+
+  /** Nothing that is held counts any more; something has to be pressed anew. @param {string} why */
+  drop(why) {
+    const moved = moves(this.deflection);
+    this.#letGo();
+    if (this.active && moved) this.told.say(`It stands still: ${why}.`);
+  }
+
+  /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
+  end(why) {
+    if (!this.active) return;
+    this.drop(why);
+    clearInterval(this.timer);
+    this.timer = undefined;
+    this.report = null;
+    this.refresh();
+  }
+
+  /** @param {WalkMessage} message */
+  heard(message) {
+    if (message.press < this.press && message.posture === null && !message.detail) return; // of a walk before
+    const before = this.report;
+    this.report = message.posture === null ? null : message;
+    const at = message.id === null ? undefined : this.sentMs.get(message.id);
+    if (at !== undefined && message.id !== null) {
+      this.answerMs = performance.now() - at;
+      for (const id of this.sentMs.keys()) if (id <= message.id) this.sentMs.delete(id);
+    }
+    if (message.detail && message.detail !== before?.detail) {
+      this.told.say(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`);
+      if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
+    } else if (message.limit && message.limit !== before?.limit) this.told.say(`Slower than that: ${message.limit}.`);
+    else if (message.posture !== before?.posture && message.posture) this.told.say(`${WORDS[message.posture] ?? message.posture}.`);
+    if (message.posture === null && message.press >= this.press) {
+      this.#letGo();
+      clearInterval(this.timer);
+      this.timer = undefined;
+      if (before && !message.detail) this.told.say("It sits, and its servos are stopped.");
+    }
+    this.refresh();
+  }
+
+  refresh() {
+    const { report } = this;
+    const { x, y, turn } = this.deflection;
+    const mine = this.told.mine();
+    show(byId("walk-controls"), this.model.hello?.role !== "observer");
+    attribute(byId("walk-controls"), "data-mine", mine ? "yes" : "no");
+    for (const id of ["stand", "sit", "lower", "higher"]) enable(/** @type {HTMLButtonElement} */ (byId(id)), mine);
+    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", mine ? "false" : "true");
+    attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
+    attribute(byId("turn"), "data-held", turn ? "yes" : "no");
+    text(byId("height"), `${Math.round((report?.height_m ?? this.heightM ?? USUAL_M) * 100)} cm`);
+    for (const input of this.#gaits()) input.checked = input.value === this.gait;
+    text(byId("walk-known"), this.#known());
+  }
+
+  #known() {
+    const { report } = this;
+    if (!report) return this.active ? "It begins …" : "Nothing walks by this page.";
+    const [forward, left, turn] = report.scaled;
+    const speed = `${Math.hypot(forward, left).toFixed(2)} m/s, ${Math.abs((turn * 180) / Math.PI).toFixed(0)}°/s`;
+    const answer = Number.isFinite(this.answerMs) ? `, answered in ${Math.round(this.answerMs)} ms` : "";
+    return `${WORDS[report.posture ?? ""] ?? report.posture}, ${report.gait}, ${speed}${answer}`;
+  }
+
+  /** Something is held now, or a little further. */
+  #held() {
+    if (moves(this.deflection) && !this.moved) this.#press(false);
+  }
+
+  /** @param {number} byM */
+  #rise(byM) {
+    this.heightM = Math.round(((this.heightM ?? this.report?.height_m ?? USUAL_M) + byM) * 100) / 100;
+    if (this.active) this.#press(false);
+    this.refresh();
+  }
+
+  /** Something was pressed. @param {boolean} sits */
+  #press(sits) {
+    const nowMs = performance.now();
+    if (!this.active) this.lastTickMs = nowMs;
+    const why = obstacle(this, nowMs) || this.told.busy();
+    if (why) {
+      this.#letGo();
+      this.told.say(`Nothing moves: ${why}.`);
+      return;
+    }
+    if (sits && !this.active) {
+      this.told.say("It sits already, as far as this page knows.");
+      return;
+    }
+    this.press = this.link.nextId();
+    this.pressedMs = nowMs;
+    this.sits = sits;
+    if (!this.active) this.timer = setInterval(() => this.#tick(), PERIOD_MS);
+    this.moved = moves(this.deflection);
+    this.#send(nowMs);
+    this.refresh();
+  }
+
+  #tick() {
+    const nowMs = performance.now();
+    const why = obstacle(this, nowMs);
+    this.lastTickMs = nowMs;
+    if (this.report === null && nowMs - this.pressedMs > BEGINS_MS) {
+      this.end("the console does not say that it walks");
+      return;
+    }
+    if (why) {
+      this.drop(why); // and nothing is sent, which the console takes for what it is
+      return;
+    }
+    this.moved = moves(this.deflection);
+    this.#send(nowMs);
+  }
+
+  /** @param {number} sent_ms */
+  #send(sent_ms) {
+    const { x, y, turn } = this.deflection;
+    const id = this.link.nextId();
+    const velocity = { forward_m_s: y * SPEED_M_S, left_m_s: -x * SPEED_M_S, turn_rad_s: -turn * TURN_RAD_S };
+    const { press, gait, heightM: height_m, sits } = this;
+    const sent = this.link.sendNow({ type: "walk", id, press, sent_ms, ...velocity, gait, height_m, sits });
+    if (sent) this.sentMs.set(id, sent_ms);
+  }
+
+  #letGo() {
+    this.thumb.release();
+    this.turn.release();
+    this.keys.release();
+    this.pad = { x: 0, y: 0, turn: 0 };
+    this.moved = false;
+  }
+
+  /** @returns {HTMLInputElement[]} */
+  #gaits() {
+    return [...document.querySelectorAll('input[name="gait"]')].map((each) => /** @type {HTMLInputElement} */ (each));
+  }
+}
+
+/** @type {Record<string, string>} */
+const WORDS = {
+  lying: "It lies",
+  sitting: "It sits",
+  standing: "It stands",
+  walking: "It walks",
+  moving: "It moves to another posture",
+  halted: "It stands still, since a leg was stopped",
+};
+
+/** @param {Deflection} deflection */
+function moves({ x, y, turn }) {
+  return x !== 0 || y !== 0 || turn !== 0;
+}
