@@ -134,6 +134,11 @@ class Opened:
         for leg in legs:
             self.page.locator("#run-chooser label").nth(leg - 1).click()
 
+    def insist_on_three_dimensions(self) -> None:
+        """Who chooses them by hand gets them, however slow they are."""
+        for view in ("view-above", "view-solid"):
+            self[view].check(force=True)
+
     def show_joints(self) -> None:
         """Open what is advanced."""
         if self["advanced"].get_attribute("open") is None:

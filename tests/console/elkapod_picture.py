@@ -39,6 +39,7 @@ def main() -> None:
             Visitor(browser, console.url, console.sign_in()) as visitor,
         ):
             page = visitor.open(webgl=True, viewport=SIZE, color_scheme="light")
+            page.insist_on_three_dimensions()
             gait = Child([sys.executable, str(ELKAPOD / "gait.py"), "--connect", endpoint], env)
             page.expect_status(6, "runs")
             expect(page["number-frames"]).to_have_text(FRAMES)

@@ -25,14 +25,14 @@ COUNT_SOCKETS: Final = """
 () => {
   window.sockets = 0;
   const Real = WebSocket;
-  window.WebSocket = class extends Real { constructor(address) { super(address); window.sockets += 1; } };
+  window.WebSocket = class extends Real { constructor(...given) { super(...given); window.sockets += 1; } };
 }
 """
 COUNT_MESSAGES: Final = """
 window.messages = 0;
 const Real = WebSocket;
 window.WebSocket = class extends Real {
-  constructor(address) { super(address); this.addEventListener("message", () => (window.messages += 1)); }
+  constructor(...given) { super(...given); this.addEventListener("message", () => (window.messages += 1)); }
 };
 """
 PHONE: Final = {"width": 360, "height": 740}
@@ -40,6 +40,7 @@ PHONE: Final = {"width": 360, "height": 740}
 
 def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open(webgl=True)
+    page.insist_on_three_dimensions()
     command = [*COMMAND, "send", "leg", "3", "start", "91", "46", "121", "--hold", "60", "--connect", gateway.endpoint]
     sender = Child(command, os.environ)
     try:
@@ -258,10 +259,10 @@ def test_a_stop_that_was_asked_of_a_frozen_console_is_asked_again(
             expect(page["stop-known"]).to_contain_text("no answer yet")
             expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
             expect(page["stop-known"]).to_contain_text("asked again once connected")
+            page.page.wait_for_function("window.sockets >= 1")  # the old connection is given up
         finally:
             console.child.send_signal(signal.SIGCONT)
         expect(page["stop-known"]).to_contain_text("6 Stops written within")
-        assert page.page.evaluate("window.sockets") >= 1  # the old connection was given up
         with gateway.client() as robot:
             assert robot.state().mode == "estopped"
     put_to_rest(gateway)
