@@ -72,8 +72,8 @@ export class Pad {
     const stops = pad.buttons[STOP_BUTTON]?.pressed ?? false;
     if (stops && !this.stopping) this.told.stopAll();
     this.stopping = stops;
-    this.#walk(pad);
     const pulled = (pad.buttons[TRIGGER]?.value ?? 0) > PRESSED;
+    this.#walk(pad, pulled);
     if (!pulled) this.ready = true;
     if (pulled && this.ready && !this.held) {
       this.held = true;
@@ -85,12 +85,13 @@ export class Pad {
     }
   }
 
-  /** @param {Gamepad} pad */
-  #walk(pad) {
+  /** @param {Gamepad} pad @param {boolean} pulled */
+  #walk(pad, pulled) {
     const [x, y, turn] = [beyond(pad.axes[0]), -beyond(pad.axes[1]), beyond(pad.axes[2])];
     const pushed = x !== 0 || y !== 0 || turn !== 0;
-    if (!pushed) this.centred = true;
-    const walks = this.centred && !this.held;
+    if (pulled) this.centred = false;
+    else if (!pushed) this.centred = true;
+    const walks = this.centred && !pulled;
     this.walk.steer(walks ? { x, y, turn } : { x: 0, y: 0, turn: 0 });
     const [stand, sit] = [STAND_BUTTON, SIT_BUTTON].map((button) => pad.buttons[button]?.pressed ?? false);
     if ((stand || sit) && !this.pressing) this.walk.go(sit);
