@@ -4,7 +4,7 @@ import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
@@ -291,6 +291,10 @@ class AsyncStream:
     def start_again(self) -> None:
         """See `Stream.start_again`."""
         self._stream.start_again()
+
+    def go_on_without(self, legs: Iterable[int]) -> None:
+        """See `Stream.go_on_without`."""
+        self._stream.go_on_without(legs)
 
 
 class _Events:
