@@ -9,15 +9,20 @@ from typing import Final
 
 from playwright.sync_api import expect, sync_playwright
 
+from gateway.client import Client
+from schemas.telemetry import Cause
 from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor
 from tests.support.child import Child
 from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, READY, free_port
+from tests.support.heard import frames
 
 ELKAPOD: Final = Path(__file__).parents[2] / "examples" / "elkapod"
 SIZE: Final = {"width": 1240, "height": 800}
 FRAMES: Final = re.compile(r"^(2[5-9]|3[0-9])\d")
 """Hundreds a second, once the page has counted for a while: six legs at 50 Hz are 300."""
+STANDS: Final = 1000
+"""Frames of commands after which it has stood up, and walks."""
 
 
 def main() -> None:
@@ -37,12 +42,15 @@ def main() -> None:
         with (
             Console(folder, "--connect", endpoint, *shape, env={"LOGNAME": "anna"}) as console,
             Visitor(browser, console.url, console.sign_in()) as visitor,
+            Client(endpoint, source="picture") as client,
         ):
+            written = frames(client)
             page = visitor.open(webgl=True, viewport=SIZE, color_scheme="light")
             page.insist_on_three_dimensions()
             gait = Child([sys.executable, str(ELKAPOD / "gait.py"), "--connect", endpoint], env)
             page.expect_status(6, "runs")
             expect(page["number-frames"]).to_have_text(FRAMES)
+            written.wait(lambda record: record.cause is Cause.COMMAND, count=STANDS, timeout_s=30)
             page.page.screenshot(path=ELKAPOD / "walking.png")
             gait.close()
         browser.close()
