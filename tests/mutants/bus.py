@@ -50,9 +50,14 @@ BUS = Subject(
             "after a fault, frames that nobody receives",
         ),
         Mutant(
-            "                    if heard:\n                        left.remove(place)\n",
-            "                    left.remove(place)\n",
+            "                if heard:\n                    left.pop()\n",
+            "                left.pop()\n",
             "a Stop that may not have been received counts as written",
+        ),
+        Mutant(
+            "if not heard and (self._zeros or self._failures < TRIES):",
+            "if not heard and self._failures < TRIES:",
+            "a Stop behind a part of the zeros makes a controller deaf for longer than a preamble",
         ),
         Mutant("min(wire_ns, ended_ns)", "ended_ns", "all frames of a batch have the same time"),
         Mutant("ceil(frame_gap_us)", "int(frame_gap_us)", "the pause is shorter than what was asked for"),

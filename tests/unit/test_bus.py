@@ -4,6 +4,7 @@ When else the preamble is written, and how batches are split, is in test_bus_pre
 """
 
 import itertools
+import random
 from collections.abc import Iterable, Iterator, Sequence
 
 import pytest
@@ -91,9 +92,9 @@ def test_a_batch_of_stops_that_failed_is_written_one_by_one_behind_zeros_of_thei
     assert scene.device.seen == [
         *scene.transfers(*STOP_ALL[:2]),
         *[ZERO] * PREAMBLE_ZEROS,
-        *scene.transfers(*STOP_ALL),
+        *scene.transfers(*reversed(STOP_ALL)),
     ]
-    assert [sent.place for sent in report.sent] == [0, 1, 2, 3, 4, 5]
+    assert [sent.place for sent in report.sent] == [5, 4, 3, 2, 1, 0], "the first ones were most likely written before"
     assert "told to fail" in str(report.fault), "and the batch counts as failed"
     assert scene.bus.errors == 1
 
@@ -104,7 +105,8 @@ def test_zeros_that_fail_are_tried_again_by_themselves(zero: int) -> None:
     scene.device.begin({0, 1 + zero})
     assert len(scene.bus.write(STOP_ALL[:1]).sent) == 1
     behind = scene.device.seen[1:]
-    assert behind.count(ZERO) == PREAMBLE_ZEROS + zero % 2 + 1
+    again = (zero - 1) % 3 + 1 if zero else 1  # one in the first call, then three in each
+    assert behind.count(ZERO) == PREAMBLE_ZEROS + again
     assert behind[-2:] == scene.transfers(STOP_ALL[0])
     assert scene.controller.energised == {servo for leg in LEGS[1:] for servo in range(10 * leg + 1, 10 * leg + 4)}
 
@@ -140,6 +142,18 @@ def test_a_device_that_takes_nothing_is_given_up_after_one_round(framing: Framin
     assert len(scene.device.seen) <= 1 + 6 + TRIES + 5 + GIVEN_UP
 
 
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
+def test_a_stop_that_counts_as_received_was_received_though_transfers_fail_by_chance(share: float) -> None:
+    """Behind a part of a preamble it would leave a controller that awaits more than a whole one."""
+    for seed in range(100):
+        chance, scene = random.Random(seed), Scene(PREFIXED)  # noqa: S311
+        scene.device.begin(number for number in range(3000) if chance.random() < share)
+        report = scene.bus.write(STOP_ALL)
+        heard = {sent.place for sent in report.sent if sent.heard}
+        assert not stopped(STOP_ALL, heard) & scene.controller.energised, seed
+        assert len(heard) == 6 or share > 0.2, seed
+
+
 def test_stops_are_not_tried_for_ever() -> None:
     now_ns = itertools.count(0, 1_000_000)
     controller = SimulatedController(PREFIXED, clock=lambda: 0)
@@ -155,7 +169,7 @@ def test_plain_has_no_preamble_to_send() -> None:
     scene = Scene(Framing.PLAIN)
     scene.device.begin({0})
     scene.bus.write(STOP_ALL[:2])
-    assert scene.device.seen == scene.transfers(STOP_ALL[0], STOP_ALL[0], STOP_ALL[1])
+    assert scene.device.seen == scene.transfers(STOP_ALL[0], STOP_ALL[1], STOP_ALL[0])
 
 
 def test_what_failed_is_followed_by_a_preamble_for_all_that_comes() -> None:

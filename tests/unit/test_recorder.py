@@ -278,7 +278,7 @@ async def test_stops_of_a_batch_that_failed_are_there_as_they_were_written(folde
     robot.controller.fail_next(1 + TRIES)  # the first announcement, then zeros
     assert robot.ask(keys.ESTOP).stop_frames == 6
     bodies = [data for _, data in robot.controller.transfers if len(data) > 1]
-    assert bodies == [stop_leg(number).to_bytes() for number in (*LEGS, 1)], "leg 1's is written again"
+    assert bodies == [stop_leg(number).to_bytes() for number in (*reversed(LEGS), 6)], "leg 6's is written again"
     frames = [each for each in contents(folder)[told:] if isinstance(each, form.FrameWritten)]
     assert [(frame.data, frame.cause) for frame in frames] == [(data, Cause.ESTOP) for data in bodies]
     assert [(frame.bytes, frame.cause) for frame in robot.records] == [(data.hex(), Cause.ESTOP) for data in bodies]
