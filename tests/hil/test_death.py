@@ -159,7 +159,10 @@ def test_a_gateway_that_works_is_heard_in_time_also_under_load(
     ):
         manager.hear_until(b"READY=1")
         for _ in range(10):
-            assert manager.hear(manager.timeout_s) == b"WATCHDOG=1"
+            due_s = time.monotonic() + manager.timeout_s
+            while (heard := manager.hear(max(0.001, due_s - time.monotonic()))) and heard.startswith(b"STATUS="):
+                pass  # what `systemctl status` shows has changed
+            assert heard == b"WATCHDOG=1"
 
 
 # ---- killed under load

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from gateway.client import Client
 from gateway.protocol.framing import Framing
+from gateway.recorder.kept import SUFFIX
 from schemas import keys
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, START_3
@@ -90,7 +91,7 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
         run(spi_testbed, config, endpoint, happens)
     keeper = spi_testbed.spawn([*COMMAND, "incidents", "keep", "--once", "--config", str(config)])
     assert keeper.wait(60) == 0, str(keeper)
-    found = {path.stem.split("-", 3)[-1]: path for path in sorted((tmp_path / "box" / "incidents").iterdir())}
+    found = {path.stem.split("-", 3)[-1]: path for path in sorted((tmp_path / "box" / "incidents").glob(f"*{SUFFIX}"))}
     assert found.keys() == KINDS.keys()
 
     on_wire = [each for each in spi_testbed.transfers if each.delivered and len(each.data) == 14]
