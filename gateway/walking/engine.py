@@ -281,11 +281,20 @@ class Engine:
         if self._next_gait is not None:
             self.gait_name, self._gait = self._next_gait, gaits.gait(self._next_gait)
             self._next_gait = None
+            self._step_within_reach()
         if self._wanted:
             wanted = self._wanted.popleft()
             self._stance = wanted or self._stance
             state.moves = self._planner.way(state.body, state.feet, state.pose, wanted)
             state.sits, state.part = wanted is None, 0.0
+
+    def _step_within_reach(self) -> None:
+        """A foot that the gait before left outside this one's disc is stepped back: no velocity would ever lift it."""
+        state = self._state
+        outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
+        if outside and not state.sits:
+            state.moves = self._planner.way(state.body, state.feet, state.pose, self._stance)
+            state.part = 0.0
 
     def _lower(self, legs: Iterable[int]) -> None:
         state = self._state
