@@ -28,7 +28,7 @@ help:
 
 # Ctrl-C, and SIGTERM to make, end all; the console's end does not end the gateway.
 run: $(VENV)/run
-	@$(BIN)/python -m gateway.tools.try_out $(CONSOLE)
+	@$(BIN)/python -m gateway.people.tools.try_out $(CONSOLE)
 
 quick: check
 	$(BIN)/pytest -q -n 2 tests/unit

@@ -10,7 +10,10 @@ with socket.socket() as free:
     free.bind(("127.0.0.1", 0))
     port = free.getsockname()[1]
 own = {"HEXAPOD_ZENOH__LISTEN": f"[\"tcp/127.0.0.1:{port}\"]", "HEXAPOD_ZENOH__CONNECT": "[]"}
-from gateway.settings import Settings
+try:
+    from gateway.robot.settings import Settings
+except ImportError:  # a release that is kept from before the two wings
+    from gateway.settings import Settings
 if "recorder" in Settings.model_fields:
     own["HEXAPOD_RECORDER__PATH"] = ""  # that of the service, which root must not begin
 own |= {"HEXAPOD_ZENOH__CONFIG": "", "HEXAPOD_TELEMETRY__METRICS": "", "HEXAPOD_LOG__LEVEL": "error"}

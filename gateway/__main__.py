@@ -11,7 +11,7 @@ def main() -> None:
             # It is closed, so the next file would get its number; the SPI device must never become stderr.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+"))
     if sys.argv[1:2] == ["stop-servos"]:
-        from gateway.tools import stop
+        from gateway.people.tools import stop
 
         code = stop.at_once(sys.argv[2:])
         if code is not None:

@@ -10,13 +10,14 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from gateway import __version__, protocol
+from gateway import __version__
 from gateway.errors import GatewayError
-from gateway.tools import certs, incidents, lease, recordings
-from gateway.tools.calibrate import command as calibrate
-from gateway.tools.drill import command as drill
-from gateway.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
-from gateway.tools.walk import command as walk
+from gateway.people.tools import certs, incidents, lease, recordings
+from gateway.people.tools.calibrate import command as calibrate
+from gateway.people.tools.drill import command as drill
+from gateway.people.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.walk import command as walk
+from gateway.robot import protocol
 
 app = typer.Typer(
     rich_markup_mode="markdown",
@@ -58,8 +59,8 @@ def run(
 
     Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
-    from gateway import settings
-    from gateway.tools import serve
+    from gateway.people.tools import serve
+    from gateway.robot import settings
 
     serve.run(settings.load(config, simulated=sim), simulated=sim)
 
@@ -72,8 +73,8 @@ def stop_servos(config: ConfigOption = None) -> None:
 
     Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
     """
-    from gateway import settings
-    from gateway.tools import stop
+    from gateway.people.tools import stop
+    from gateway.robot import settings
 
     found = settings.load(config)
     stop.stop_servos(found.spi, found.watchdog)
@@ -85,7 +86,7 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
     Exit codes: 0 all six Stops are written, 1 not all of them, 4 no gateway answers.
     """
-    from gateway.tools import send
+    from gateway.people.tools import send
 
     sys.exit(send.estop(send.connection(connect, zenoh_config, timeout, command="estop")))
 
@@ -96,7 +97,7 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
     Exit codes: 0 accepted, 1 rejected, 4 no gateway answers.
     """
-    from gateway.tools import send
+    from gateway.people.tools import send
 
     sys.exit(send.reset(send.connection(connect, zenoh_config, timeout, command="reset")))
 
@@ -127,12 +128,12 @@ def check(
     or the robot is not at rest, 4 with --move: no gateway answers.
     """
     if move:
-        from gateway.tools import reach
-        from gateway.tools.check.move import move as move_servo
+        from gateway.people.tools import reach
+        from gateway.people.tools.check.move import move as move_servo
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         sys.exit(move_servo(connection, agreed=yes))
-    from gateway.tools.check import check, check_laptop
+    from gateway.people.tools.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:
         sys.exit(check_laptop(connect, zenoh_config, timeout))
@@ -147,7 +148,7 @@ def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
     Exit codes: 0 ended by q; 1 the terminal cannot show it; 2 there is no terminal, or the --zenoh-config is faulty.
     """
-    from gateway.tools.watch import watch
+    from gateway.people.tools.watch import watch
 
     watch(connect, zenoh_config, timeout)
 
@@ -191,7 +192,7 @@ def console(
     Exit codes: 0 stopped on request, 2 an argument, a file or the configuration is wrong, 4 Zenoh cannot be opened
     (--link: no console answers), 5 the address is taken.
     """
-    from gateway.console import command
+    from gateway.people.console import command
 
     if revoke or link:
         sys.exit(command.revoke() if revoke else command.link(listen))
@@ -218,7 +219,7 @@ def decode(
 
     Exit codes: 0 all are legal, 1 not.
     """
-    from gateway.tools import decode
+    from gateway.people.tools import decode
 
     sys.exit(decode.decode(hex_bytes))
 
@@ -260,7 +261,7 @@ def send_leg(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Start, set or stop a leg: `send leg 3 start 90 45 120 --hold 5`."""
-    from gateway.tools import send
+    from gateway.people.tools import send
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_leg(connection, leg, op, angles or [], hold_s=hold))
@@ -277,7 +278,7 @@ def send_servo(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Start, set or stop one servo: `send servo 32 start 90`."""
-    from gateway.tools import send
+    from gateway.people.tools import send
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))
@@ -288,7 +289,7 @@ def send_stop(
     connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
 ) -> None:
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
-    from gateway.tools import send
+    from gateway.people.tools import send
 
     sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
 
@@ -311,7 +312,7 @@ def main() -> None:
 
 def _end(code: int) -> NoReturn:
     """End with this exit code, without waiting for threads that still try to reach another host."""
-    hosts = sys.modules.get("gateway.edge.hosts")
+    hosts = sys.modules.get("gateway.people.client.hosts")
     if hosts is not None and hosts.under_way():
         sys.stdout.flush()
         sys.stderr.flush()

@@ -1,6 +1,6 @@
 """The Zenoh files that go with the certificates: gateway.json5 for the robot, NAME.json5 for a laptop.
 
-Paths in them are relative to the file's own folder (gateway/edge/config_file.py), so the folder can be made on a
+Paths in them are relative to the file's own folder (gateway/zenoh_config.py), so the folder can be made on a
 laptop, copied to a robot, zipped and unzipped elsewhere. Every rule below has a test with real sessions
 (tests/zenoh/test_certs_zenoh.py).
 """
@@ -120,7 +120,7 @@ Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it i
 
 In Python:
 
-  from gateway.client import Client
+  from gateway.people.client.blocking import Client
   with Client(zenoh_config="path/to/@NAME@.json5") as robot:
       print(robot.state().mode)
 

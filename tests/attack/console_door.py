@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from gateway import certs
-from gateway.console.register import Register
+from gateway.people.console.register import Register
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.console_process import LINK, SignedIn

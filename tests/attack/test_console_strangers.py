@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from gateway.console.app import MAX_CLOSING, MAX_PAGES
-from gateway.console.front import MAX_SIGNED_IN, MAX_UNKNOWN
+from gateway.people.console.app import MAX_CLOSING, MAX_PAGES
+from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN
 from tests.attack.console_door import CASES, FLOODS, DoorStand, spread
 
 pytestmark = pytest.mark.net

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway.edge.doorkeeper import VISITORS
-from gateway.host.descriptors import NEEDED
 from gateway.limits import MAX_SESSIONS
+from gateway.robot.edge.doorkeeper import VISITORS
+from gateway.robot.host.descriptors import NEEDED
 from schemas.telemetry import Mode
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS

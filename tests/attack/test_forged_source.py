@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client, leg_payload
-from gateway.core.staleness import SOURCES
+from gateway.robot.core.staleness import SOURCES
 from schemas import keys
 from schemas.telemetry import Reason
 from tests.support.gateway_process import Gateway

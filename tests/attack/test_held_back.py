@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload, legs_payload
-from gateway.tools.drill.cut_link import CutLink
+from gateway.people.tools.drill.cut_link import CutLink
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.gateway_process import Gateway

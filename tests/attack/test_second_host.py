@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.edge.diagnosis import TIMEOUT_S as LOOK_S
 from gateway.errors import ZenohError
+from gateway.people.client.diagnosis import TIMEOUT_S as LOOK_S
 from schemas.telemetry import Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port

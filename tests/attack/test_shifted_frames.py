@@ -2,9 +2,9 @@
 
 import pytest
 
-from gateway.protocol.frames import OneLeg, OneServo, Op, ServoOp
-from gateway.protocol.framing import Framing
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.protocol.frames import OneLeg, OneServo, Op, ServoOp
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi.simulator import SimulatedController
 from tests.deaf.shifts import BUFFER_LEN, KILLS, faults, lost_and_doubled, neighbours, worst
 
 AVOID = Framing.LENGTH_PREFIXED.avoid_cdeg

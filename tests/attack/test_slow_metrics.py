@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.runtime.metrics_page import MOST_A_SECOND, MOST_REQUESTS, WAITING
+from gateway.robot.runtime.metrics_page import MOST_A_SECOND, MOST_REQUESTS, WAITING
 from schemas.telemetry import Cause
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames

@@ -11,8 +11,9 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload
-from gateway.edge.session import client_config, open_session
 from gateway.errors import ZenohError
+from gateway.people.client.config import client_config
+from gateway.zenoh_config import open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
 from tests.support.gateway_process import COMMAND, Gateway, free_port

@@ -23,17 +23,18 @@ from statistics import median
 from types import FrameType
 from typing import Any
 
-from gateway.core.supervisor import Supervisor
-from gateway.edge.inbox import Inbox
-from gateway.edge.outbox import ZenohOutbox
-from gateway.edge.session import open_session, service_config
-from gateway.recorder.recorder import NO_RECORDER, Recorder, RingRecorder
-from gateway.runtime.conductor import Conductor
-from gateway.service import rules
-from gateway.settings import Settings
-from gateway.spi import Batch
-from gateway.spi.bus import bus_for
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder, RingRecorder
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge.inbox import Inbox
+from gateway.robot.edge.outbox import ZenohOutbox
+from gateway.robot.edge.session import service_config
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.service import rules
+from gateway.robot.settings import Settings
+from gateway.robot.spi import Batch
+from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.simulator import SimulatedController
+from gateway.zenoh_config import open_session
 from tests.benchmarks.table import Row
 from tests.support.child import Child
 from tests.support.gateway_process import free_port

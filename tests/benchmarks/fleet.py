@@ -21,7 +21,7 @@ from zenoh.handlers import RingChannel
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.edge.config_file import load_config
+from gateway.zenoh_config import load_config
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import (

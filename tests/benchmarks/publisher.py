@@ -24,7 +24,7 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.edge.session import client_config
+from gateway.people.client.config import client_config
 from schemas.keys import LEASE, LEGS_COMMAND, leg_command, servo_command
 from schemas.lease import LeaseAck
 from schemas.robot import JOINTS

@@ -9,7 +9,7 @@ from typing import Self
 
 import pytest
 
-from gateway.protocol.frames import stop_leg
+from gateway.robot.protocol.frames import stop_leg
 from schemas.robot import LEGS
 from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.hil.bed import SpiTestbed

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway import certs, settings
-from gateway.protocol.framing import Framing
-from gateway.settings import LimitSettings, ServoLimits, Settings, SpiSettings, WatchdogSettings
+from gateway import certs
+from gateway.robot import settings
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import LimitSettings, ServoLimits, Settings, SpiSettings, WatchdogSettings
 from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box, Unit
 from tests.box.installed import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.protocol.frames import Op, decode, stop_leg
-from gateway.recorder.incidents import kind_of
-from gateway.recorder.story import story
-from gateway.recordings import read
+from gateway.people.incidents.incidents import kind_of
+from gateway.people.incidents.story import story
+from gateway.people.recordings import read
+from gateway.robot.protocol.frames import Op, decode, stop_leg
 from tests.box.box import Box, Unit
 from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer

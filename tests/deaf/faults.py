@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from gateway.protocol.framing import ZERO, Framing
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.robot.spi.simulator import SimulatedController
 from tests.deaf.minute import minute
 from tests.deaf.scene import BEGIN_NS, MS, Scene, Written
 from tests.deaf.watcher import State, Watcher, pulses

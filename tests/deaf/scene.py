@@ -10,16 +10,16 @@ from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel
 
-from gateway.core.message import Received, Verb
-from gateway.core.supervisor import Supervisor
-from gateway.protocol.frames import Frame
-from gateway.protocol.framing import Framing
-from gateway.runtime.conductor import Conductor
-from gateway.service import BEAT_S, rules
-from gateway.settings import Settings
-from gateway.spi import Batch
-from gateway.spi.bus import CS_CHANGE_NS, Bus, Report
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol.frames import Frame
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.service import BEAT_S, rules
+from gateway.robot.settings import Settings
+from gateway.robot.spi import Batch
+from gateway.robot.spi.bus import CS_CHANGE_NS, Bus, Report
+from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from tests.deaf.minute import Message
 from tests.deaf.watcher import Watcher

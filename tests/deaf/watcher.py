@@ -3,8 +3,8 @@
 import functools
 from dataclasses import dataclass, field
 
-from gateway.protocol.frames import Op, decode
-from gateway.spi.simulator import SimulatedController, pulse_us
+from gateway.robot.protocol.frames import Op, decode
+from gateway.robot.spi.simulator import SimulatedController, pulse_us
 from schemas.robot import SERVO_IDS
 
 State = dict[int, int | None]

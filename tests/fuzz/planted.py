@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from gateway.core.events import (
+from gateway.robot.core.events import (
     Command,
     Effect,
     EmergencyStop,
@@ -11,11 +11,11 @@ from gateway.core.events import (
     Rejected,
     Reset,
 )
-from gateway.core.leg import Leg, Rules, Servo
-from gateway.core.legs import Legs
-from gateway.core.pacing import RateSlots, StartQueue
-from gateway.core.reach import Reach
-from gateway.core.supervisor import Supervisor
+from gateway.robot.core.leg import Leg, Rules, Servo
+from gateway.robot.core.legs import Legs
+from gateway.robot.core.pacing import RateSlots, StartQueue
+from gateway.robot.core.reach import Reach
+from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Reason
 
 
@@ -202,7 +202,7 @@ class OlderStartSurvivesStop(Legs):
         return [effect for effect in effects if getattr(effect, "number", None) not in self._pending]
 
     def _pending_of_one(self) -> Any:
-        from gateway.core.legs import _PendingCommand  # noqa: PLC0415
+        from gateway.robot.core.legs import _PendingCommand  # noqa: PLC0415
 
         return _PendingCommand(1)
 

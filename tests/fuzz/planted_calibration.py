@@ -3,14 +3,14 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from gateway.core.calibrating import Calibrating
-from gateway.core.calibration import Calibration
-from gateway.core.events import Calibrate, Command, Effect, Kept, Rejected, Transmit
-from gateway.core.leg import Rules, Servo
-from gateway.core.legs import Legs
-from gateway.core.reach import Reach
-from gateway.core.supervisor import Supervisor
-from gateway.protocol.frames import Frame, OneServo, Op, ServoOp
+from gateway.robot.core.calibrating import Calibrating
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.events import Calibrate, Command, Effect, Kept, Rejected, Transmit
+from gateway.robot.core.leg import Rules, Servo
+from gateway.robot.core.legs import Legs
+from gateway.robot.core.reach import Reach
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol.frames import Frame, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Reason
 
 

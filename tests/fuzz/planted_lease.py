@@ -1,9 +1,9 @@
 """Leases with a bug each, for the model check to find."""
 
-from gateway.core.events import BusFailed, Command, Do, Effect, Event, LeaseAnswer, LeaseRequest
-from gateway.core.lease import Lease, LeaseState
-from gateway.core.leg import Rules
-from gateway.core.supervisor import Supervisor
+from gateway.robot.core.events import BusFailed, Command, Do, Effect, Event, LeaseAnswer, LeaseRequest
+from gateway.robot.core.lease import Lease, LeaseState
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Reason
 
 

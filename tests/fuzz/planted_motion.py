@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 
-from gateway.core.calibrating import Calibrating
-from gateway.core.events import Effect
-from gateway.core.leg import NO_COMMAND, Leg, Rules, Servo
-from gateway.core.legs import Legs
-from gateway.core.reach import Reach
-from gateway.core.supervisor import Supervisor
-from gateway.protocol.frames import MAX_ANGLE_CDEG, ServoOp
+from gateway.robot.core.calibrating import Calibrating
+from gateway.robot.core.events import Effect
+from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo
+from gateway.robot.core.legs import Legs
+from gateway.robot.core.reach import Reach
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, ServoOp
 from schemas.telemetry import Cause, Reason
 
 

@@ -17,13 +17,14 @@ from zlib import crc32
 
 from mcap.reader import make_reader
 
-from gateway.recorder import format as form
-from gateway.recorder import header, kept, reader
-from gateway.recorder.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
-from gateway.recorder.messages import COMMAND_TOPICS, RECORDER, messages
-from gateway.recorder.ring import Ring, written_by_anyone
-from gateway.recorder.story import story
-from gateway.recordings import REPORTS, Message, read
+from gateway.people.incidents import kept, reader
+from gateway.people.incidents.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
+from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, messages
+from gateway.people.incidents.story import story
+from gateway.people.recordings import REPORTS, Message, read
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import header
+from gateway.robot.blackbox.ring import Ring, written_by_anyone
 from tests.fuzz import ring_reference
 from tests.fuzz.ring_image import image_of
 
@@ -41,7 +42,7 @@ MEMORY: Final = 60_000
 READING: Final = Bounds(steps=1, memory=8)
 TELLING: Final = Bounds(steps=60, memory=20)
 """Unprintable text takes the most: a name is in the lines of six legs, and each of its characters is looked at. Large
-rings, where the memory matters, are in tests/unit/test_ring_hostile.py."""
+rings, where the memory matters, are in tests/unit/people/test_ring_hostile.py."""
 COUNTED: Final = 64
 """One input in so many is counted: it then takes twenty times as long."""
 MEASURED: Final = 4_096

@@ -7,9 +7,9 @@ import struct
 from typing import Final
 from zlib import crc32
 
-from gateway.recorder import format as form
-from gateway.recorder import header
-from gateway.recorder.decoding import decode
+from gateway.people.incidents.decoding import decode
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import header
 
 _Slot = tuple[int, int, bool, bytes]
 """Type, time, whether it is continued, and content."""

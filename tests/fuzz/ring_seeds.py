@@ -12,11 +12,11 @@ from typing import Final
 import async_solipsism
 
 from gateway.errors import SpiError
-from gateway.protocol.frames import stop_leg
-from gateway.recorder import format as form
-from gateway.recorder import header, place
-from gateway.recorder.recorder import RingRecorder
-from gateway.recorder.ring import Ring
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import header, place
+from gateway.robot.blackbox.recorder import RingRecorder
+from gateway.robot.blackbox.ring import Ring
+from gateway.robot.protocol.frames import stop_leg
 from schemas import keys
 from tests.fuzz.ring_image import BODY, MAX_SLOTS, input_of
 from tests.support.robot import WALL_NS, Robot, leg

@@ -14,11 +14,11 @@ from zlib import crc32
 
 import pytest
 
-from gateway.core import intake
-from gateway.core.intake import Intent, Rejection
-from gateway.protocol import frames
-from gateway.protocol.framing import Framing
-from gateway.spi.simulator import KEPT_TRANSFERS, SimulatedController
+from gateway.robot.core import intake
+from gateway.robot.core.intake import Intent, Rejection
+from gateway.robot.protocol import frames
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi.simulator import KEPT_TRANSFERS, SimulatedController
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import LEGS_COMMAND
 from schemas.telemetry import Reason
@@ -69,16 +69,16 @@ WANTED = {
 
 @pytest.mark.usefixtures("_atheris")
 @pytest.mark.parametrize(("target", "module", "right", "wrong"), [
-    ("decode", "protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
-    ("intake", "core/intake.py", "if name in seen:", "if name in ():"),
-    ("simulator", "spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
+    ("decode", "robot/protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
+    ("intake", "robot/core/intake.py", "if name in seen:", "if name in ():"),
+    ("simulator", "robot/spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
     # Of these, the fuzzer finds the first three by a change that knows the format, and the others with its seeds.
-    ("ring", "recorder/format.py", "or not _HEAD.size <= length <= SLOT - _CRC.size", "or not _HEAD.size <= length"),
-    ("ring", "recorder/reader.py", "slot.sequence % slots == index", "slot.sequence"),
-    ("incidents", "recorder/incidents.py", "end_ns = min(max(end_ns,", "end_ns = min(max(0,"),
-    ("incidents", "recorder/decoding.py", "in facts.items()).encode()", "in facts.items())"),
-    ("export", "recorder/incidents.py", "return max(0, ns + self", "return (ns + self"),
-    ("ring-file", "recorder/ring.py", "                os.ftruncate(self._fd, 0)", "                pass"),
+    ("ring", "robot/blackbox/format.py", "_HEAD.size <= length <= SLOT - _CRC.size", "_HEAD.size <= length"),
+    ("ring", "people/incidents/reader.py", "slot.sequence % slots == index", "slot.sequence"),
+    ("incidents", "people/incidents/incidents.py", "end_ns = min(max(end_ns,", "end_ns = min(max(0,"),
+    ("incidents", "people/incidents/decoding.py", "in facts.items()).encode()", "in facts.items())"),
+    ("export", "people/incidents/incidents.py", "return max(0, ns + self", "return (ns + self"),
+    ("ring-file", "robot/blackbox/ring.py", "                os.ftruncate(self._fd, 0)", "                pass"),
 ])  # fmt: skip
 def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str, tmp_path: Path) -> None:
     tree = tmp_path / "tree"

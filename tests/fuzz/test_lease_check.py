@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.core.lease import Lease
-from gateway.core.leg import Rules
-from gateway.core.supervisor import Supervisor
+from gateway.robot.core.lease import Lease
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
 from tests.fuzz import planted_lease as planted
 from tests.support.history import Violation
 from tests.support.model_check import check

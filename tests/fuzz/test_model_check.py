@@ -6,8 +6,8 @@ from multiprocessing.pool import AsyncResult
 
 import pytest
 
-from gateway.core.leg import Rules
-from gateway.core.supervisor import Supervisor
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
 from tests.fuzz import planted, planted_motion
 from tests.support.history import Violation
 from tests.support.model_check import Key, Report, State, check, start, successors

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gateway.protocol.framing import Framing
+from gateway.robot.protocol.framing import Framing
 from tests.hil.bed import SpiTestbed, missing_packages
 from tests.hil.wire import Wire
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client, leg_payload
-from gateway.protocol.framing import Framing
+from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import LATE_S, Replay, Wire, start

@@ -19,12 +19,12 @@ from typing import Any
 
 import pytest
 
-from gateway.host.systemd import HANGS_AFTER
-from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
-from gateway.protocol.framing import Framing
-from gateway.recorder import format as form
-from gateway.recorder import reader
-from gateway.recorder.place import RING
+from gateway.people.incidents import reader
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox.place import RING
+from gateway.robot.host.systemd import HANGS_AFTER
+from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
+from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer

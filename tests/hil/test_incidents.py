@@ -12,8 +12,8 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway.client import Client
-from gateway.protocol.framing import Framing
-from gateway.recorder.kept import SUFFIX
+from gateway.people.incidents.kept import SUFFIX
+from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, START_3
@@ -28,7 +28,7 @@ BEFORE_NS = 9_900_000_000
 FAULTY = """
 import sys
 from gateway import cli
-from gateway.runtime import conductor
+from gateway.robot.runtime import conductor
 def broken(self, received, now_ns):
     raise RuntimeError("planted")
 sound = conductor.Conductor._receive

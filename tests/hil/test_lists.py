@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from gateway.spi.bus import CS_CHANGE_NS
+from gateway.robot.spi.bus import CS_CHANGE_NS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 
@@ -16,8 +16,8 @@ pytestmark = pytest.mark.hil
 WRITER = """
 import json, sys
 from gateway.errors import BatchRejectedError, SpiError
-from gateway.spi import Transfer
-from gateway.spi.kernel import KernelDevice
+from gateway.robot.spi import Transfer
+from gateway.robot.spi.kernel import KernelDevice
 device = KernelDevice("/dev/spidev0.0", 2_500_000, exclusive=False)
 for line in sys.stdin:
     count, batch = json.loads(line)

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from gateway.client import leg_payload
-from gateway.protocol.framing import Framing
+from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gateway.protocol.frames import stop_leg
-from gateway.protocol.framing import Framing
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.protocol.frames import stop_leg
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.gateway_process import Gateway

@@ -125,7 +125,7 @@ ACCESS = Subject(
 
 ZENOH_FILES = Subject(
     "gateway/certs/zenoh_files.py",
-    tests=("tests/unit/test_access.py", "tests/unit/test_certs.py"),
+    tests=("tests/unit/test_access.py", "tests/unit/people/test_certs.py"),
     mutants=(
         Mutant(
             "enable_mtls: true,\n        verify_name_on_connect: true,\n        close_link",

@@ -1,16 +1,16 @@
-"""Mutants of gateway/spi/bus.py and guard.py: what reaches the wire, and when."""
+"""Mutants of gateway/robot/spi/bus.py and guard.py: what reaches the wire, and when."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 BUS = Subject(
-    "gateway/spi/bus.py",
+    "gateway/robot/spi/bus.py",
     tests=(
-        "tests/unit/test_bus_preamble.py",
-        "tests/unit/test_bus.py",
-        "tests/unit/test_bus_device.py",
+        "tests/unit/robot/test_bus_preamble.py",
+        "tests/unit/robot/test_bus.py",
+        "tests/unit/robot/test_bus_device.py",
         "tests/unit/test_setting_effects.py",
-        "tests/unit/test_preamble.py",
-        "tests/unit/test_conductor_safety.py",
+        "tests/unit/robot/test_preamble.py",
+        "tests/unit/robot/test_conductor_safety.py",
     ),
     mutants=(
         Mutant(
@@ -108,8 +108,12 @@ BUS = Subject(
 )
 
 GUARD = Subject(
-    "gateway/spi/guard.py",
-    tests=("tests/unit/test_guard.py", "tests/unit/test_guard_agrees.py", "tests/unit/test_bus_device.py"),
+    "gateway/robot/spi/guard.py",
+    tests=(
+        "tests/unit/robot/test_guard.py",
+        "tests/unit/robot/test_guard_agrees.py",
+        "tests/unit/robot/test_bus_device.py",
+    ),
     mutants=(
         Mutant(
             '        if announced_len is not None:\n            raise IllegalTransferError(f"the frame of',

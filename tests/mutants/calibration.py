@@ -1,18 +1,18 @@
-"""Mutants of gateway/core/{calibration,calibrating,reach}.py: what users mean, what the wire carries, and its change."""
+"""Mutants of gateway/robot/core/{calibration,calibrating,reach}.py: what users mean, what the wire carries, and its change."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 _TESTS = (
-    "tests/unit/test_calibration.py",
-    "tests/unit/test_supervisor_calibration.py",
-    "tests/unit/test_supervisor_calibration_streams.py",
-    "tests/unit/test_supervisor.py",
-    "tests/unit/test_supervisor_landing.py",
-    "tests/unit/test_supervisor_machine.py",
+    "tests/unit/robot/test_calibration.py",
+    "tests/unit/robot/test_supervisor_calibration.py",
+    "tests/unit/robot/test_supervisor_calibration_streams.py",
+    "tests/unit/robot/test_supervisor.py",
+    "tests/unit/robot/test_supervisor_landing.py",
+    "tests/unit/robot/test_supervisor_machine.py",
 )
 
 REACH = Subject(
-    "gateway/core/reach.py",
+    "gateway/robot/core/reach.py",
     tests=_TESTS,
     mutants=(
         Mutant(
@@ -70,7 +70,7 @@ REACH = Subject(
 )
 
 CALIBRATING = Subject(
-    "gateway/core/calibrating.py",
+    "gateway/robot/core/calibrating.py",
     tests=_TESTS,
     mutants=(
         Mutant("        self.guards = fault is not None\n", "", "a robot starts by a calibration that was not read"),
@@ -200,8 +200,8 @@ CALIBRATING = Subject(
 )
 
 CALIBRATION = Subject(
-    "gateway/core/calibration.py",
-    tests=("tests/unit/test_calibration.py", "tests/unit/test_supervisor_calibration.py"),
+    "gateway/robot/core/calibration.py",
+    tests=("tests/unit/robot/test_calibration.py", "tests/unit/robot/test_supervisor_calibration.py"),
     mutants=(
         Mutant(
             "return (MAX_ANGLE_CDEG - user_cdeg if self.inverted else user_cdeg) + self.trim_cdeg",

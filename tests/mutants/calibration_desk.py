@@ -2,11 +2,11 @@
 
 from tests.mutants.mutant import Mutant, Subject
 
-TESTS = ("tests/unit/test_calibration_conductor.py", "tests/unit/test_calibration_intake.py")
+TESTS = ("tests/unit/robot/test_calibration_conductor.py", "tests/unit/robot/test_calibration_intake.py")
 ON_ZENOH = ("tests/zenoh/test_calibration.py", "tests/zenoh/test_lease.py")
 
 DESKS = Subject(
-    "gateway/edge/desk.py",
+    "gateway/robot/edge/desk.py",
     tests=ON_ZENOH,
     mutants=(
         Mutant('    if "*" in str(query.key_expr):', "    if False:", "a look at all keys is a request"),
@@ -24,7 +24,7 @@ DESKS = Subject(
 )
 
 CALIBRATION_DESK = Subject(
-    "gateway/edge/calibration_desk.py",
+    "gateway/robot/edge/calibration_desk.py",
     tests=(*TESTS, *ON_ZENOH),
     mutants=(
         Mutant("            return PAUSE_S\n", "            return 0.0\n", "a flood of changes delays Stops"),
@@ -37,7 +37,7 @@ CALIBRATION_DESK = Subject(
 )
 
 CALIBRATIONS = Subject(
-    "gateway/runtime/calibrations.py",
+    "gateway/robot/runtime/calibrations.py",
     tests=TESTS,
     mutants=(
         Mutant(
@@ -77,7 +77,7 @@ CALIBRATIONS = Subject(
 )
 
 CALIBRATION_INTAKE = Subject(
-    "gateway/core/calibration_intake.py",
+    "gateway/robot/core/calibration_intake.py",
     tests=TESTS,
     mutants=(
         Mutant(

@@ -1,20 +1,20 @@
-"""Mutants of gateway/runtime/conductor.py: from received messages to written frames."""
+"""Mutants of gateway/robot/runtime/conductor.py: from received messages to written frames."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 CONDUCTOR = Subject(
-    "gateway/runtime/conductor.py",
+    "gateway/robot/runtime/conductor.py",
     tests=(
-        "tests/unit/test_conductor.py",
-        "tests/unit/test_conductor_safety.py",
-        "tests/unit/test_lease_conductor.py",
+        "tests/unit/robot/test_conductor.py",
+        "tests/unit/robot/test_conductor_safety.py",
+        "tests/unit/robot/test_lease_conductor.py",
         "tests/zenoh/test_conductor_counts.py",
-        "tests/unit/test_staleness_pauses.py",
-        "tests/unit/test_preamble.py",
+        "tests/unit/robot/test_staleness_pauses.py",
+        "tests/unit/robot/test_preamble.py",
         "tests/unit/test_setting_effects.py",
-        "tests/unit/test_stop.py",
-        "tests/unit/test_ownership.py",
-        "tests/unit/test_recorder.py",
+        "tests/unit/robot/test_stop.py",
+        "tests/unit/robot/test_ownership.py",
+        "tests/unit/people/test_recorder.py",
     ),
     mutants=(
         Mutant(
@@ -259,7 +259,7 @@ CONDUCTOR = Subject(
 )
 
 ANSWERS = Subject(
-    "gateway/runtime/answers.py",
+    "gateway/robot/runtime/answers.py",
     tests=CONDUCTOR.tests,
     mutants=(
         Mutant("        self._metrics.accepted += 1\n", "", "accepted commands are not counted"),
@@ -284,7 +284,7 @@ ANSWERS = Subject(
 )
 
 INTENTS = Subject(
-    "gateway/core/intents.py",
+    "gateway/robot/core/intents.py",
     tests=CONDUCTOR.tests,
     mutants=(
         Mutant("MAX_KEY: Final = 100", "MAX_KEY: Final = 100_000", "an event repeats what a stranger sent, at length"),
@@ -307,7 +307,7 @@ INTENTS = Subject(
 )
 
 LOSSES = Subject(
-    "gateway/core/losses.py",
+    "gateway/robot/core/losses.py",
     tests=CONDUCTOR.tests,
     mutants=(
         Mutant("if op.op is OP_START}", "}", "a Set undoes a Stop that was lost"),

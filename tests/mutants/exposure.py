@@ -1,10 +1,10 @@
-"""Mutants of gateway/edge/exposure.py: who could reach the gateway."""
+"""Mutants of gateway/robot/edge/exposure.py: who could reach the gateway."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 EXPOSURE = Subject(
-    "gateway/edge/exposure.py",
-    tests=("tests/unit/test_exposure.py",),
+    "gateway/robot/edge/exposure.py",
+    tests=("tests/unit/robot/test_exposure.py",),
     mutants=(
         Mutant('{"unixsock-stream", "unixpipe"}', '{"unixsock-stream", "unixpipe", "serial"}', "a cable is a way in"),
         Mutant('{"unixsock-stream", "unixpipe"}', '{"unixpipe"}', "a Unix socket needs a certificate"),

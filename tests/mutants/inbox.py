@@ -1,4 +1,4 @@
-"""Mutants of gateway/edge/inbox.py, rings.py and core/message.py: what comes in, and in which order."""
+"""Mutants of gateway/robot/edge/inbox.py, rings.py and core/message.py: what comes in, and in which order."""
 
 from tests.mutants.mutant import Mutant, Subject
 
@@ -6,11 +6,11 @@ _TESTS = (
     "tests/zenoh/test_rings.py",
     "tests/zenoh/test_inbox_parts.py",
     "tests/zenoh/test_inbox_wakeups.py",
-    "tests/unit/test_ownership.py",
+    "tests/unit/robot/test_ownership.py",
 )
 
 MESSAGE = Subject(
-    "gateway/core/message.py",
+    "gateway/robot/core/message.py",
     tests=_TESTS,
     mutants=(
         Mutant(
@@ -32,7 +32,7 @@ MESSAGE = Subject(
 )
 
 INBOX = Subject(
-    "gateway/edge/inbox.py",
+    "gateway/robot/edge/inbox.py",
     tests=_TESTS,
     mutants=(
         Mutant("OTHER_DEPTH: Final = 16", "OTHER_DEPTH: Final = 1", "of two unknown keys one is never answered"),
@@ -217,7 +217,7 @@ INBOX = Subject(
 )
 
 RINGS = Subject(
-    "gateway/edge/rings.py",
+    "gateway/robot/edge/rings.py",
     tests=_TESTS,
     mutants=(
         Mutant("RING_DEPTH: Final = 8", "RING_DEPTH: Final = 1", "a start and the set behind it: only one is taken"),

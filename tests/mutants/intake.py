@@ -1,10 +1,14 @@
-"""Mutants of gateway/core/intake.py: what a payload means, and why not."""
+"""Mutants of gateway/robot/core/intake.py: what a payload means, and why not."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 INTAKE = Subject(
-    "gateway/core/intake.py",
-    tests=("tests/unit/test_intake.py", "tests/unit/test_conductor.py", "tests/unit/test_conductor_safety.py"),
+    "gateway/robot/core/intake.py",
+    tests=(
+        "tests/unit/robot/test_intake.py",
+        "tests/unit/robot/test_conductor.py",
+        "tests/unit/robot/test_conductor_safety.py",
+    ),
     mutants=(
         Mutant('"application/json", "zenoh/bytes"}', '"application/json"}', "a plain put is rejected"),
         Mutant('"application/json", "zenoh/bytes"}', '"application/json", "zenoh/bytes", ""}', "no encoding is any"),

@@ -3,11 +3,11 @@
 from tests.mutants.mutant import Mutant, Subject
 
 LEASE = Subject(
-    "gateway/core/lease.py",
+    "gateway/robot/core/lease.py",
     tests=(
-        "tests/unit/test_lease.py",
-        "tests/unit/test_lease_conductor.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_lease.py",
+        "tests/unit/robot/test_lease_conductor.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(
@@ -122,7 +122,7 @@ LEASE = Subject(
 )
 PROOF = Subject(
     "gateway/certs/proof.py",
-    tests=("tests/unit/test_lease_checker.py",),
+    tests=("tests/unit/people/test_lease_checker.py",),
     mutants=(
         Mutant(
             "            if fault is None and not _signed(",
@@ -168,8 +168,12 @@ PROOF = Subject(
     ),
 )
 DESK = Subject(
-    "gateway/edge/lease_desk.py",
-    tests=("tests/unit/test_lease_checker.py", "tests/unit/test_lease_conductor.py", "tests/zenoh/test_lease.py"),
+    "gateway/robot/edge/lease_desk.py",
+    tests=(
+        "tests/unit/people/test_lease_checker.py",
+        "tests/unit/robot/test_lease_conductor.py",
+        "tests/zenoh/test_lease.py",
+    ),
     mutants=(
         Mutant(
             "        if claim.proof is None:\n            return",
@@ -202,8 +206,8 @@ DESK = Subject(
     ),
 )
 NONCES = Subject(
-    "gateway/core/nonces.py",
-    tests=("tests/unit/test_lease_checker.py",),
+    "gateway/robot/core/nonces.py",
+    tests=("tests/unit/people/test_lease_checker.py",),
     mutants=(
         Mutant("self._until_ns.pop(nonce, None)", "self._until_ns.get(nonce)", "a proof is used twice"),
         Mutant("and now_ns < until_ns", "", "a proof that was overheard is used hours later"),

@@ -1,17 +1,17 @@
-"""Mutants of gateway/core/leg.py: what is kept of each leg and servo."""
+"""Mutants of gateway/robot/core/leg.py: what is kept of each leg and servo."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 LEG = Subject(
-    "gateway/core/leg.py",
+    "gateway/robot/core/leg.py",
     tests=(
-        "tests/unit/test_supervisor.py",
-        "tests/unit/test_supervisor_stops.py",
-        "tests/unit/test_supervisor_faults.py",
-        "tests/unit/test_legs.py",
-        "tests/unit/test_conductor.py",
-        "tests/unit/test_preamble.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_supervisor.py",
+        "tests/unit/robot/test_supervisor_stops.py",
+        "tests/unit/robot/test_supervisor_faults.py",
+        "tests/unit/robot/test_legs.py",
+        "tests/unit/robot/test_conductor.py",
+        "tests/unit/robot/test_preamble.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(

@@ -1,20 +1,20 @@
-"""Mutants of gateway/core/legs.py: how a leg's commands become frames, and its Stops."""
+"""Mutants of gateway/robot/core/legs.py: how a leg's commands become frames, and its Stops."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 LEGS = Subject(
-    "gateway/core/legs.py",
+    "gateway/robot/core/legs.py",
     tests=(
-        "tests/unit/test_supervisor.py",
-        "tests/unit/test_supervisor_stops.py",
-        "tests/unit/test_supervisor_faults.py",
-        "tests/unit/test_legs.py",
-        "tests/unit/test_supervisor_speed.py",
-        "tests/unit/test_supervisor_landing.py",
-        "tests/unit/test_supervisor_calibration.py",
-        "tests/unit/test_conductor.py",
-        "tests/unit/test_preamble.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_supervisor.py",
+        "tests/unit/robot/test_supervisor_stops.py",
+        "tests/unit/robot/test_supervisor_faults.py",
+        "tests/unit/robot/test_legs.py",
+        "tests/unit/robot/test_supervisor_speed.py",
+        "tests/unit/robot/test_supervisor_landing.py",
+        "tests/unit/robot/test_supervisor_calibration.py",
+        "tests/unit/robot/test_conductor.py",
+        "tests/unit/robot/test_preamble.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(

@@ -1,13 +1,13 @@
-"""Mutants of gateway/core/{speed,landing}.py: motion that takes time."""
+"""Mutants of gateway/robot/core/{speed,landing}.py: motion that takes time."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 SPEED = Subject(
-    "gateway/core/speed.py",
+    "gateway/robot/core/speed.py",
     tests=(
-        "tests/unit/test_speed.py",
-        "tests/unit/test_supervisor_speed.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_speed.py",
+        "tests/unit/robot/test_supervisor_speed.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(
@@ -56,11 +56,11 @@ SPEED = Subject(
 )
 
 LANDING = Subject(
-    "gateway/core/landing.py",
+    "gateway/robot/core/landing.py",
     tests=(
-        "tests/unit/test_landing.py",
-        "tests/unit/test_supervisor_landing.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_landing.py",
+        "tests/unit/robot/test_supervisor_landing.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant("first + (last - first) * part_ns", "first - (last - first) * part_ns", "a landing stretches the legs"),

@@ -1,11 +1,11 @@
-"""Mutants of gateway/host/ownership.py and gateway/edge/receiver.py: who owns the state, and who waits for it."""
+"""Mutants of gateway/robot/host/ownership.py and gateway/robot/edge/receiver.py: who owns the state, and who waits for it."""
 
 from tests.mutants.mutant import Mutant, Subject
 
-_TESTS = ("tests/unit/test_ownership.py", "tests/zenoh/test_inbox_parts.py")
+_TESTS = ("tests/unit/robot/test_ownership.py", "tests/zenoh/test_inbox_parts.py")
 
 OWNERSHIP = Subject(
-    "gateway/host/ownership.py",
+    "gateway/robot/host/ownership.py",
     tests=_TESTS,
     mutants=(
         Mutant(
@@ -56,7 +56,7 @@ OWNERSHIP = Subject(
 )
 
 RECEIVER = Subject(
-    "gateway/edge/receiver.py",
+    "gateway/robot/edge/receiver.py",
     tests=_TESTS,
     mutants=(
         Mutant(

@@ -1,14 +1,14 @@
-"""Mutants of gateway/core/pacing.py: rate slots, merging, and the queue of starts."""
+"""Mutants of gateway/robot/core/pacing.py: rate slots, merging, and the queue of starts."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 PACING = Subject(
-    "gateway/core/pacing.py",
+    "gateway/robot/core/pacing.py",
     tests=(
-        "tests/unit/test_pacing.py",
-        "tests/unit/test_supervisor.py",
-        "tests/unit/test_supervisor_faults.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_pacing.py",
+        "tests/unit/robot/test_supervisor.py",
+        "tests/unit/robot/test_supervisor_faults.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant("BUCKET: Final = 3\n", "BUCKET: Final = 2\n", "a stream at the limit waits for its own jitter"),

@@ -1,13 +1,13 @@
-"""Mutants of gateway/core/staleness.py: what is too old to be executed."""
+"""Mutants of gateway/robot/core/staleness.py: what is too old to be executed."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 STALENESS = Subject(
-    "gateway/core/staleness.py",
+    "gateway/robot/core/staleness.py",
     tests=(
-        "tests/unit/test_staleness.py",
-        "tests/unit/test_staleness_clocks.py",
-        "tests/unit/test_staleness_pauses.py",
+        "tests/unit/robot/test_staleness.py",
+        "tests/unit/robot/test_staleness_clocks.py",
+        "tests/unit/robot/test_staleness_pauses.py",
     ),
     mutants=(
         Mutant("SOURCES: Final = 256", "SOURCES: Final = 100_000", "invented names fill the memory"),

@@ -1,20 +1,20 @@
-"""Mutants of gateway/core/supervisor.py: the rules of safety."""
+"""Mutants of gateway/robot/core/supervisor.py: the rules of safety."""
 
 from tests.mutants.mutant import Mutant, Subject
 
 SUPERVISOR = Subject(
-    "gateway/core/supervisor.py",
+    "gateway/robot/core/supervisor.py",
     tests=(
-        "tests/unit/test_supervisor.py",
-        "tests/unit/test_supervisor_stops.py",
-        "tests/unit/test_supervisor_faults.py",
+        "tests/unit/robot/test_supervisor.py",
+        "tests/unit/robot/test_supervisor_stops.py",
+        "tests/unit/robot/test_supervisor_faults.py",
         "tests/zenoh/test_supervisor_outside.py",
-        "tests/unit/test_legs.py",
-        "tests/unit/test_lease.py",
-        "tests/unit/test_supervisor_landing.py",
-        "tests/unit/test_supervisor_calibration.py",
-        "tests/unit/test_conductor_safety.py",
-        "tests/unit/test_supervisor_machine.py",
+        "tests/unit/robot/test_legs.py",
+        "tests/unit/robot/test_lease.py",
+        "tests/unit/robot/test_supervisor_landing.py",
+        "tests/unit/robot/test_supervisor_calibration.py",
+        "tests/unit/robot/test_conductor_safety.py",
+        "tests/unit/robot/test_supervisor_machine.py",
     ),
     mutants=(
         Mutant(
@@ -355,8 +355,8 @@ SUPERVISOR = Subject(
 
 
 TABLE = Subject(
-    "gateway/core/transitions.py",
-    tests=("tests/unit/test_supervisor.py", "tests/unit/test_supervisor_faults.py"),
+    "gateway/robot/core/transitions.py",
+    tests=("tests/unit/robot/test_supervisor.py", "tests/unit/robot/test_supervisor_faults.py"),
     mutants=(
         Mutant(
             "        EmergencyStop: frozenset({Mode.STARTING}),\n",

@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.core.calibration_report import calibration_of
-from gateway.tools.calibrate.screen import Screen
-from gateway.tools.calibrate.view import picture
+from gateway.people.tools.calibrate.screen import Screen
+from gateway.people.tools.calibrate.view import picture
+from gateway.robot.core.calibration_report import calibration_of
 from schemas.calibration import ServoChange
 from tests.support.gateway_process import Gateway
 from tests.support.terminal_picture import svg

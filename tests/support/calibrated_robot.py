@@ -3,9 +3,9 @@
 import threading
 from collections.abc import Callable, Mapping
 
-from gateway.core.calibration import Calibration, Change, ServoCalibration, ServoChange
 from gateway.errors import GatewayError, RejectedError
-from gateway.tools.calibrate.robot import ChangedMeanwhileError, Robot
+from gateway.people.tools.calibrate.robot import ChangedMeanwhileError, Robot
+from gateway.robot.core.calibration import Calibration, Change, ServoCalibration, ServoChange
 from schemas.telemetry import Ack, Reason
 
 LATE_S = 20.0

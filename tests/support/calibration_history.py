@@ -1,6 +1,6 @@
 """What a judge of the supervisor demands of the calibration, by the contract's words; see `oracle.py`.
 
-The formula, the limits and what a change changes are written once more here, so that a mistake in `gateway/core` meets
+The formula, the limits and what a change changes are written once more here, so that a mistake in the core meets
 another reading of them.
 """
 
@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from typing import NamedTuple, Self
 
-from gateway.core.calibration import Calibration, ServoChange
-from gateway.core.events import Calibrate, Effect, Keep, Kept, Transmit
-from gateway.core.leg import Rules
-from gateway.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
+from gateway.robot.core.calibration import Calibration, ServoChange
+from gateway.robot.core.events import Calibrate, Effect, Keep, Kept, Transmit
+from gateway.robot.core.leg import Rules
+from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand, told
 
@@ -64,7 +64,7 @@ class Whole(NamedTuple):
 
     @classmethod
     def of(cls, calibration: Calibration) -> Self:
-        """The same, as `gateway/core` has it."""
+        """The same, as `gateway/robot/core` has it."""
         servos = {servo_id: OneServos(*servo) for servo_id, servo in calibration.servos.items()}
         return cls(calibration.revision, _not_as_drawn(servos), dict(calibration.landing_cdeg))
 

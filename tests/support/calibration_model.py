@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from gateway.core.calibrating import Calibrating
-from gateway.core.calibration import Calibration, Change
-from gateway.core.events import Calibrate, Event, Kept
-from gateway.core.leg import Rules
-from gateway.core.reach import Reach
-from gateway.core.supervisor import Supervisor
+from gateway.robot.core.calibrating import Calibrating
+from gateway.robot.core.calibration import Calibration, Change
+from gateway.robot.core.events import Calibrate, Event, Kept
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.reach import Reach
+from gateway.robot.core.supervisor import Supervisor
 from tests.support.calibration_history import CalibrationHistory
 
 _KNOWN: Final = [

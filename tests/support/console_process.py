@@ -17,8 +17,8 @@ import httpx
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from gateway.console.door import KEY_HEADER, KEY_PREFIX, SUBPROTOCOL
-from gateway.console.register import Register
+from gateway.people.console.door import KEY_HEADER, KEY_PREFIX, SUBPROTOCOL
+from gateway.people.console.register import Register
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, free_port
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, NamedTuple, Self
 
-from gateway.core.events import Announce, Command, Effect, Rejected, Reset, StoppedOutside
-from gateway.core.leg import Rules
-from gateway.core.pacing import NS_PER_S
-from gateway.protocol.frames import Op, leg_of
+from gateway.robot.core.events import Announce, Command, Effect, Rejected, Reset, StoppedOutside
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_S
+from gateway.robot.protocol.frames import Op, leg_of
 from schemas.telemetry import Kind, Mode, Reason
 
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import zenoh
 
-from gateway.protocol.framing import Framing
-from gateway.spi import Batch
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi import Batch
+from gateway.robot.spi.simulator import SimulatedController
 
 PATIENCE_S: Final = 10.0
 """A thread that comes to no further point in this time hangs."""

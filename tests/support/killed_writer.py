@@ -10,8 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from gateway.core.calibration import Calibration, ServoCalibration
-from gateway.host import calibration_file
+from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.robot.host import calibration_file
 
 LONGEST_S = 0.02
 """In which some ten files are written."""

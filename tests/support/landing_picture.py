@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.client import leg_payload
-from gateway.protocol.frames import Op
+from gateway.robot.protocol.frames import Op
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Self
 
-from gateway.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
-from gateway.core.leg import Rules
+from gateway.robot.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
+from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from gateway.core.events import Do, Event, LeaseRequest
-from gateway.core.lease import Lease
-from gateway.core.leg import Rules
+from gateway.robot.core.events import Do, Event, LeaseRequest
+from gateway.robot.core.lease import Lease
+from gateway.robot.core.leg import Rules
 from tests.support.lease_history import LeaseHistory
 
 _FIELDS: Final = vars(Lease(Rules())).keys()

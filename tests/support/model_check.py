@@ -18,8 +18,8 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Final
 
-from gateway.core.calibration import Calibration
-from gateway.core.events import (
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
     Command,
@@ -30,13 +30,13 @@ from gateway.core.events import (
     ShutDown,
     TimePassed,
 )
-from gateway.core.lease import TRANSITIONS as LEASE_TRANSITIONS
-from gateway.core.lease import LeaseState
-from gateway.core.leg import Leg, Rules, Servo
-from gateway.core.legs import Legs, _PendingCommand
-from gateway.core.pacing import RateSlots, StartQueue
-from gateway.core.supervisor import Supervisor
-from gateway.core.transitions import TRANSITIONS
+from gateway.robot.core.lease import TRANSITIONS as LEASE_TRANSITIONS
+from gateway.robot.core.lease import LeaseState
+from gateway.robot.core.leg import Leg, Rules, Servo
+from gateway.robot.core.legs import Legs, _PendingCommand
+from gateway.robot.core.pacing import RateSlots, StartQueue
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.core.transitions import TRANSITIONS
 from schemas.telemetry import Mode
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.calibration_model import calibrating_key, changes, copy_calibrating

@@ -4,10 +4,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.core.intake import Intent
-from gateway.protocol.frames import Op, ServoOp
-from gateway.recorder.recorder import RingRecorder, Written
-from gateway.settings import Settings
+from gateway.robot.blackbox.recorder import RingRecorder, Written
+from gateway.robot.core.intake import Intent
+from gateway.robot.protocol.frames import Op, ServoOp
+from gateway.robot.settings import Settings
 from schemas.keys import leg_command
 from schemas.telemetry import Cause
 

@@ -2,12 +2,12 @@
 
 It keeps a history of its own (who was heard when, which servos the frames have energised, which Stops are still to be
 repeated, which commands wait for an answer), says beforehand what must happen, and raises `Violation` where something
-else does. It shares no state and no rules with `gateway/core`, only the vocabulary.
+else does. It shares no state and no rules with `gateway/robot/core`, only the vocabulary.
 """
 
 from collections.abc import Sequence
 
-from gateway.core.events import (
+from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
     Calibrate,
@@ -26,7 +26,7 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.protocol.frames import Op, leg_of, stop_leg
+from gateway.robot.protocol.frames import Op, leg_of, stop_leg
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.history import (
     CLOSED,

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
-from gateway import cli, service
-from gateway.core.events import Command, Effect, EmergencyStop, Reset, Transmit
-from gateway.core.lease import Lease
-from gateway.core.leg import Rules
-from gateway.core.staleness import Staleness
-from gateway.core.supervisor import Supervisor
-from gateway.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp
+from gateway import cli
+from gateway.robot import service
+from gateway.robot.core.events import Command, Effect, EmergencyStop, Reset, Transmit
+from gateway.robot.core.lease import Lease
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.staleness import Staleness
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Reason
 
 NS_PER_MS: Final = 1_000_000

@@ -13,19 +13,19 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from gateway.core.message import Received, Verb
-from gateway.core.supervisor import Supervisor
-from gateway.edge.calibration_desk import CalibrationDesk
-from gateway.edge.lease_desk import LeaseDesk
-from gateway.protocol.frames import Frame, decode
-from gateway.recorder.recorder import NO_RECORDER, Recorder
-from gateway.runtime.calibrations import Calibrations, WriteAndThen
-from gateway.runtime.conductor import Conductor
-from gateway.runtime.lease_answers import LeaseAnswers
-from gateway.service import BEAT_S, rules
-from gateway.settings import Settings
-from gateway.spi.bus import bus_for
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge.calibration_desk import CalibrationDesk
+from gateway.robot.edge.lease_desk import LeaseDesk
+from gateway.robot.protocol.frames import Frame, decode
+from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.lease_answers import LeaseAnswers
+from gateway.robot.service import BEAT_S, rules
+from gateway.robot.settings import Settings
+from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind

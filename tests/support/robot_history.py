@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from typing import Self
 
-from gateway.core.calibration import Calibration
-from gateway.core.events import Command
-from gateway.core.leg import Rules
-from gateway.protocol.frames import Op, servo_ids_of
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.events import Command
+from gateway.robot.core.leg import Rules
+from gateway.robot.protocol.frames import Op, servo_ids_of
 from schemas.robot import LEGS
 from schemas.telemetry import Mode, Reason
 from tests.support.calibration_history import CalibrationHistory

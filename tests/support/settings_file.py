@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway import settings
 from gateway.errors import ConfigError
-from gateway.settings import Settings
+from gateway.robot import settings
+from gateway.robot.settings import Settings
 
 
 def load(path: Path | None = None) -> Settings:

@@ -1,7 +1,7 @@
 """A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle."""
 
-from gateway.core.calibration import Calibration, Change
-from gateway.core.events import (
+from gateway.robot.core.calibration import Calibration, Change
+from gateway.robot.core.events import (
     Announce,
     BusFailed,
     BusOpened,
@@ -23,10 +23,10 @@ from gateway.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.core.leg import Rules
-from gateway.core.pacing import NS_PER_MS
-from gateway.core.supervisor import Supervisor
-from gateway.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from tests.support.oracle import Oracle
 
 Targets = tuple[tuple[int, ServoOp], ...]

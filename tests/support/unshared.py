@@ -1,6 +1,6 @@
 """What an SPI device of a test's own has in common with every other: nobody else uses it."""
 
-from gateway.spi import Batch
+from gateway.robot.spi import Batch
 
 
 class UnsharedDevice:

@@ -6,9 +6,9 @@ from typing import Final
 
 import pytest
 
-from gateway.walking import STILL, Engine, Pose, Posture, Robot, Velocity
-from gateway.walking.engine import SLEW_M_S2, SLEW_RAD_S2
-from gateway.walking.stability import MARGIN_M, centre_of_mass, margin_m
+from gateway.people.walking import STILL, Engine, Pose, Posture, Robot, Velocity
+from gateway.people.walking.engine import SLEW_M_S2, SLEW_RAD_S2
+from gateway.people.walking.stability import MARGIN_M, centre_of_mass, margin_m
 
 TICK_S: Final = 0.02
 _ROUNDING: Final = 1e-6

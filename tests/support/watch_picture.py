@@ -14,9 +14,9 @@ from pathlib import Path
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.tools.watch.link import Link
-from gateway.tools.watch.model import Model
-from gateway.tools.watch.view import picture
+from gateway.people.tools.watch.link import Link
+from gateway.people.tools.watch.model import Model
+from gateway.people.tools.watch.view import picture
 from schemas import keys
 from tests.support.secured import Secured
 from tests.support.terminal_picture import svg

@@ -2,8 +2,8 @@
 
 from datetime import UTC, datetime, timedelta
 
-from gateway.tools.watch.model import Model
-from gateway.tools.watch.view import picture
+from gateway.people.tools.watch.model import Model
+from gateway.people.tools.watch.view import picture
 from schemas.telemetry import (
     CommandCounts,
     Event,

@@ -17,7 +17,7 @@ from typing import Any, Self
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.edge.config_file import load_config
+from gateway.zenoh_config import load_config
 
 DEPTH = 1000
 POLL_S = 0.002  # several rings have no common wait; every loop below ends

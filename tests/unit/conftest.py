@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway import settings
+from gateway.robot import settings
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ from typing import Final
 
 import pytest
 
-PAGE: Final = Path(__file__).parents[2] / "gateway" / "console" / "page"
+PAGE: Final = Path(__file__).parents[2] / "gateway/people/console/page"
 HTML: Final = (PAGE / "index.html").read_text()
 MODULES: Final = sorted(PAGE.glob("*.js"))
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from gateway.cli import app
 from tests.fuzz.targets import check_command
-from tests.unit.test_frames import frames
+from tests.unit.robot.test_frames import frames
 
 VECTORS: dict[str, Any] = json.loads((Path(__file__).parents[1] / "data" / "frames.json").read_text())
 STOP_32 = "06 02 20 02 00 00"

@@ -11,7 +11,7 @@ FOLDERS = ("gateway", "schemas", "tests", "docs", "deploy", "examples")
 ROOMS = tuple(
     sorted(path.name for parent in ("gateway", "tests") for path in (ROOT / parent).iterdir() if path.is_dir())
 )
-"""In prose, gateway/core/legs.py is `core/legs.py`, and tests/hil/test_load.py `hil/test_load.py`."""
+"""In prose, gateway/robot/core/legs.py is `robot/core/legs.py`, and tests/hil/test_load.py `hil/test_load.py`."""
 
 
 def named(page: str) -> set[str]:

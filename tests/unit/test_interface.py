@@ -14,8 +14,8 @@ from pydantic.fields import FieldInfo
 
 from gateway.cli import app
 from gateway.errors import ConfigError
-from gateway.protocol.framing import Framing
-from gateway.settings import ServoLimits, Settings, SpiSettings, load
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import ServoLimits, Settings, SpiSettings, load
 from schemas import keys
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand

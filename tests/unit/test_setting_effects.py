@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from gateway.protocol.frames import OneServo, Op, ServoOp, stop_leg
-from gateway.protocol.framing import Framing
-from gateway.settings import Settings
-from gateway.spi import Batch
-from gateway.spi.bus import bus_for
-from gateway.spi.guard import IllegalTransferError
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import Settings
+from gateway.robot.spi import Batch
+from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.guard import IllegalTransferError
+from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Reason

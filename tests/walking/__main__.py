@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from gateway.walking import Velocity
+from gateway.people.walking import Velocity
 from tests.walking.judge import judge, table
 from tests.walking.physics import VARIATIONS
 from tests.walking.picture import draw

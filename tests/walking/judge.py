@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from gateway.geometry import load
-from gateway.walking.motion import travelled
+from gateway.people.walking.motion import travelled
 from tests.walking.physics import Assumed, Setpoint, Track, World, setpoints, went
 from tests.walking.recorded import Recording, Walked
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from gateway.geometry import Geometry, joint_name, load, urdf
-from gateway.protocol.frames import Op, decode
+from gateway.robot.protocol.frames import Op, decode
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import FrameRecord
 

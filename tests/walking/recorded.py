@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.client import Walk
-from gateway.walking import Odometry, Velocity
+from gateway.people.walking import Odometry, Velocity
 from schemas.telemetry import FrameRecord
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames

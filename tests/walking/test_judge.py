@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.walking import GAITS, Velocity
+from gateway.people.walking import GAITS, Velocity
 from tests.walking.__main__ import SPEEDS_M_S, TURNS_RAD_S
 from tests.walking.judge import judge, stopped_at, table
 from tests.walking.physics import FALLEN_DEG, VARIATIONS, Assumed

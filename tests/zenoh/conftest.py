@@ -6,8 +6,9 @@ from contextlib import closing
 import pytest
 import zenoh
 
-from gateway.edge.session import open_session, service_config
-from gateway.settings import ZenohSettings
+from gateway.robot.edge.session import service_config
+from gateway.robot.settings import ZenohSettings
+from gateway.zenoh_config import open_session
 from tests.support.gateway_process import free_port
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.core.calibration import ServoCalibration
-from gateway.core.calibration_report import calibration_of
 from gateway.errors import ConfigError
-from gateway.tools.calibrate.command import calibrate
+from gateway.people.tools.calibrate.command import calibrate
+from gateway.robot.core.calibration import ServoCalibration
+from gateway.robot.core.calibration_report import calibration_of
 from schemas.calibration import ServoChange
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.tools.drill.cut_link import CutLink
+from gateway.people.tools.drill.cut_link import CutLink
 from schemas.telemetry import GatewayState
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states

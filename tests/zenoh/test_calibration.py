@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from gateway.client import AsyncClient, Client
-from gateway.core.calibration import ServoCalibration
-from gateway.host import calibration_file
-from gateway.protocol.frames import OneLeg, decode
+from gateway.robot.core.calibration import ServoCalibration
+from gateway.robot.host import calibration_file
+from gateway.robot.protocol.frames import OneLeg, decode
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
 from schemas.telemetry import Ack, Event, FrameRecord, Reason

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.core.calibration import Calibration, ServoCalibration
-from gateway.host import calibration_file
-from gateway.tools.calibrate.robot import NotKeptYetError, once_kept
+from gateway.people.tools.calibrate.robot import NotKeptYetError, once_kept
+from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.robot.host import calibration_file
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, Mode, Reason
 from tests.support.child import without_file_privileges

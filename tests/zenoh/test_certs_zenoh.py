@@ -16,9 +16,9 @@ import pytest
 from gateway import certs
 from gateway.certs import authority
 from gateway.certs.reading import read_certificate, read_key
-from gateway.edge.config_file import load_client_config
 from gateway.errors import ConfigError
 from gateway.limits import SIZE_LIMIT
+from gateway.zenoh_config import load_client_config
 from schemas.command import MAX_PAYLOAD_BYTES
 from tests.support.gateway_process import free_port
 from tests.support.zenoh_actor import Remote, RemoteError

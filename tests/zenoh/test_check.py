@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.protocol.framing import Framing
-from gateway.settings import SpiSettings, ZenohSettings
-from gateway.tools.check import device, machine, network
-from gateway.tools.check.result import Verdict
+from gateway.people.tools.check import device, machine, network
+from gateway.people.tools.check.result import Verdict
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import SpiSettings, ZenohSettings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.support.router import zenoh_listening
@@ -358,7 +358,7 @@ def test_no_systemd_and_one_that_does_not_answer(systemctl: Path, tmp_path: Path
 
 
 def test_real_time_rights_are_tried() -> None:
-    said = "import gateway.tools.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence)"
+    said = "import gateway.people.tools.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence)"
     allowed = subprocess.run(["chrt", "--fifo", "20", "true"], capture_output=True, check=False).returncode == 0
     result = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True).stdout
     assert result.startswith("ok" if allowed else "warning")
@@ -366,7 +366,7 @@ def test_real_time_rights_are_tried() -> None:
 
 def test_without_real_time_rights_it_says_which_limit() -> None:
     said = (
-        "import os, gateway.tools.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence, r.fix);"
+        "import os, gateway.people.tools.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence, r.fix);"
         "print(os.sched_getscheduler(0))"
     )
     bound = ["prlimit", "--rtprio=0", "--", *_without("sys_nice"), sys.executable, "-c", said]
@@ -383,7 +383,7 @@ def test_what_it_tries_does_not_stay() -> None:
 
 
 def test_a_port_that_this_user_may_not_have() -> None:
-    code = "import gateway.tools.check.network as n; r = n.port('tcp/127.0.0.1:1'); print(r.verdict, r.sentence)"
+    code = "import gateway.people.tools.check.network as n; r = n.port('tcp/127.0.0.1:1'); print(r.verdict, r.sentence)"
     bound = [*_without("net_bind_service"), sys.executable, "-c", code]
     said = subprocess.run(bound, capture_output=True, text=True, check=True).stdout
     first_port = int(Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text())

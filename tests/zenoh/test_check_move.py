@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.protocol.frames import OneServo, Op, ServoOp, decode
+from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
 from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway

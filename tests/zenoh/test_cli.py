@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from gateway import certs
-from gateway.tools.kept_lease import me
-from gateway.tools.send import person_of
+from gateway.people.tools.kept_lease import me
+from gateway.people.tools.send import person_of
 from schemas.telemetry import Kind, Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port

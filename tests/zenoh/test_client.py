@@ -11,8 +11,9 @@ import pytest
 import zenoh
 
 from gateway import client as client_module
-from gateway.client import Client, aio, aio_lease, blocking, lease, leg_payload, pace, payloads, stream
+from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
+from gateway.people.client import aio, aio_lease, blocking, lease, pace, payloads, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.support.gateway_process import Gateway, free_port

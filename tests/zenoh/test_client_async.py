@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from gateway.client import AsyncClient, AsyncLease, AsyncStream, Client, DisconnectedError, Lease, StoppedError, Stream
-from gateway.client.aio import KEPT_EVENTS, MAX_QUESTIONS, _Threads
 from gateway.errors import ZenohError
+from gateway.people.client.aio import KEPT_EVENTS, MAX_QUESTIONS, _Threads
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode
 from tests.support.gateway_process import Gateway, free_port
@@ -206,8 +206,6 @@ async def test_errors_are_the_same(gateway: Gateway) -> None:
 
 def test_the_commands_load_neither_asyncio_nor_what_only_a_lease_needs() -> None:
     """A `hexapod-gateway estop` has better use for the time."""
-    late = "{'asyncio', 'cryptography', 'schemas.lease', 'gateway.tools.driving'}"
-    code = (
-        f"import sys, gateway.tools.send; assert not {late} & set(sys.modules), sys.modules; gateway.client.AsyncClient"
-    )
+    late = "{'asyncio', 'cryptography', 'schemas.lease', 'gateway.people.tools.driving'}"
+    code = f"import sys, gateway.people.tools.send; assert not {late} & set(sys.modules), sys.modules"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

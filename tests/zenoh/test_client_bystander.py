@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from gateway.client import AsyncClient, Client, DisconnectedError, RejectedError, StoppedError, Stream
-from gateway.protocol.frames import decode
-from gateway.tools.drill.cut_link import CutLink
+from gateway.people.tools.drill.cut_link import CutLink
+from gateway.robot.protocol.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames

@@ -44,7 +44,7 @@ def test_the_file_says_where_unless_an_endpoint_is_given(tmp_path: Path) -> None
 
 def test_with_neither_it_is_this_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Gateway(tmp_path) as gateway:
-        monkeypatch.setattr("gateway.client.blocking.DEFAULT_ENDPOINT", gateway.endpoint)
+        monkeypatch.setattr("gateway.people.client.blocking.DEFAULT_ENDPOINT", gateway.endpoint)
         for client in (Client(), Client(None)):
             with client:
                 assert client.state().mode == "idle"

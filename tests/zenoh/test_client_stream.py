@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
-from gateway.tools.drill.cut_link import CutLink
+from gateway.people.tools.drill.cut_link import CutLink
 from schemas.telemetry import Cause, Event, Kind, Mode, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states

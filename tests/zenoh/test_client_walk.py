@@ -10,8 +10,8 @@ import pytest
 
 from gateway.client import AsyncClient, Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, StoppedError, WalkError
-from gateway.protocol.frames import Op, decode
-from gateway.walking import STILL, Posture
+from gateway.people.walking import STILL, Posture
+from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
 from schemas.telemetry import FrameRecord, GatewayState, Kind, Mode
 from tests.support.gateway_process import Gateway

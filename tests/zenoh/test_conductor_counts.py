@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 
-from gateway.core.intents import MAX_KEY
-from gateway.core.message import Verb
 from gateway.errors import SpiError
-from gateway.protocol.framing import PREAMBLE_ZEROS, ZERO
-from gateway.spi.simulator import SimulatedController
+from gateway.robot.core.intents import MAX_KEY
+from gateway.robot.core.message import Verb
+from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO
+from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.robot import MS, Robot, leg, started_and_quiet

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from gateway import certs
-from gateway.console.register import Register
+from gateway.people.console.register import Register
 from tests.support.child import Child
 from tests.support.console_process import LINK, Page, SignedIn
 from tests.support.gateway_process import COMMAND, free_port

@@ -13,11 +13,11 @@ from typing import Any, Final
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.tools import reach
-from gateway.tools.drill import report
-from gateway.tools.drill.command import STEP_NAMES
-from gateway.tools.drill.run import drill
-from gateway.tools.drill.steps import STEPS
+from gateway.people.tools import reach
+from gateway.people.tools.drill import report
+from gateway.people.tools.drill.command import STEP_NAMES
+from gateway.people.tools.drill.run import drill
+from gateway.people.tools.drill.steps import STEPS
 from schemas.calibration import ServoChange
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port

@@ -12,7 +12,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client
-from gateway.protocol.frames import OneLeg, Op, centidegrees, decode
+from gateway.robot.protocol.frames import OneLeg, Op, centidegrees, decode
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port

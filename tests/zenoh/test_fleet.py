@@ -21,9 +21,9 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.client.proof import Identity
-from gateway.edge.config_file import load_config
 from gateway.errors import ZenohError
+from gateway.people.client.proof import Identity
+from gateway.zenoh_config import load_config
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import GatewayState, Kind, Mode, Reason

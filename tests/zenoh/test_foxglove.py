@@ -14,8 +14,8 @@ import pytest
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
-from gateway.recordings import REPORTS
-from gateway.recordings.drawing import DRAWN_SCHEMAS
+from gateway.people.recordings import REPORTS
+from gateway.people.recordings.drawing import DRAWN_SCHEMAS
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 

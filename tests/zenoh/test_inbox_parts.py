@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.core.message import Received, Verb
-from gateway.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received, _words_of_stop
-from gateway.edge.rings import RING_DEPTH, Ring
-from gateway.host.ownership import Ownership
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received, _words_of_stop
+from gateway.robot.edge.rings import RING_DEPTH, Ring
+from gateway.robot.host.ownership import Ownership
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from tests.zenoh.test_inbox_wakeups import Taker

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.core.message import Received, Reply
-from gateway.edge.inbox import OTHER_DEPTH, Inbox
-from gateway.host.ownership import Ownership
+from gateway.robot.core.message import Received, Reply
+from gateway.robot.edge.inbox import OTHER_DEPTH, Inbox
+from gateway.robot.host.ownership import Ownership
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.recordings import read
+from gateway.people.recordings import read
 from schemas import keys
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway

@@ -14,7 +14,7 @@ import zenoh
 
 from gateway.client import AsyncClient, Client, Lease, LeaseError, LeaseLostError, RejectedError, Stream, leg_payload
 from gateway.errors import GatewayError
-from gateway.protocol.frames import decode
+from gateway.robot.protocol.frames import decode
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS

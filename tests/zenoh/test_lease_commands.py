@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.tools.kept_lease import me
+from gateway.people.tools.kept_lease import me
 from schemas.telemetry import GatewayState, Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway

@@ -16,8 +16,8 @@ from tests.support.gateway_process import Gateway
 
 SPEAKER = """
 import logging, sys, threading, warnings
-from gateway.host import logs
-from gateway.settings import LogSettings
+from gateway.robot.host import logs
+from gateway.robot.settings import LogSettings
 from schemas.telemetry import Kind, Reason
 logs.set_up(LogSettings(format=sys.argv[1], level=sys.argv[2]))
 logger = logging.getLogger("gateway.test")
@@ -164,9 +164,9 @@ def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
 
 
 def test_all_that_was_said_is_written_before_the_process_goes() -> None:
-    program = "import logging, sys, threading, warnings\nfrom gateway.host import logs\n"
+    program = "import logging, sys, threading, warnings\nfrom gateway.robot.host import logs\n"
     program += (
-        "from gateway.settings import LogSettings\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')"
+        "from gateway.robot.settings import LogSettings\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')"
         + MORE
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)

@@ -14,8 +14,8 @@ from prometheus_client.samples import Sample
 
 from gateway import __version__, certs
 from gateway.client import Client
-from gateway.core.latency import KEPT, Latency, percentile
-from gateway.protocol import VERSION
+from gateway.robot.core.latency import KEPT, Latency, percentile
+from gateway.robot.protocol import VERSION
 from schemas import keys
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.robot import leg, started_and_quiet

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.protocol.frames import stop_leg
-from gateway.spi import outside
-from gateway.spi.outside import Listener, Notice
+from gateway.robot.protocol.frames import stop_leg
+from gateway.robot.spi import outside
+from gateway.robot.spi.outside import Listener, Notice
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -113,7 +113,7 @@ def test_opening_and_closing_the_device_for_each_round_does_not_end_it(device: P
 def test_its_death_is_its_end(device: Path) -> None:
     gateway = Listener(opened(device))
     program = (
-        "import sys, time\nfrom gateway.spi.outside import Notice\n"
+        "import sys, time\nfrom gateway.robot.spi.outside import Notice\n"
         "notice = Notice(sys.argv[1])\nnotice.give()\nprint('at work', flush=True)\ntime.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program, str(device)], stdout=subprocess.PIPE) as child:

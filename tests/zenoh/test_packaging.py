@@ -47,13 +47,13 @@ def test_the_wheel_holds_both_packages_their_types_the_schemas_and_the_licence(d
     names = zipfile.ZipFile(wheel).namelist()
     for name in ("gateway/py.typed", "schemas/py.typed", "schemas/json/LegCommand.json", "gateway/cli.py"):
         assert name in names
-    page = REPOSITORY / "gateway" / "console" / "page"
+    page = REPOSITORY / "gateway/people/console/page"
     assert {str(path.relative_to(REPOSITORY)) for path in page.rglob("*") if path.is_file()} <= set(names)
     assert any(name.endswith("LICENSE") for name in names)
     assert not any(name.startswith("tests") for name in names)
     (source,) = dist.glob("*.tar.gz")
     with tarfile.open(source) as archive:
-        assert any(name.endswith("/gateway/core/supervisor.py") for name in archive.getnames())
+        assert any(name.endswith("/gateway/robot/core/supervisor.py") for name in archive.getnames())
 
 
 def test_it_runs_where_nothing_else_is_installed(python: Path, tmp_path: Path) -> None:

@@ -8,7 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.realtime import LOOP_PRIORITY, MALLOC_ARENAS, NICE, PAGE_PRIORITY, RECEIVER_PRIORITY, TIMER_SLACK_NS
+from gateway.robot.host.realtime import (
+    LOOP_PRIORITY,
+    MALLOC_ARENAS,
+    NICE,
+    PAGE_PRIORITY,
+    RECEIVER_PRIORITY,
+    TIMER_SLACK_NS,
+)
 from tests.support.gateway_process import Gateway
 
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
@@ -20,7 +27,7 @@ def run(program: str, *prefix: str, stderr: int | None = None) -> str:
         *prefix,
         sys.executable,
         "-c",
-        f"from gateway.host.realtime import *\nimport gc, os, sys, threading\n{program}",
+        f"from gateway.robot.host.realtime import *\nimport gc, os, sys, threading\n{program}",
     ]
     return subprocess.run(command, stdout=subprocess.PIPE, stderr=stderr, text=True, check=True).stdout.strip()
 

@@ -17,7 +17,7 @@ import zenoh
 from mcap.reader import make_reader
 
 from gateway.client import Client
-from gateway.recordings import is_cut_off, read
+from gateway.people.recordings import is_cut_off, read
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port

@@ -14,10 +14,10 @@ import pytest
 
 from gateway.client import Client
 from gateway.geometry import load
-from gateway.protocol.frames import OneServo, Op, ServoOp, stop_leg
-from gateway.recordings import Recording
-from gateway.walking import STILL, Engine
-from gateway.walking import Robot as GeometryRobot
+from gateway.people.recordings import Recording
+from gateway.people.walking import STILL, Engine
+from gateway.people.walking import Robot as GeometryRobot
+from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from schemas.calibration import ServoChange
 from schemas.keys import FRAME
 from schemas.telemetry import Cause, FrameRecord

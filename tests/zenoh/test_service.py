@@ -192,7 +192,7 @@ def test_a_wrong_configuration_ends_it_with_2_and_one_line_per_fault(tmp_path: P
 FAULTY = """
 import sys
 from gateway import cli
-from gateway.runtime import conductor
+from gateway.robot.runtime import conductor
 def broken(self, received, now_ns):
     raise RuntimeError("planted")
 conductor.Conductor._receive = broken

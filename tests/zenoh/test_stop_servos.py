@@ -12,7 +12,7 @@ SLOW = (
     "structlog",
     "logging",
     "asyncio",
-    "gateway.settings",
+    "gateway.robot.settings",
     "gateway.cli",
 )
 

@@ -1,6 +1,6 @@
 """`stop-servos` beside a running gateway: what the supervisor makes of Stops that it did not send."""
 
-from gateway.core.leg import Rules
+from gateway.robot.core.leg import Rules
 from schemas.telemetry import Mode
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.tools.kept_lease import me
+from gateway.people.tools.kept_lease import me
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.tmux import LATE_S, Terminal, need_tmux
 

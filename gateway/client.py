@@ -1,0 +1,68 @@
+"""What a laptop's own program uses to talk to a gateway; needs neither SPI nor a compiler.
+
+>>> from gateway.client import Client
+>>> with Client(endpoint) as robot:                 # such as "tcp/192.0.2.7:7447"
+...     robot.start_leg(3, 90, 45, 120).accepted    # acknowledged: the frame has been handed to SPI
+...     robot.set_leg(3, 91, 45, 120).accepted      # only what runs can be set
+...     robot.set_leg(4, 91, 45, 120).detail        # leg 4 was never started
+...     robot.stop().accepted
+True
+True
+'servo 41 does not run; start it before you set it'
+True
+"""
+
+from typing import Final
+
+from gateway.errors import (
+    DisconnectedError,
+    GatewayError,
+    LeaseError,
+    LeaseLostError,
+    RejectedError,
+    StoppedError,
+    WalkError,
+    ZenohError,
+)
+from gateway.people.client.aio import AsyncClient, AsyncStream
+from gateway.people.client.aio_lease import AsyncLease
+from gateway.people.client.aio_walk import AsyncWalk
+from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
+from gateway.people.client.lease import Lease
+from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
+from gateway.people.client.stream import Stream
+from gateway.people.client.walk import Walk
+
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "AsyncClient",
+    "AsyncLease",
+    "AsyncStream",
+    "AsyncWalk",
+    "Client",
+    "DisconnectedError",
+    "GatewayError",
+    "Lease",
+    "LeaseError",
+    "LeaseLostError",
+    "RejectedError",
+    "StoppedError",
+    "Stream",
+    "Walk",
+    "WalkError",
+    "ZenohError",
+    "calibration_payload",
+    "leg_payload",
+    "legs_payload",
+    "servo_payload",
+    "several_answer",
+]
+
+
+_LATER: Final = {
+    "AsyncClient": "gateway.people.client.aio",
+    "AsyncLease": "gateway.people.client.aio_lease",
+    "AsyncStream": "gateway.people.client.aio",
+    "AsyncWalk": "gateway.people.client.aio_walk",
+    "Walk": "gateway.people.client.walk",
+}

@@ -1,0 +1,1 @@
+"""What `gateway.client` is made of."""

@@ -1,0 +1,402 @@
+"""Why no connection comes about: goes the way to an endpoint step by step, and says which step fails and what to do.
+
+Zenoh says of all of them "Unable to connect". These looks use sockets of their own, and come only after an attempt has
+failed: none may delay a Stop. Each complete TLS handshake, and each TCP connection, is one; an endpoint gets one.
+"""
+
+import datetime as dt
+import ipaddress
+import re
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Final
+
+import zenoh
+
+from gateway import certs
+from gateway.certs import expiry
+from gateway.errors import ConfigError
+from gateway.zenoh_config import first_expiry, get
+
+TIMEOUT_S: Final = 1.0
+"""What all looks together may take."""
+_ALERT_S: Final = 0.3
+"""A server says what is wrong with a client's certificate after the handshake: at once, so a round trip later."""
+_ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
+_CA: Final = "transport/link/tls/root_ca_certificate"
+_CERTIFICATE: Final = "transport/link/tls/connect_certificate"
+_KEY: Final = "transport/link/tls/connect_private_key"
+_VERIFY_NAME: Final = "transport/link/tls/verify_name_on_connect"
+_OLDEST_YEAR: Final = 2024
+"""No certificate of ours is older: a clock before it was never set."""
+
+_NOT_YET_VALID, _EXPIRED = 9, 10  # OpenSSL's X509_V_ERR_…
+_UNKNOWN_CA: Final = (2, 18, 19, 20, 21)
+_WRONG_HOST: Final = (62, 64)
+
+
+class Step(StrEnum):
+    """The steps of the way, in order."""
+
+    ENDPOINT = "endpoint"
+    NAME = "name"
+    TCP = "TCP"
+    TLS = "TLS"
+    CERTIFICATE = "certificate"
+    ROLE = "role"
+    GATEWAY = "gateway"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """How it stands with a step. `fix` is "" where the step is well."""
+
+    step: Step
+    sentence: str
+    fix: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.step}: {self.sentence}" + (f" → {self.fix}" if self.fix else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a client shows and trusts, of its Zenoh configuration."""
+
+    ca: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+    verify_name: bool = True
+
+    @classmethod
+    def of(cls, config: zenoh.Config) -> "Identity":
+        """Of a configuration whose paths are absolute."""
+        named = {
+            name: Path(value)
+            for name, key in (("ca", _CA), ("certificate", _CERTIFICATE), ("key", _KEY))
+            if isinstance(value := get(config, key), str)
+        }
+        return cls(**named, verify_name=get(config, _VERIFY_NAME) is not False)
+
+
+def endpoints_of(config: zenoh.Config) -> list[str]:
+    """What a client's configuration dials."""
+    found: Any = get(config, "connect/endpoints")
+    if isinstance(found, dict):  # one list for each of Zenoh's modes
+        found = found.get("client")
+    return found or []
+
+
+def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
+    """One line for each endpoint, of the step that fails. Takes `timeout_s` at most."""
+    identity = Identity.of(config)
+    found = look_at_all(endpoints_of(config), identity, timeout_s)
+    of_clock = [each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix]
+    if of_clock:
+        return [f"no gateway answers: {of_clock[0]}"]
+    return [f"no gateway answers on {endpoint}: {findings[-1]}" for endpoint, findings in found.items()]
+
+
+def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S) -> dict[str, list[Finding]]:
+    """What `look` finds for each of them, side by side. The last one of each says how far it came."""
+    end_s = time.monotonic() + timeout_s
+    found: dict[str, list[Finding]] = {}
+    threads = []
+    for endpoint in dict.fromkeys(endpoints):
+        findings: list[Finding] = []
+        found[endpoint] = findings
+        look_there = _Look(endpoint, identity, end_s, findings)
+        look_there.start()
+        threads.append(look_there)
+    for thread in threads:
+        thread.join(max(0.0, end_s - time.monotonic()) + _MARGIN_S)
+    late = Finding(Step.TCP, "nothing is known within the time", "try again, with a longer --timeout")
+    return {endpoint: list(findings) or [late] for endpoint, findings in found.items()}
+
+
+_MARGIN_S: Final = 0.05
+"""A look that times out at the end of the time still says so."""
+
+
+class _Look(threading.Thread):
+    """A look at one endpoint; nobody waits for it at the end of the program."""
+
+    def __init__(self, endpoint: str, identity: Identity, end_s: float, found: list[Finding]) -> None:
+        super().__init__(name=f"look at {endpoint}", daemon=True)
+        self._look = look(endpoint, identity, end_s)
+        self._found = found
+
+    def run(self) -> None:
+        for finding in self._look:
+            self._found.append(finding)
+
+
+def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
+    """Go the way to `endpoint` until a step fails, at most until `end_s` (monotonic)."""
+    parsed = _ENDPOINT.fullmatch(endpoint)
+    if parsed is None:
+        yield Finding(Step.ENDPOINT, "only tcp/HOST:PORT and tls/HOST:PORT are looked at", "see whether it is right")
+        return
+    host, port, tls = parsed["host"].strip("[]"), int(parsed["port"]), parsed["link"] == "tls"
+    if tls and _is_ipv6(host):
+        yield Finding(
+            Step.ENDPOINT, "Zenoh dials no IPv6 address over TLS", "dial the robot's name, or its IPv4 address"
+        )
+        return
+    try:
+        addresses = _resolve(host, port, end_s)
+    except OSError as error:
+        yield _unresolved(host, error)
+        return
+    yield Finding(Step.NAME, f"{host} is {', '.join(dict.fromkeys(str(address[0]) for _, address in addresses))}")
+    try:
+        connection = _connect(addresses, end_s)
+    except OSError as error:
+        yield _unreachable(host, port, error)
+        return
+    yield Finding(Step.TCP, f"port {port} answers")
+    with connection:
+        yield from _tls(connection, host, identity, end_s) if tls else _plain(connection, end_s)
+
+
+def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
+    """Whether this machine's clock is within what its certificates are good for."""
+    for path in (identity.ca, identity.certificate):
+        if path is None:
+            continue
+        try:
+            certificate = certs.read_certificate(path)
+        except ConfigError as error:
+            yield Finding(Step.CERTIFICATE, str(error), "restore it from its bundle")
+            continue
+        yield validity(path.name, certificate.not_valid_before_utc, certificate.not_valid_after_utc, now)
+
+
+def own_expiry(config: zenoh.Config) -> str | None:
+    """That one of this machine's certificates expires soon; None: none does, or none can be read."""
+    with suppress(ConfigError):
+        first = first_expiry(config)
+        if first is not None:
+            return expiry.soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
+    return None
+
+
+def role(certificate: Path) -> str:
+    """What its holder is to the robot: the common name; "" where that cannot be read."""
+    try:
+        return certs.describe(certificate).role
+    except ConfigError:
+        return ""
+
+
+def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) -> Finding:
+    """Of a certificate that is good from `begin` to `end`, at `now`."""
+    if now < begin:
+        clock = f"this machine's clock says {now:%Y-%m-%d}"
+        sentence = f"{name} is good from {begin:%Y-%m-%d} only, and {clock}"
+        if now.year < _OLDEST_YEAR:
+            sentence = f"{clock}, which is before any certificate was made"
+        return Finding(Step.CERTIFICATE, sentence, "set the clock (timedatectl set-ntp true)")
+    if now >= end:
+        fix = "get a new one from `hexapod-gateway certs renew` (is this clock right?)"
+        return Finding(Step.CERTIFICATE, f"{name} expired on {end:%Y-%m-%d}", fix)
+    return Finding(Step.CERTIFICATE, f"{name} is good until {end:%Y-%m-%d}")
+
+
+# ---- name and TCP
+
+_Addresses = list[tuple[socket.AddressFamily, tuple[Any, ...]]]
+
+
+def _resolve(host: str, port: int, end_s: float) -> _Addresses:
+    """The host's addresses; TimeoutError where no resolver answers in time (getaddrinfo itself knows no time)."""
+    answer: SimpleQueue[_Addresses | OSError] = SimpleQueue()
+
+    def ask() -> None:
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        except OSError as error:
+            answer.put(error)
+        else:
+            answer.put([(family, address) for family, _, _, _, address in found])
+
+    threading.Thread(target=ask, name=f"resolve {host}", daemon=True).start()
+    try:
+        resolved = answer.get(timeout=_left_s(end_s))
+    except Empty:
+        raise TimeoutError from None
+    if isinstance(resolved, OSError):
+        raise resolved
+    return resolved
+
+
+def _unresolved(host: str, error: OSError) -> Finding:
+    mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
+    fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"
+    if isinstance(error, TimeoutError):
+        return Finding(Step.NAME, f"no name server says what {host} is", fix)
+    return Finding(Step.NAME, f"{host} is unknown ({error.strerror})", fix)
+
+
+def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
+    """A connection to the first address that takes one; raises the error of the last one."""
+    fault: OSError = OSError("no address")
+    for place, (family, address) in enumerate(addresses):
+        probe = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            probe.settimeout(_left_s(end_s) / (len(addresses) - place))
+            probe.connect(address)
+        except OSError as error:
+            probe.close()
+            fault = error
+        else:
+            return probe
+    raise fault
+
+
+def _unreachable(host: str, port: int, error: OSError) -> Finding:
+    if isinstance(error, ConnectionRefusedError):
+        return Finding(
+            Step.TCP,
+            f"{host} rejects port {port}: nothing listens there",
+            "does the gateway run (systemctl status hexapod-gateway), and on this port? Without certificates it "
+            "listens on its own machine only",
+        )
+    if isinstance(error, TimeoutError):
+        fix = "is the robot on, and in this network? A firewall may drop what comes for the port"
+        return Finding(Step.TCP, f"{host} does not answer on port {port}", fix)
+    return Finding(Step.TCP, f"{host} cannot be reached ({error.strerror})", "join the robot's network")
+
+
+# ---- TLS
+
+
+def _tls(connection: socket.socket, host: str, identity: Identity, end_s: float) -> Iterator[Finding]:
+    try:
+        context = _context(identity)
+    except (OSError, ssl.SSLError) as error:
+        yield Finding(Step.CERTIFICATE, f"the files of your certificate do not go together ({error})", _NEW_BUNDLE)
+        return
+    if identity.ca is None:
+        yield Finding(Step.CERTIFICATE, "the robot wants a certificate, and you have none", _GIVE_CERTIFICATE)
+        return
+    try:
+        connection.settimeout(_left_s(end_s))
+        with context.wrap_socket(connection, server_hostname=host) as secured:
+            yield Finding(Step.TLS, f"{host} shows a certificate of your CA, in its own name")
+            yield _after_handshake(secured, end_s)
+    except ssl.SSLCertVerificationError as error:
+        yield _distrusted(host, error)
+    except ssl.SSLError as error:
+        yield _alert(error)
+    except TimeoutError:
+        yield Finding(Step.TLS, "the port answers, but speaks no TLS within the time", _NO_TLS)
+    except OSError:
+        yield Finding(Step.TLS, "the port ends the connection instead of speaking TLS", _NO_TLS)
+
+
+_NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, all its files together"
+_GIVE_CERTIFICATE: Final = "give --zenoh-config NAME.json5, which `hexapod-gateway certs issue` made"
+_NO_TLS: Final = "does the gateway use certificates? Without them it is tcp/…, and on its own machine only"
+_CLOCK: Final = "set the clock (timedatectl set-ntp true)"
+
+
+def _context(identity: Identity) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=None if identity.ca is None else str(identity.ca))
+    context.check_hostname = identity.verify_name
+    if identity.certificate is not None:
+        context.load_cert_chain(str(identity.certificate), None if identity.key is None else str(identity.key))
+    return context
+
+
+def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
+    """What the robot says of one's own certificate: an alert, or nothing."""
+    secured.settimeout(min(_ALERT_S, _left_s(end_s)))
+    try:
+        secured.recv(1)
+    except TimeoutError:  # it waits for Zenoh's first word
+        return Finding(Step.CERTIFICATE, "the robot takes yours")
+    except ssl.SSLError as error:
+        return _alert(error)
+    except OSError:
+        pass
+    return Finding(Step.GATEWAY, "the robot ends the connection", "is it at its most sessions? See its journal")
+
+
+def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
+    """We do not take the robot's certificate."""
+    code = error.verify_code
+    if code in _WRONG_HOST:
+        return Finding(
+            Step.TLS,
+            f"the robot's certificate does not name {host}",
+            f"dial it by a name that it has (hexapod-gateway certs list), or make it one with --host {host}",
+        )
+    if code == _EXPIRED:
+        fix = f"hexapod-gateway certs renew gateway, and copy gateway.pem to the robot; or {_CLOCK} here"
+        return Finding(Step.CERTIFICATE, "the robot's certificate has expired", fix)
+    if code == _NOT_YET_VALID:
+        return Finding(Step.CERTIFICATE, "the robot's certificate is not valid yet", f"{_CLOCK} here")
+    if code in _UNKNOWN_CA:
+        return Finding(
+            Step.CERTIFICATE,
+            "the robot's certificate is of another CA than yours",
+            "is it the right robot? Take certificates from the folder that made the robot's",
+        )
+    return Finding(Step.CERTIFICATE, f"the robot's certificate does not do ({error.verify_message})", _NEW_BUNDLE)
+
+
+def _alert(error: ssl.SSLError) -> Finding:
+    """The robot does not take our certificate, or this is no TLS."""
+    reason = error.reason or ""
+    if "UNKNOWN_CA" in reason:
+        return Finding(
+            Step.CERTIFICATE,
+            "the robot does not know the CA of your certificate",
+            "get one from the folder that made the robot's (hexapod-gateway certs issue)",
+        )
+    if "EXPIRED" in reason:
+        return Finding(
+            Step.CERTIFICATE,
+            "your certificate has expired, or is not valid yet, by the robot's clock",
+            "hexapod-gateway certs renew NAME; or set the robot's clock (timedatectl set-ntp true)",
+        )
+    if "CERTIFICATE_REQUIRED" in reason:
+        return Finding(Step.CERTIFICATE, "the robot wants a certificate, and you show none", _GIVE_CERTIFICATE)
+    if "ALERT" in reason:
+        return Finding(Step.CERTIFICATE, f"the robot does not take your certificate ({reason})", _NEW_BUNDLE)
+    return Finding(Step.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)
+
+
+def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:
+    """Whether a port that is dialled without TLS wants it."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE  # it is asked whether it speaks TLS at all
+    connection.settimeout(min(_ALERT_S, _left_s(end_s)))
+    try:
+        with context.wrap_socket(connection):
+            pass
+    except (OSError, ssl.SSLError):
+        fix = "another program may have the port (ss -ltnp there), or the gateway wants a password: see its journal"
+        yield Finding(Step.GATEWAY, "the port takes connections, but no gateway speaks there", fix)
+        return
+    yield Finding(Step.TLS, "the port wants TLS, and you dial it without", f"dial tls/…, and {_GIVE_CERTIFICATE}")
+
+
+def _is_ipv6(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).version == 6
+    except ValueError:
+        return False
+
+
+def _left_s(end_s: float) -> float:
+    return max(0.01, end_s - time.monotonic())

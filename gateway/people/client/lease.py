@@ -1,0 +1,316 @@
+"""Who is driving: holding the lease of a robot, so that nobody else's starts, sets and resets count.
+
+The token that proves it stays in here and in the commands: it is in no error, no log and no `repr`.
+"""
+
+import re
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from enum import Enum, auto
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import zenoh
+
+from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
+from schemas.telemetry import Ack, Event, Kind, Reason
+
+if TYPE_CHECKING:
+    from gateway.people.client.blocking import Client
+    from schemas.lease import LeaseAck
+
+TTL_MS: Final = 1000.0
+"""The gateway's default (`lease.ttl_ms`), where an answer does not say it."""
+RENEWALS: Final = 3
+"""In each time to live: two may be lost."""
+LEAST_ANSWER_S: Final = 0.1
+"""For an answer to a renewal; with the shortest time to live (200 ms) a third of it would be less."""
+ANSWER_S: Final = 1.0
+"""Where a program waits for it."""
+RELEASE_S: Final = 0.5
+"""What the end of a program may cost."""
+TRY_AGAIN_S: Final = 0.3
+"""While it waits to be handed over: how often it is tried besides what events tell."""
+_CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
+_TOKEN: Final = re.compile("[0-9a-f]{32}")
+NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
+
+
+class _Holds(Enum):
+    NOT_YET = auto()
+    YES = auto()
+    LOST = auto()
+    HANDED_OVER = auto()
+    RELEASED = auto()
+
+
+class Lease:
+    """The right to drive; made by `Client.lease`, used in a `with`.
+
+    Inside it every command of the client carries the lease, published ones and a stream's, too. It is renewed by a
+    thread of its own for as long as the program lives, and released at the end. Legs are the watchdog's affair as ever.
+
+    Once it is lost (taken by force, or the link was cut for longer than it lives), the next acknowledged command and
+    the next `set` of a stream raise LeaseLostError. Stops and the emergency stop are taken from anyone, always.
+
+    >>> with Client(endpoint, source="anna") as robot, robot.lease() as lease:
+    ...     robot.start_leg(3, 90, 45, 120).accepted
+    ...     with Client(endpoint, source="bert") as other:
+    ...         other.set_leg(3, 91, 45, 120).reason
+    ...     lease.holder
+    True
+    <Reason.NOT_HOLDER: 'not_holder'>
+    'anna'
+    """
+
+    def __init__(
+        self,
+        client: "Client",
+        *,
+        take: bool,
+        wait_s: float,
+        source: str | None,
+        on_lost: Callable[[LeaseLostError], None] | None,
+        on_asked: Callable[[str], None] | None,
+    ) -> None:
+        """See `Client.lease`."""
+        self._client = client
+        self._take = take
+        self._wait_s = wait_s
+        self._source = source
+        self._on_lost = on_lost
+        self._on_asked = on_asked
+        self._lock = threading.Lock()
+        self._holds = _Holds.NOT_YET
+        self._token: str | None = None
+        self._lost: LeaseLostError | None = None
+        self._gives = False
+        """Away: a renewal that is rejected meanwhile is no loss."""
+        self._giving = threading.RLock()
+        """Held until the gateway has answered that: only then it is known whose the legs are."""
+        self._confirmed_s = 0.0
+        self._news = threading.Event()
+        self._asked_by: str | None = None
+        self._subscriber: Any = None
+        self.holder = ""
+        """By which name the gateway knows us: the certificate's person, else the client's own name."""
+        self.verified = False
+        """Whether that name was proved by a certificate."""
+        self.ttl_ms = 0.0
+        """It ends that long after the gateway last heard a renewal or a command of ours."""
+
+    def __enter__(self) -> Self:
+        self.acquire()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    @property
+    def held(self) -> bool:
+        """Whether we hold it, as far as we have heard."""
+        return self._holds is _Holds.YES
+
+    @property
+    def lost(self) -> LeaseLostError | None:
+        """How it was lost."""
+        return self._lost
+
+    def hand_over(self, to: str) -> None:
+        """Give it to `to`, who has the gateway's `ttl_ms` to acquire it; legs that run go on running meanwhile.
+
+        Raises LeaseLostError where we no longer hold it, and LeaseError where nobody of that name has asked.
+        """
+        self.check()
+        token = self._token
+        if token is None:
+            raise LeaseError(Reason.NOT_HOLDER, "this lease is not held")
+        with self._giving:
+            self._gives = True
+            try:
+                ack = self._client.lease_requests.release(token, to)
+                if ack.accepted:
+                    self._end(_Holds.HANDED_OVER)
+                    return
+            finally:
+                self._gives = False
+        self.confirm()
+        self.check()
+        raise _error(ack)
+
+    # ---- begin and end; `with` calls them
+
+    def acquire(self) -> None:
+        """Raises LeaseError where it is not to be had, DisconnectedError where no gateway answers."""
+        if self._holds is not _Holds.NOT_YET:
+            raise RuntimeError("a lease is held once; make a new one with `lease()`")
+        if (other := self._client.carried_lease) is not None and other.held:
+            raise RuntimeError("this client holds a lease already")
+        self._subscriber = self._client.on_event(self._hear)
+        try:
+            ack = self._acquired()
+        except BaseException:
+            self._unsubscribe()
+            raise
+        if not _TOKEN.fullmatch(ack.lease or ""):
+            self._unsubscribe()
+            raise LeaseError(Reason.LEASE_DENIED, "what answers gives no token; is it a gateway?", ack.holder)
+        self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
+        self.ttl_ms = ack.ttl_ms or TTL_MS
+        with self._lock:
+            self._token, self._holds = ack.lease, _Holds.YES
+        self._client.carry(self)
+        threading.Thread(target=self._keep, name="renew the lease", daemon=True).start()
+
+    def release(self) -> None:
+        """Give it back, if it is held. What is not answered expires by itself."""
+        token = self._token if self._holds is _Holds.YES else None
+        self._end(_Holds.RELEASED)
+        if token is not None:
+            with suppress(ZenohError):
+                self._client.lease_requests.release(token, timeout_s=RELEASE_S)
+
+    # ---- for the client and its streams
+
+    @property
+    def token(self) -> str | None:
+        """What commands carry. Still the old one after a loss, so that nothing of ours is taken by mistake."""
+        return self._token
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether it was handed over, or somebody else is known to hold it: the legs are theirs."""
+        if self._holds is _Holds.LOST:
+            return self._lost is not None and self._lost.holder is not None
+        return self._holds is _Holds.HANDED_OVER
+
+    def check(self) -> None:
+        """Raise what was lost."""
+        if self._holds is _Holds.LOST and self._lost is not None:
+            raise self._lost.with_traceback(None)
+
+    def confirm(self) -> LeaseLostError | None:
+        """Ask the gateway whether we still hold it; the error if not."""
+        with self._giving:
+            if self._holds is _Holds.YES:
+                self._renew(ANSWER_S)
+        return self._lost if self._holds is _Holds.LOST else None
+
+    def judge(self, ack: Ack) -> None:
+        """Take notice of what became of a command that carried the token. Raises LeaseLostError."""
+        if not ack.accepted and ack.reason in NOT_OURS:
+            self.confirm()
+            self.check()
+
+    # ---- the thread that renews
+
+    def _keep(self) -> None:
+        period_s = self.ttl_ms / 1000 / RENEWALS
+        while self._holds is _Holds.YES:
+            self._news.wait(period_s)
+            self._news.clear()
+            if self._holds is _Holds.YES:
+                self._renew(max(period_s, LEAST_ANSWER_S))
+            self._tell_who_asks()
+        if self._lost is not None:
+            self._unsubscribe()
+            if self._on_lost is not None:
+                self._on_lost(self._lost)
+
+    def _renew(self, timeout_s: float) -> None:
+        token, asked_s = self._token, time.monotonic()
+        if token is None:
+            return
+        try:
+            ack = self._client.lease_requests.renew(token, timeout_s)
+        except (GatewayError, zenoh.ZError):
+            if time.monotonic() - self._confirmed_s > self.ttl_ms / 1000:
+                detail = f"the gateway has not answered for {self.ttl_ms:g} ms, and the lease lives no longer than that"
+                self._lose(Reason.NO_LEASE, detail, None)
+            return
+        if ack.accepted:
+            self._confirmed_s = asked_s
+        else:
+            self._lose(ack.reason or "", f"the lease is lost, {ack.holder or 'nobody'} holds it now", ack.holder)
+
+    def _lose(self, reason: str, detail: str, holder: str | None) -> None:
+        with self._lock:
+            if self._holds is _Holds.YES and not self._gives:
+                self._lost = LeaseLostError(reason, detail, holder)
+                self._holds = _Holds.LOST
+        self._news.set()
+
+    def _tell_who_asks(self) -> None:
+        who, self._asked_by = self._asked_by, None
+        if who is not None and self._on_asked is not None and self._holds is _Holds.YES:
+            self._on_asked(who)
+
+    def _hear(self, event: Event) -> None:
+        """On a thread of Zenoh's: note it only."""
+        if event.kind == Kind.LEASE_ASKED and self._holds is _Holds.YES:  # before, it may be ourselves who ask
+            self._asked_by = event.source
+        if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:
+            self._news.set()
+
+    # ---- the rest
+
+    def _acquired(self) -> "LeaseAck":
+        ack = self._ask_for_it("take" if self._take else "acquire")
+        if not self._take and ack.reason == Reason.LEASE_HELD and self._wait_s > 0:
+            ack = self._waited(ack)
+        if not ack.accepted:
+            raise _error(ack)
+        return ack
+
+    def _waited(self, ack: "LeaseAck") -> "LeaseAck":
+        end_s = time.monotonic() + self._wait_s
+        asked: str | None = None
+        while ack.reason == Reason.LEASE_HELD and time.monotonic() < end_s:
+            if ack.holder != asked:  # also whoever has become the holder meanwhile
+                self._ask_for_it("ask")
+                asked = ack.holder
+            self._news.wait(max(0.0, min(TRY_AGAIN_S, end_s - time.monotonic())))
+            self._news.clear()
+            ack = self._ask_for_it("acquire")
+        return ack
+
+    def _ask_for_it(self, do: str) -> "LeaseAck":
+        self._confirmed_s = time.monotonic()
+        return self._client.lease_requests.as_person(do, self._source)
+
+    def _end(self, how: _Holds) -> None:
+        with self._lock:
+            if self._holds is _Holds.YES:
+                self._holds = how
+            self._token = None
+        self._news.set()
+        self._unsubscribe()
+
+    def _unsubscribe(self) -> None:
+        subscriber, self._subscriber = self._subscriber, None
+        if subscriber is not None:
+            with suppress(zenoh.ZError):  # the client is closed
+                subscriber.undeclare()
+
+
+class LentLease(Lease):
+    """A lease that somebody else acquired, renews and releases: for `Client.carry`, in a program that drives for them.
+
+    Only commands that carry it prolong it, and a question where the gateway rejects one.
+    """
+
+    def __init__(self, client: "Client", token: str) -> None:
+        super().__init__(client, take=False, wait_s=0.0, source=None, on_lost=None, on_asked=None)
+        self._token, self._holds, self.ttl_ms = token, _Holds.YES, TTL_MS
+
+    def release(self) -> None:
+        """Commands carry it no more; it is not ours to give back."""
+        self._end(_Holds.RELEASED)
+
+
+def _error(ack: "LeaseAck") -> LeaseError:
+    return LeaseError(ack.reason or "", ack.detail or "", ack.holder)

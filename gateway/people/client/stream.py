@@ -1,0 +1,389 @@
+"""A gait's setpoints at a steady rate, and word of everything that ends them.
+
+The gateway is believed, and nobody else: what is heard (a rejection, a published state in which a leg does not run,
+silence) only raises a doubt, and what it answers then decides. Events that are newer than the start need no question.
+"""
+
+import threading
+import time
+import warnings
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import zenoh
+
+from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
+from gateway.people.client.lease import NOT_OURS
+from gateway.people.client.pace import Pace
+from gateway.people.client.payloads import Angle, legs_payload
+from gateway.people.client.radians import LIKE_RADIANS, Radians
+from schemas import keys
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
+
+if TYPE_CHECKING:
+    from gateway.people.client.blocking import Client
+    from gateway.people.client.lease import Lease
+
+MAX_HZ: Final = 1000
+"""As `limits.leg_rate_hz`."""
+SILENCE_S: Final = 0.5
+"""A gateway that has said nothing for so long is asked: by default it publishes its state every 0.1 s."""
+ANSWER_S: Final = 1.0
+"""What a doubt may cost: by then the watchdog (0.25 s) has long stopped what is not heard."""
+_KEPT: Final = 64
+_STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
+_ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
+"""Events after which no leg runs."""
+_STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
+"""Events of legs that the gateway has stopped by a rule of its own."""
+_EVENT_S: Final = 0.1
+"""An event is published beside the answer to a question, and may come after it."""
+_AGAIN: Final = "start_again() goes on"
+_UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
+
+Angles = dict[int, tuple[float, float, float]]
+
+
+class Stream:
+    """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`, used in a `with`.
+
+    The first setpoint of a leg starts it. At the end of the `with` what was started is stopped, also after an error:
+    legs whose start was accepted, or not answered. A leg whose start was rejected, or that the gateway has since found
+    stopped, may be somebody else's, and is left alone.
+    Nothing is ever sent but what `set` is given: a program that stalls is stopped by the gateway's watchdog. So is a
+    leg that is left out for longer than that. Inside `Client.lease`, legs whose lease was handed over, or taken, are no
+    longer this stream's: it does not stop them at its end. For one thread at a time.
+
+    >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
+    ...     for step in range(10):
+    ...         stream.set({1: (90, 45 + step, 120), 2: (90, 45 - step, 120)})
+    ...     running = [leg.leg for leg in robot.state().legs if leg.servos[0].running]
+    >>> running
+    [1, 2]
+    """
+
+    def __init__(self, client: "Client", hz: float) -> None:
+        """Raises ValueError unless 0 < hz ≤ 1000."""
+        if not 0 < hz <= MAX_HZ:
+            raise ValueError(f"{hz:g} Hz; a stream's rate is above 0 and at most {MAX_HZ}")
+        self._client = client
+        self._hz = hz
+        self._pace = Pace(hz)
+        self._radians = Radians()
+        self._started: frozenset[int] = frozenset()
+        self._to_stop: frozenset[int] = frozenset()
+        self._lease: Lease | None = None  # under which it started them
+        self._since: datetime | None = None  # by the gateway's clock: since when all that is started runs
+        self._over: GatewayError | None = None
+        self._timeout_s = 0.0
+        self._sent_s = 0.0
+        self._heard_s = 0.0
+        self._doubt = False
+        self._events: deque[Event] = deque(maxlen=_KEPT)
+        self._heard_stop = threading.Event()
+        self._subscribers: list[Any] = []
+        self._sending = threading.Lock()
+        self._open = False
+
+    @property
+    def missed(self) -> int:
+        """Ticks for which `set` was called too late, or not at all. They were skipped, never made up."""
+        return self._pace.missed
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except GatewayError as failed:
+            if error is None:
+                raise
+            error.add_note(f"and the Stop at the end of the stream: {failed}")
+
+    def set(self, angles_deg: Mapping[int, Sequence[Angle]]) -> None:
+        """Wait for the next tick, then send these legs' angles (degrees, 0 to 180, joints 1, 2, 3) in one message.
+
+        The first setpoint of a leg starts it, and is acknowledged; all others are fire and forget. So what became of
+        one is told by a later call. Where `limits.start_stagger_ms` spreads starts over longer than the watchdog's
+        timeout, give one leg more at each call. Raises, without sending:
+
+        - LeaseLostError: somebody else drives now.
+        - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent).
+        - StoppedError: the watchdog (this program stalled, or left a leg out), another's Stop, an emergency stop, a bus
+          fault or the gateway's end has stopped what this stream moves.
+        - DisconnectedError: the link is lost, or the gateway has fallen silent.
+        - ValueError, TypeError: these are no three angles of a leg.
+
+        After LeaseLostError, StoppedError, DisconnectedError and a rejected start each call raises the same again,
+        until `start_again`.
+        """
+        angles = self.read(angles_deg)
+        self.check_open()
+        due_s = self.due_s()
+        while (pause_s := due_s - time.monotonic()) > 0:
+            time.sleep(pause_s)
+        self.send(angles)
+
+    def start_again(self) -> None:
+        """Go on after an error: the next `set` starts its legs afresh, from wherever they now are."""
+        self._over = None
+        self._started = frozenset()
+        self._pace.pause()
+
+    def go_on_without(self, legs: Iterable[int]) -> None:
+        """Go on after a StoppedError with the legs that still run. They are set, never started: that undoes no Stop."""
+        self._over = None
+        self._started -= frozenset(legs)
+
+    # ---- the steps of it, which AsyncStream takes, too
+
+    def open(self) -> None:
+        """Begin to listen. Raises DisconnectedError, and ValueError for a rate below the watchdog's."""
+        client = self._client
+        self._timeout_s = client.state().watchdog.timeout_ms / 1000
+        if self._pace.period_s >= self._timeout_s:
+            raise ValueError(f"at {self._hz:g} Hz the watchdog stops each leg after {self._timeout_s:g} s of silence")
+        self._subscribers = [client.on_state(self._hear_state), client.on_event(self._hear_event)]
+        self._open = True
+
+    def close(self) -> None:
+        """Stop what was started, acknowledged. Raises DisconnectedError, RejectedError."""
+        self._open = False
+        if not self._sending.acquire(blocking=False):
+            # A start of another thread's may be under way: a Stop now, and one more that is newer than it.
+            self._stop()
+            self._sending.acquire()
+        try:
+            self._stop()
+        finally:
+            self._sending.release()
+            subscribers, self._subscribers = self._subscribers, []
+            with suppress(zenoh.ZError):  # the client is closed
+                for each in subscribers:
+                    each.undeclare()
+
+    def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
+        """The numbers. Raises ValueError, TypeError. Warns once where they look like radians."""
+        if not angles_deg:
+            raise ValueError("no leg is given")
+        read: Angles = {}
+        for leg, setpoint in legs_payload("set", angles_deg)["legs"].items():
+            first, second, third = (servo["angle_deg"] for servo in setpoint["servos"])
+            for joint, angle in enumerate((first, second, third), start=1):
+                if not 0 <= angle <= 180:
+                    raise ValueError(f"leg {leg}, joint {joint}: {angle} is not between 0 and 180 degrees")
+            read[int(leg)] = (first, second, third)
+        if self._radians.suspected(read.values(), time.monotonic()):
+            warnings.warn(LIKE_RADIANS, stacklevel=3)
+        return read
+
+    def check_open(self) -> None:
+        """Raise what a call outside of a `with`, or after an error, raises."""
+        if not self._open:
+            raise RuntimeError("a stream is used in a `with`, and is over after it")
+        if self._over is not None:
+            raise self._over.with_traceback(None)
+
+    def due_s(self) -> float:
+        """When (monotonic) the setpoint is to be sent; once for each."""
+        return self._pace.next_s(time.monotonic())
+
+    def must_ask(self, angles: Angles) -> bool:
+        """Whether `send` would ask the gateway, and wait for its answer."""
+        starts = not angles.keys() <= self._started
+        return starts or self._in_doubt() or bool(self._events) or self._sending.locked()
+
+    def send(self, angles: Angles) -> None:
+        """Check, and send, as `set` says."""
+        with self._sending:
+            self.check_open()
+            try:
+                if self._started:
+                    if self._lease is not None:
+                        self._lease.check()
+                    self._check()
+                if angles.keys() <= self._started:
+                    self._publish(angles)
+                else:
+                    self._start(angles)
+            except (StoppedError, RejectedError, DisconnectedError) as error:
+                lost = self._lost_lease(error)
+                if lost is not None:
+                    self._over = lost
+                    raise lost from (None if lost is error else error)
+                if not isinstance(error, RejectedError):
+                    self._over = error
+                raise
+
+    def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
+        """Whether that is behind it: a forced take stops all legs, and what was sent after it is rejected."""
+        if isinstance(error, LeaseLostError):
+            return error
+        may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
+        return self._lease.confirm() if may_be and self._lease is not None else None
+
+    def _publish(self, angles: Angles) -> None:
+        self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, **legs_payload("set", angles)})
+        self._sent_s = time.monotonic()
+
+    def _start(self, angles: Angles) -> None:
+        new = {leg: each for leg, each in angles.items() if leg not in self._started}
+        old = {leg: each for leg, each in angles.items() if leg in self._started}
+        legs = {**legs_payload("start", new)["legs"], **legs_payload("set", old)["legs"]}
+        before = self._to_stop
+        self._to_stop |= new.keys()  # until it is answered nobody knows whether they run
+        self._lease = self._client.carried_lease
+        self._heard_stop.clear()
+        try:
+            ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
+        except LeaseLostError:  # so it was rejected
+            self._to_stop = before
+            raise
+        if not ack.accepted:
+            self._to_stop = before
+            self._over = _rejected(ack)
+            raise self._over
+        first = not self._started
+        self._sent_s = time.monotonic()
+        self._started |= new.keys()
+        self._since = self._ask().time
+        if first:
+            self._pace.begin(self._sent_s)
+
+    def _stop(self) -> None:
+        if not self._to_stop or (self._lease is not None and self._lease.elsewhere):
+            return
+        payload = {"source": self._client.name, **legs_payload("stop", dict.fromkeys(sorted(self._to_stop), ()))}
+        ack = self._client.ask(keys.LEGS_COMMAND, payload, again=True)
+        if not ack.accepted and ack.reason not in _STOPPED_ALREADY:
+            raise _rejected(ack)
+
+    # ---- what is heard, on a thread of Zenoh's
+
+    def _hear_state(self, state: GatewayState) -> None:
+        self._heard_s = time.monotonic()
+        if not self._runs(state):
+            self._doubt = True
+
+    def _hear_event(self, event: Event) -> None:
+        self._heard_s = time.monotonic()
+        if event.kind == Kind.COMMAND_REJECTED:
+            # A command that names none but our legs: those of another stream are that one's business.
+            named_ours = self._started.issuperset(event.legs)
+            if event.source == self._client.name and event.key == keys.LEGS_COMMAND and named_ours:
+                self._events.append(event)
+        elif event.kind in _STOPPED_LEGS:
+            if self._started.intersection(event.legs):
+                self._events.append(event)
+                self._heard_stop.set()
+            elif not event.legs:  # an older gateway does not say which
+                self._doubt = True
+        elif event.kind in _ENDINGS:
+            self._events.append(event)
+
+    # ---- what follows from it
+
+    def _in_doubt(self) -> bool:
+        now_s = time.monotonic()
+        stalled = now_s - self._sent_s >= self._timeout_s
+        return self._doubt or stalled or now_s - self._heard_s >= SILENCE_S or not self._client.connected
+
+    def _check(self) -> None:
+        """Raise what has happened since the latest call."""
+        events = []
+        while self._events:
+            events.append(self._events.popleft())
+        # What is older than the start was the end of something that is over.
+        fresh = [event for event in events if self._since is not None and event.time > self._since]
+        for event in fresh:
+            if event.kind != Kind.COMMAND_REJECTED:
+                legs = sorted(self._started.intersection(event.legs)) or self._started
+                raise StoppedError(f"{event.detail}; {_AGAIN}", legs)
+        if fresh:
+            self._ask()  # which knows better why nothing runs, if so
+            raise RejectedError(fresh[0].reason or "", fresh[0].detail)
+        if self._in_doubt():
+            self._ask()
+
+    def _ask(self) -> GatewayState:
+        """Raise unless the gateway says that all that is started runs."""
+        if not self._client.connected:
+            raise DisconnectedError(f"the link to the gateway is lost: {_UNHEARD}; {_AGAIN}")
+        self._doubt = False
+        try:
+            state = self._client.state(ANSWER_S)
+        except ZenohError as error:
+            raise DisconnectedError(f"the gateway does not answer: {_UNHEARD}; {_AGAIN}") from error
+        self._heard_s = time.monotonic()
+        self._to_stop -= self._not_ours(state)
+        if not self._runs(state):
+            raise self._stopped(state)
+        return state
+
+    def _not_ours(self, state: GatewayState) -> frozenset[int]:
+        """Legs that the end of this stream must leave alone; each start of ours was answered before this state.
+
+        What does not run is over: what runs again later was started by somebody else. While somebody else holds the
+        lease, what runs by another's command is theirs, too: a takeover has stopped ours.
+        """
+        ours_only = state.lease.holder is None or (self._lease is not None and self._lease.held)
+        return frozenset(
+            each.leg
+            for each in state.legs
+            if not any(servo.running for servo in each.servos) or not (ours_only or each.source == self._client.name)
+        )
+
+    def _stopped_legs(self, state: GatewayState) -> frozenset[int]:
+        stopped = {each.leg for each in state.legs if not all(servo.running for servo in each.servos)}
+        return self._started & stopped
+
+    def _runs(self, state: GatewayState) -> bool:
+        return not self._stopped_legs(state)
+
+    def _stopped(self, state: GatewayState) -> StoppedError:
+        legs = self._stopped_legs(state)
+        expired = [each.leg for each in state.legs if each.leg in legs and each.watchdog == WatchdogState.EXPIRED]
+        names = ", ".join(f"leg {leg}" for leg in expired or sorted(legs))
+        match state.mode:
+            case Mode.ESTOPPED:
+                why = "the emergency stop is engaged; a reset leaves it, and then"
+            case Mode.BUS_FAULT:
+                why = "the SPI bus is at fault; when it answers again,"
+            case Mode.STOPPING | Mode.STARTING:
+                why = "the gateway ends, or starts; when it takes commands,"
+            case _ if expired:
+                why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms;"
+            case _ if (overflow := self._overflow(state, legs)) is not None:
+                why = f"{overflow.detail};"
+            case _ if any(each.source is not None for each in state.legs if each.leg in legs):
+                why = f"somebody else stopped {names};"
+            case _:
+                why = f"the gateway stopped {names} by itself (its events say why), or a Stop without a name did;"
+        return StoppedError(f"{why} {_AGAIN}", legs)
+
+    def _overflow(self, state: GatewayState, legs: frozenset[int]) -> Event | None:
+        """What has stopped legs that nobody's command has stopped, if it is that."""
+        if any(each.source is not None for each in state.legs if each.leg in legs):
+            return None
+        self._heard_stop.wait(_EVENT_S)
+        since = self._since
+        return next(
+            (
+                event
+                for event in list(self._events)
+                if event.kind == Kind.OVERFLOW and (since is None or event.time > since)
+            ),
+            None,
+        )
+
+
+def _rejected(ack: Ack) -> RejectedError:
+    return RejectedError(ack.reason or "", ack.detail or "")

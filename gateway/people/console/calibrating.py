@@ -1,0 +1,179 @@
+"""One page's walk through the calibration: the guide of `hexapod-gateway calibrate`, asked by messages.
+
+Nothing here moves a servo. The page commands the servo under test by itself, as whoever has the lease, and stops
+commanding it when nobody looks; so what the guide knows may be old without any harm.
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol
+
+from gateway.errors import GatewayError
+from gateway.people.client.payloads import calibration_payload
+from gateway.people.console.messages import Calibrate, CalibrationMessage, Draft
+from gateway.people.tools.calibrate.guide import Guide
+from gateway.people.tools.calibrate.once import standing
+from gateway.people.tools.calibrate.robot import change_of
+from gateway.robot.core.calibration import Calibration, CalibrationError
+from gateway.robot.protocol.framing import avoided_by
+from schemas import keys
+from schemas.telemetry import Ack, GatewayState
+
+MAX_WAITING: Final = 32
+"""Steps of one page that wait for the one before; a key that is held jogs ten times a second."""
+_CDEG: Final = 100
+
+
+class Gateway(Protocol):
+    """What is asked of the gateway. Raises GatewayError."""
+
+    async def calibration(self) -> Calibration:
+        """What is in force."""
+
+    async def state(self) -> GatewayState:
+        """How the robot is."""
+
+    async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
+        """An acknowledged command."""
+
+
+class Calibrating:
+    """On the event loop; its steps are taken one after the other."""
+
+    def __init__(
+        self,
+        gateway: Gateway,
+        signed: Callable[[dict[str, Any]], dict[str, Any]],
+        tell: Callable[[CalibrationMessage], None],
+    ) -> None:
+        """`signed` adds who asks, and the lease."""
+        self._gateway = gateway
+        self._signed = signed
+        self._tell = tell
+        self._guide: Guide | None = None
+        self._turn = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def is_full(self) -> bool:
+        """Whether too many steps of the page wait."""
+        return len(self._tasks) >= MAX_WAITING
+
+    def ask(self, step: Calibrate, *, mine: bool) -> None:
+        """Take a step, and tell the page where the guide then stands. `mine`: the page has the lease."""
+        task = asyncio.get_running_loop().create_task(self._run(step, mine=mine))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _run(self, step: Calibrate, *, mine: bool) -> None:
+        async with self._turn:
+            said = error = None
+            try:
+                said = await self._take(step, mine=mine)
+            except (GatewayError, CalibrationError) as fault:
+                error = str(fault)
+            self._tell(self._view(step.id, said, error))
+
+    async def _take(self, step: Calibrate, *, mine: bool) -> str | None:
+        if step.do == "open" or self._guide is None:
+            await self._look()
+        guide = self._guide
+        if guide is None:
+            raise CalibrationError("no calibration has been read yet")
+        if step.do in ("write", "landing", "accept_default"):
+            if not mine:
+                raise CalibrationError("this page does not have the lease; press Drive first")
+            if guide.servo_id is not None and step.do != "landing":
+                raise CalibrationError(f"servo {guide.servo_id} is under test; stop it first")
+            return await self._write(step, guide)
+        return _on_paper(step, guide)
+
+    async def _look(self) -> list[int]:
+        """What is in force now; a draft stands on it. Returns the servos that both have changed."""
+        calibration = await self._gateway.calibration()
+        if self._guide is None:
+            self._guide = Guide(calibration, avoided_by((await self._gateway.state()).spi.framing))
+            return []
+        return self._guide.now_in_force(calibration)
+
+    async def _write(self, step: Calibrate, guide: Guide) -> str:
+        revision = guide.in_force.revision
+        if step.do == "accept_default":
+            payload, done = calibration_payload(accept_default=True), "the default calibration is in force"
+        elif step.do == "landing":
+            stand = standing(await self._gateway.state())
+            if not stand:
+                raise CalibrationError("no servo runs, so nobody knows where the robot stands: make it stand first")
+            payload = calibration_payload(landing=stand, revision=revision)
+            done = f"the landing pose of {len(stand)} servos is written"
+        elif guide.changed:
+            changes = {servo_id: change_of(guide.draft[servo_id]) for servo_id in guide.changed}
+            payload = calibration_payload(changes, dict.fromkeys(guide.landing_left_out), revision=revision)
+            done = "written"
+        else:
+            raise CalibrationError("nothing has changed, so there is nothing to write")
+        ack = await self._gateway.ask(keys.CALIBRATION_CMD, self._signed(payload), again=False)
+        both = await self._look()
+        if ack.accepted:
+            return f"{done}: revision {guide.in_force.revision}"
+        if guide.in_force.revision != revision and step.do != "accept_default":
+            also = f" (servo {', '.join(map(str, both))} by both of you)" if both else ""
+            raise CalibrationError(
+                f"somebody else has changed the calibration meanwhile{also}; look at it, then write yours onto theirs"
+            )
+        raise CalibrationError(f"rejected: {ack.reason}: {ack.detail}")
+
+    def _view(self, number: int, said: str | None, error: str | None) -> CalibrationMessage:
+        guide = self._guide
+        if guide is None:
+            return CalibrationMessage(id=number, error=error)
+        changed, tested = guide.changed, guide.servo_id is not None
+        return CalibrationMessage(
+            id=number,
+            revision=guide.in_force.revision,
+            servos={
+                servo_id: Draft(
+                    trim_deg=servo.trim_cdeg / _CDEG,
+                    inverted=servo.inverted,
+                    min_deg=servo.min_cdeg / _CDEG,
+                    max_deg=servo.max_cdeg / _CDEG,
+                    changed=servo_id in changed,
+                )
+                for servo_id, servo in guide.draft.items()
+            },
+            landing={servo_id: angle / _CDEG for servo_id, angle in guide.in_force.landing_cdeg.items()},
+            servo=guide.servo_id,
+            shown_deg=guide.shown_deg if tested else None,
+            command_deg=guide.command_deg if tested else None,
+            said=said,
+            error=error,
+        )
+
+
+def _on_paper(step: Calibrate, guide: Guide) -> str | None:
+    """A step that changes nothing but the draft, or where the servo under test is to be."""
+    deg = 0.0 if step.deg is None else step.deg
+    match step.do:
+        case "test" if step.servo is not None:
+            guide.choose(step.servo, deg)
+        case "leave":
+            guide.leave()
+        case "jog":
+            guide.jog(round(deg * _CDEG))
+        case "stands_at":
+            guide.stands_at(deg)
+        case "wrong_way":
+            guide.wrong_way()
+            return "turned round: + now has to be the way in which its angle grows"
+        case "lowest_here":
+            guide.lowest_here()
+        case "highest_here":
+            guide.highest_here()
+        case "full_range":
+            guide.full_range()
+        case "as_drawn":
+            guide.as_drawn()
+        case "undo":
+            servo_id = guide.undo()
+            return "there is nothing to take back" if servo_id is None else f"taken back: servo {servo_id}"
+    return None

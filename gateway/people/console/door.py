@@ -1,0 +1,231 @@
+"""Who is let in: answers requests, without I/O. Whoever is not signed in gets 403, a few words, and nothing else.
+
+A session has two secrets. The cookie goes with every request, also to other ports of the same host, where another user
+of the machine may listen. So it opens nothing that matters by itself: the WebSocket also wants the session's key, which
+the page keeps for its own origin (scheme, host and port), and which no browser sends by itself.
+"""
+
+import hashlib
+import json
+import mimetypes
+from collections.abc import Mapping
+from dataclasses import dataclass
+from email.utils import formatdate
+from html import escape
+from http import HTTPStatus
+from pathlib import Path
+from typing import Final
+from urllib.parse import parse_qs
+
+from websockets.datastructures import Headers, MultipleValuesError
+from websockets.http11 import Request, Response
+
+from gateway.people.console.messages import Role
+from gateway.people.console.register import SESSION_S, Entry, Register
+from gateway.people.console.site import Site
+from gateway.people.tools.terminal import this_command
+
+PAGE: Final = Path(__file__).with_name("page")
+WEBSOCKET: Final = "/ws"
+SUBPROTOCOL: Final = "hexapod-console"
+KEY_PREFIX: Final = "key."
+"""A page offers this with the session's key as a second subprotocol: a WebSocket's request has no other place for it
+that a script can fill."""
+KEY_HEADER: Final = "X-Console-Key"
+PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
+"""The first three take the key of a new session out of the address, and into the page's keeping."""
+
+CONTENT_POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+ANOTHER: Final = "A link that works once is printed, on the console's machine, by:"
+HEADERS: Final = {
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), microphone=(), geolocation=(), gamepad=(self)",
+    "cache-control": "no-cache",  # asked for again each time, and answered with 304 where it is the same
+}
+
+
+@dataclass(frozen=True)
+class SignedIn:
+    """A page's WebSocket may come in."""
+
+    entry: Entry
+    role: Role
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What to send. `is_for_session`: to somebody who is signed in."""
+
+    response: Response
+    is_for_session: bool = False
+
+
+@dataclass(frozen=True)
+class _File:
+    content: bytes
+    kind: str
+    tag: str
+
+
+class Door:
+    """For the thread that takes requests."""
+
+    def __init__(self, site: Site, register: Register, *, person: str, role: Role) -> None:
+        """`role` is what a page may do at most."""
+        self._site = site
+        self._register = register
+        self._person = person
+        self._role = role
+        self._files = _files()
+
+    def answer(self, request: Request) -> Answer | SignedIn:
+        """What to say to it, or that its WebSocket may come in."""
+        found = self._answer(request)
+        if isinstance(found, Answer):
+            self._add_headers(request, found.response)
+        return found
+
+    def _answer(self, request: Request) -> Answer | SignedIn:
+        path, _, query = request.path.partition("?")
+        if (why := self._why_not(request, path)) is not None:
+            return why
+        if path == "/" and (token := _token(query)) is not None:
+            return self._enter(token)
+        if path in PUBLIC:
+            return self._file(path, request)
+        return self._for_session(request, path)
+
+    def _why_not(self, request: Request, path: str) -> Answer | None:
+        """What to say to what no page of ours sends."""
+        host, origin = _one(request, "Host"), _one(request, "Origin")
+        if request.method != "GET":
+            return _text(HTTPStatus.METHOD_NOT_ALLOWED, "only GET")
+        if not self._site.knows_host(host):
+            return _no(f"this console is at {self._site.url}, and not at the address that you gave")
+        if (path == WEBSOCKET or "Origin" in request.headers) and not self._site.knows_origin(origin, host):
+            return _no("only the console's own page may come here")
+        return None
+
+    def _for_session(self, request: Request, path: str) -> Answer | SignedIn:
+        cookie = _cookie(request, self._site.cookie)
+        if path in (WEBSOCKET, "/session"):
+            key = _offered_key(request) if path == WEBSOCKET else _one(request, KEY_HEADER)
+            entry = self._register.session(cookie, key)
+        else:
+            entry = self._register.cookie(cookie)
+        if entry is None:
+            if path == "/":
+                return self._refused("You are not signed in.")
+            return _no(f"You are not signed in. {ANOTHER} {this_command()} console --link")
+        role: Role = "operator" if entry.role == self._role == "operator" else "observer"
+        if path == WEBSOCKET:
+            return SignedIn(entry, role)
+        if path == "/session":
+            return Answer(_response(HTTPStatus.OK, json.dumps({"role": role, "person": self._person}).encode(), "json"))
+        return self._file("/index.html" if path == "/" else path, request)
+
+    def _enter(self, token: str) -> Answer:
+        found = self._register.exchange(token)
+        if found is None:
+            return self._refused("This link was used already, or is too old.")
+        secure = "; Secure" if self._site.certificate is not None else ""
+        cookie = f"{self._site.cookie}={found.cookie}; HttpOnly; Max-Age={SESSION_S}; Path=/; SameSite=strict{secure}"
+        response = _response(HTTPStatus.SEE_OTHER, b"", "plain")
+        response.headers["Location"] = f"{PUBLIC[0]}#{found.key}"
+        response.headers["Set-Cookie"] = cookie
+        return Answer(response)
+
+    def _refused(self, why: str) -> Answer:
+        """A page for a person: what to do on a phone, and at the console's machine."""
+        page = self._files["/refused.html"].content.decode()
+        page = page.replace("WHY", escape(why)).replace("COMMAND", escape(f"{this_command()} console --link"))
+        return Answer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
+
+    def _file(self, path: str, request: Request) -> Answer:
+        file = self._files.get(path)
+        for_session = path not in PUBLIC
+        if file is None:
+            return _text(HTTPStatus.NOT_FOUND, "there is nothing here")
+        if _one(request, "If-None-Match") == file.tag:
+            response = _response(HTTPStatus.NOT_MODIFIED, b"", file.kind)
+        else:
+            response = _response(HTTPStatus.OK, file.content, file.kind)
+        response.headers["ETag"] = file.tag
+        return Answer(response, is_for_session=for_session)
+
+    def _add_headers(self, request: Request, response: Response) -> None:
+        host = _one(request, "Host") or ""
+        socket = f"{'wss' if self._site.certificate else 'ws'}://{host}" if self._site.knows_host(host) else ""
+        for name, value in HEADERS.items():
+            response.headers[name] = value
+        response.headers["content-security-policy"] = CONTENT_POLICY.format(socket=socket)
+
+
+def _files() -> Mapping[str, _File]:
+    """The page's files, 2 MB: nobody waits for a disk, and none takes a descriptor."""
+    found = {}
+    for path in PAGE.rglob("*"):
+        if path.is_file():
+            content = path.read_bytes()
+            kind = mimetypes.guess_type(path.name)[0] or "text/plain"
+            tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+            found[f"/{path.relative_to(PAGE).as_posix()}"] = _File(content, kind, tag)
+    return found
+
+
+def _no(why: str) -> Answer:
+    return _text(HTTPStatus.FORBIDDEN, why)
+
+
+def _text(status: HTTPStatus, text: str) -> Answer:
+    return Answer(_response(status, f"{text}\n".encode(), "plain"))
+
+
+def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
+    """With one request for each connection: nobody keeps one, and what comes after a request is not read."""
+    kinds = {"html": "text/html; charset=utf-8", "plain": "text/plain; charset=utf-8", "json": "application/json"}
+    headers = Headers(Date=formatdate(usegmt=True), Connection="close")
+    if status is not HTTPStatus.NOT_MODIFIED:
+        headers["Content-Length"] = str(len(body))
+        headers["Content-Type"] = kinds.get(kind, kind)
+    return Response(status.value, status.phrase, headers, body)
+
+
+def _one(request: Request, name: str) -> str | None:
+    """The header's value; None where it is missing, or there are several."""
+    try:
+        return request.headers.get(name)
+    except MultipleValuesError:
+        return None
+
+
+def _token(query: str) -> str | None:
+    """Of a link."""
+    try:
+        return parse_qs(query, keep_blank_values=True, max_num_fields=4).get("token", [None])[0]
+    except ValueError:
+        return None
+
+
+def _cookie(request: Request, name: str) -> str | None:
+    for header in request.headers.get_all("Cookie"):
+        for part in header.split(";"):
+            found, _, value = part.strip().partition("=")
+            if found == name:
+                return value
+    return None
+
+
+def _offered_key(request: Request) -> str | None:
+    for header in request.headers.get_all("Sec-WebSocket-Protocol"):
+        for offered in header.split(","):
+            if offered.strip().startswith(KEY_PREFIX):
+                return offered.strip().removeprefix(KEY_PREFIX)
+    return None

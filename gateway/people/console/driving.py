@@ -1,0 +1,130 @@
+"""The lease of one page: its token stays here, bound to one WebSocket, and goes with that one's commands.
+
+Nothing here renews it but the page's own request, so a page that is frozen or hidden loses it. The WebSocket's end
+gives it back. After a loss the old token still goes with the commands, until the page asks anew: so nothing that it
+sends by mistake is taken while nobody drives.
+"""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final, Protocol
+
+from gateway.errors import GatewayError
+from gateway.people.console.messages import Lease, LeaseMessage
+from schemas.lease import LeaseAck
+from schemas.telemetry import Ack, Reason
+
+RENEW_S: Final = 1.0
+RELEASE_S: Final = 0.5
+MAX_WAITING: Final = 8
+"""Requests of one page; they are made one after the other."""
+NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
+
+
+class Requests(Protocol):
+    """What is asked of the gateway; each call waits. Raises GatewayError."""
+
+    def as_person(self, do: str, name: str | None = None) -> LeaseAck:
+        """`acquire`, `ask` or `take`; `name` counts where the console has no certificate."""
+
+    def renew(self, token: str, timeout_s: float | None = None) -> LeaseAck:
+        """Keep it."""
+
+    def release(self, token: str, to: str | None = None, timeout_s: float | None = None) -> LeaseAck:
+        """Give it up, or hand it over."""
+
+
+class Driving:
+    """On the event loop; what waits runs on threads."""
+
+    def __init__(self, requests: Callable[[], Requests], name: str, tell: Callable[[LeaseMessage], None]) -> None:
+        """`requests` raises GatewayError while there is no session. `name` is the page's."""
+        self._requests = requests
+        self._name = name
+        self._tell = tell
+        self._turn = asyncio.Lock()
+        self._waiting = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.mine = False
+        """Whether the page drives."""
+        self.token: str | None = None
+        """What the page's commands carry."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether too many requests of the page wait."""
+        return self._waiting >= MAX_WAITING
+
+    def ask(self, request: Lease) -> None:
+        """Do what the page asks for, and tell it what came of it."""
+        self._start(request)
+
+    def judge(self, ack: Ack) -> None:
+        """What became of a command that carried the token."""
+        if self.mine and not ack.accepted and ack.reason in NOT_OURS:
+            self._lost(str(ack.reason), ack.detail)
+
+    def close(self) -> None:
+        """The page is gone: give it back, if it has it."""
+        self._start(None)
+
+    def _start(self, request: Lease | None) -> None:
+        self._waiting += 1
+        task = asyncio.get_running_loop().create_task(self._run(request))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _run(self, request: Lease | None) -> None:
+        async with self._turn:
+            self._waiting -= 1
+            if request is None:
+                await self._give_back()
+                return
+            try:
+                ack = await self._asked(request)
+            except GatewayError as error:
+                self._tell(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
+                return
+            self._heard(request, ack)
+
+    async def _asked(self, request: Lease) -> LeaseAck:
+        requests, token = self._requests(), self.token
+        if request.do in ("renew", "release"):
+            if token is None:
+                return LeaseAck(accepted=False, reason=Reason.NOT_HOLDER, detail="this page does not have the lease")
+            if request.do == "renew":
+                return await asyncio.to_thread(requests.renew, token, RENEW_S)
+            return await asyncio.to_thread(requests.release, token, request.to)
+        return await asyncio.to_thread(requests.as_person, request.do, self._name)
+
+    def _heard(self, request: Lease, ack: LeaseAck) -> None:
+        if ack.accepted and request.do in ("acquire", "take"):
+            self.token, self.mine = ack.lease, ack.lease is not None
+        elif request.do == "release":
+            self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
+        elif request.do == "renew":
+            self.mine = ack.accepted
+        self._tell(
+            LeaseMessage(
+                mine=self.mine,
+                id=request.id,
+                accepted=ack.accepted,
+                reason=None if ack.reason is None else str(ack.reason),
+                detail=ack.detail,
+                holder=ack.holder,
+                verified=ack.verified,
+                ttl_ms=ack.ttl_ms,
+            )
+        )
+
+    def _lost(self, reason: str, detail: str | None) -> None:
+        self.mine = False
+        self._tell(LeaseMessage(mine=False, reason=reason, detail=detail))
+
+    async def _give_back(self) -> None:
+        token, mine = self.token, self.mine
+        self.token, self.mine = None, False
+        if token is not None and mine:
+            with suppress(GatewayError):  # what is not answered expires by itself
+                await asyncio.to_thread(self._requests().release, token, None, RELEASE_S)

@@ -1,0 +1,254 @@
+"""Whoever is not signed in: one thread with a loop of its own takes connections, TLS and requests, and answers them.
+
+The loop that serves the pages never waits for any of it, and gets a connection only once it is the WebSocket of a page
+that is signed in. What one connection may cost until then is bounded, and so is how many there are:
+
+| per connection | so many reads and bytes, one deadline for everything, one request, no body |
+| at once        | so many places; who comes then ends the oldest of the address that has most of them |
+| a second       | so many connections; the rest waits in the kernel's queue, or is dropped there |
+
+Both threads share the interpreter, so the pages' loop may wait for a step of this one, each time that it comes back
+from the kernel: for `SWITCH_INTERVAL_S`. A press comes back some ten times on its way.
+"""
+
+import asyncio
+import logging
+import socket
+import ssl
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final
+
+from websockets.http11 import Request
+from websockets.server import ServerProtocol
+from websockets.typing import Subprotocol
+
+from gateway.people.console.door import SUBPROTOCOL, Door, SignedIn
+from gateway.people.console.messages import MAX_BYTES
+from gateway.people.console.tls import Layer, Plain, Tls
+from gateway.people.console.websocket import Allowance
+from gateway.robot.host.realtime import SWITCH_INTERVAL_S
+
+MAX_UNKNOWN: Final = 64
+"""Connections of whom we do not know; each takes one descriptor, and some 100 kB with TLS."""
+MAX_SIGNED_IN: Final = 32
+"""The same of those who are signed in and load the page's files: a browser opens six."""
+CONNECTIONS_A_SECOND: Final = 50.0
+"""With TLS each takes some 2 ms of this thread, so a flood takes a tenth of a processor."""
+CONNECTIONS_AT_ONCE: Final = 64.0
+"""Without a pause: a page loads 30 files."""
+READS: Final = 40
+"""From one connection: a handshake and a request take five, on a bad network some more."""
+READ_BYTES: Final = 4096
+RECEIVE_BYTES: Final = 32_768
+"""From one connection: a request has 1 to 8 kB, on loopback with the cookies of all that ever ran there."""
+UNKNOWN_S: Final = 5.0
+"""For the handshake, the request and its answer."""
+SIGNED_IN_S: Final = 30.0
+"""For a file of 1.5 MB to somebody who is signed in."""
+SEND_BYTES: Final = 65_536
+"""Encrypted at a time: what waits for one connection in memory."""
+AGAIN_S: Final = 1.0
+"""After a connection could not be taken, for want of descriptors or memory: so long these are there for Stops."""
+
+_log: Final = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Admitted:
+    """A signed-in page's WebSocket: its request is answered in `protocol`, though the answer is not sent yet."""
+
+    connection: socket.socket
+    layer: Layer
+    protocol: ServerProtocol
+    session: SignedIn
+
+
+@dataclass(eq=False)
+class _Visit:
+    """One connection."""
+
+    connection: socket.socket
+    address: str
+    layer: Layer
+    protocol: ServerProtocol
+    task: "asyncio.Task[None] | None" = None
+    reads: int = 0
+    received: int = 0
+    handed_over: bool = False
+
+
+@dataclass(eq=False)
+class _Places:
+    """Who has them, the oldest first."""
+
+    most: int
+    visits: dict[_Visit, None] = field(default_factory=dict)
+
+    def add(self, visit: _Visit) -> None:
+        """Give it a place; if there was none, end the oldest of the address that has most."""
+        if len(self.visits) >= self.most:
+            have = Counter(other.address for other in self.visits)
+            largest = max(have.values())
+            self._end(next(other for other in self.visits if have[other.address] == largest))
+        self.visits[visit] = None
+
+    def end_all(self) -> None:
+        """Nobody keeps one: what they hold is wanted for a Stop."""
+        for visit in list(self.visits):
+            self._end(visit)
+
+    def _end(self, visit: _Visit) -> None:
+        del self.visits[visit]
+        if visit.task is not None:
+            visit.task.cancel()
+
+    def discard(self, visit: _Visit) -> None:
+        self.visits.pop(visit, None)
+
+
+class Front:
+    """Listens, on a thread of its own, from `start` on."""
+
+    def __init__(
+        self, listening: socket.socket, context: ssl.SSLContext | None, door: Door, admit: Callable[[Admitted], None]
+    ) -> None:
+        """`admit` is called on this thread."""
+        self._listening = listening
+        self._context = context
+        self._door = door
+        self._admit = admit
+        self._unknown = _Places(MAX_UNKNOWN)
+        self._signed_in = _Places(MAX_SIGNED_IN)
+        self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
+
+    def start(self) -> None:
+        """Begin to take connections."""
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        threading.Thread(target=self._run, name="front", daemon=True).start()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                asyncio.run(self.serve())
+            except Exception:
+                _log.exception("who is not signed in cannot be served; trying again")
+
+    async def serve(self) -> None:
+        """Take connections, for ever."""
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(report)
+        self._listening.setblocking(False)
+        while True:
+            await asyncio.sleep(self._allowance.wait_s)
+            try:
+                connection, address = await loop.sock_accept(self._listening)
+            except OSError as error:
+                _log.warning("a connection could not be taken: %s; all of unknown origin are ended", error)
+                self._unknown.end_all()
+                await asyncio.sleep(AGAIN_S)
+                continue
+            self._allowance.take()
+            self._begin(connection, str(address[0]))
+
+    def _begin(self, connection: socket.socket, address: str) -> None:
+        layer = Plain() if self._context is None else Tls(self._context)
+        protocol = ServerProtocol(subprotocols=[Subprotocol(SUBPROTOCOL)], max_size=MAX_BYTES, logger=_silent)
+        visit = _Visit(connection, address, layer, protocol)
+        self._unknown.add(visit)
+        visit.task = asyncio.get_running_loop().create_task(self._visit(visit))
+        visit.task.add_done_callback(partial(self._end, visit))
+
+    def _end(self, visit: _Visit, task: "asyncio.Task[None]") -> None:
+        """Also of one that was ended before it began."""
+        self._unknown.discard(visit)
+        self._signed_in.discard(visit)
+        if not visit.handed_over:
+            visit.connection.close()
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("a connection ended by a fault: %r", error)
+
+    async def _visit(self, visit: _Visit) -> None:
+        try:
+            async with asyncio.timeout(UNKNOWN_S) as deadline:
+                request = await self._request(visit)
+                if request is not None:
+                    await self._answer(visit, request, deadline)
+        except (OSError, EOFError):
+            pass  # it ended, or was too slow (TimeoutError is an OSError, and so is ssl.SSLError)
+
+    async def _request(self, visit: _Visit) -> Request | None:
+        """The request; None where it was none and has been answered."""
+        loop = asyncio.get_running_loop()
+        while visit.reads < READS and visit.received < RECEIVE_BYTES:
+            data = await loop.sock_recv(visit.connection, READ_BYTES)
+            if not data:
+                raise EOFError
+            visit.reads += 1
+            visit.received += len(data)
+            try:
+                received = visit.layer.receive(data)
+            finally:
+                await self._send(visit, visit.layer.to_send())
+            if received:
+                visit.protocol.receive_data(received)
+                for event in visit.protocol.events_received():
+                    if visit.protocol.eof_sent:
+                        raise EOFError  # something came behind the request that is no frame
+                    if isinstance(event, Request):
+                        return event
+                if await self._send_answer(visit):
+                    return None
+        raise EOFError
+
+    async def _answer(self, visit: _Visit, request: Request, deadline: asyncio.Timeout) -> None:
+        answer = self._door.answer(request)
+        if isinstance(answer, SignedIn):
+            response = visit.protocol.accept(request)
+            visit.protocol.send_response(response)
+            if response.status_code == 101:
+                visit.handed_over = True
+                self._admit(Admitted(visit.connection, visit.layer, visit.protocol, answer))
+                return
+        else:
+            if answer.is_for_session:
+                self._unknown.discard(visit)
+                self._signed_in.add(visit)
+                deadline.reschedule(asyncio.get_running_loop().time() + SIGNED_IN_S)
+            visit.protocol.send_response(answer.response)
+        await self._send_answer(visit)
+
+    async def _send_answer(self, visit: _Visit) -> bool:
+        """Send what the protocol has to send; whether there was something."""
+        parts = visit.protocol.data_to_send()
+        for part in parts:
+            for start in range(0, len(part), SEND_BYTES):
+                await self._send(visit, visit.layer.encrypt(part[start : start + SEND_BYTES]))
+        if parts:
+            with suppress(OSError):
+                visit.connection.shutdown(socket.SHUT_WR)
+        return bool(parts)
+
+    async def _send(self, visit: _Visit, data: bytes) -> None:
+        if data:
+            await asyncio.get_running_loop().sock_sendall(visit.connection, data)
+
+
+def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """asyncio's exception handler: one line, which another thread writes (`gateway.robot.host.outlet`).
+
+    asyncio's own would render a traceback on the loop.
+    """
+    del loop
+    _log.error("%s: %r", context.get("message"), context.get("exception"))
+
+
+_silent: Final = logging.getLogger("gateway.people.console.websockets")
+"""What the library would say of each connection."""
+_silent.setLevel(logging.CRITICAL + 1)
+_silent.propagate = False

@@ -1,0 +1,346 @@
+"""What the page and the console say to each other over the WebSocket, as JSON text; `type` tells which message it is.
+
+What comes from a page is strict and closed, and a command's payload is what `schemas` takes on the same key. Whatever
+else it sends ends its WebSocket with code 1008 and the reason. What goes to a page is open: it ignores fields and
+messages that it does not know.
+
+A page opens with `Alive` and repeats it each second: so the console learns the page's clock before the first command,
+and rejects what was delayed on its way. A page that has the lease renews it itself; nothing else does.
+"""
+
+from typing import Annotated, Any, Final, Literal, Self, get_args
+
+from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
+
+from gateway.people.walking import GAITS, Posture
+from schemas import keys
+from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
+from schemas.telemetry import Ack, Event, GatewayState, Report
+
+MAX_BYTES: Final = 8192
+"""Of a message from a page: a payload that the gateway takes (4096), and what is around it."""
+MAX_ID: Final = 2**53
+
+
+def _known_gait(name: str) -> str:
+    if name not in GAITS:
+        raise ValueError(f"the gaits are {', '.join(GAITS)}")
+    return name
+
+
+Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; the answer repeats it")]
+Role = Literal["operator", "observer"]
+ROLES: Final[tuple[Role, ...]] = get_args(Role)
+LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
+CalibrateVerb = Literal[
+    "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
+    "undo", "write", "landing", "accept_default",
+]  # fmt: skip
+Speed = Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]
+Gait = Annotated[str, Field(max_length=16), AfterValidator(_known_gait)]
+_WITH_ANGLE: Final = frozenset({"test", "jog", "stands_at"})
+
+_BY_THE_CONSOLE: Final = frozenset({"source", "sent_ms", "lease"})
+_PAYLOADS: Final[dict[keys.Target, tuple[type[BaseModel], ...]]] = {
+    keys.Target.LEG: (LegCommand,),
+    keys.Target.SERVO: (MoveCommand, StopCommand),
+    keys.Target.LEGS: (LegsCommand,),
+}
+
+
+def _shape(payload: Any) -> str:
+    """Which payload it may be."""
+    if isinstance(payload, dict):
+        if "legs" in payload:
+            return "legs"
+        if "op" in payload:
+            return "stop" if payload["op"] == "stop" else "move"
+    return "leg"
+
+
+Payload = Annotated[
+    Annotated[LegCommand, Tag("leg")]
+    | Annotated[LegsCommand, Tag("legs")]
+    | Annotated[MoveCommand, Tag("move")]
+    | Annotated[StopCommand, Tag("stop")],
+    Discriminator(_shape),
+]
+
+
+# ---- from the page
+
+
+class Alive(Closed):
+    """Sent when the page opens, and each second: its monotonic clock (`performance.now()`)."""
+
+    type: Literal["alive"]
+    now_ms: SentMs
+
+
+class Command(Closed):
+    """A command for one leg, one servo or several legs: with `id` it is acknowledged (`AckMessage`), else only put.
+
+    `sent_ms` is the page's clock as in `Alive`. Who commands, and the lease, the console adds.
+    """
+
+    type: Literal["command"]
+    key: Annotated[str, Field(max_length=32)]
+    payload: Payload
+    sent_ms: SentMs
+    id: Id | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        target = keys.parse(self.key).target
+        if not isinstance(self.payload, _PAYLOADS.get(target, ())):
+            raise ValueError(f"the payload does not belong to {self.key}")
+        own = self.payload.model_fields_set & _BY_THE_CONSOLE
+        if own:
+            raise ValueError(f"the console itself sets {', '.join(sorted(own))}")
+        return self
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether it starts and sets nothing: then it may be sent again, and waits for nobody."""
+        match self.payload:
+            case LegsCommand(legs=legs):
+                moves = [setpoint for leg in legs.values() for setpoint in leg.servos]
+            case LegCommand(servos=servos):
+                moves = list(servos)
+            case single:
+                moves = [single]
+        return all(move.op == "stop" for move in moves)
+
+
+class StopAll(Closed):
+    """The emergency stop, now; answered by `Stopping` until it is confirmed."""
+
+    type: Literal["stop_all"]
+    id: Id
+
+
+class Reset(Closed):
+    """Leave the emergency stop of that number: the one that the page shows, as its user agreed."""
+
+    type: Literal["reset"]
+    id: Id
+    estop: EstopNumber
+    sent_ms: SentMs
+
+
+class Lease(Closed):
+    """Get, keep or give up the right to drive, for this WebSocket; `to` hands it over with `release`."""
+
+    type: Literal["lease"]
+    id: Id
+    do: LeaseVerb
+    to: Source | None = None
+
+    @model_validator(mode="after")
+    def _only_release_has_a_receiver(self) -> Self:
+        if self.to is not None and self.do != "release":
+            raise ValueError(f"{self.do} has no `to`")
+        return self
+
+
+class Calibrate(Closed):
+    """One step of the guide through the calibration, which the console keeps for this WebSocket; it moves nothing.
+
+    The servo under test is moved by the page's own commands, to the `command_deg` of the answer (`CalibrationMessage`).
+    `deg` is where a test begins, how far to jog, or where the servo was measured to stand.
+    """
+
+    type: Literal["calibrate"]
+    id: Id
+    do: CalibrateVerb
+    servo: Annotated[int, Field(ge=11, le=63)] | None = None
+    deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if (self.deg is not None) != (self.do in _WITH_ANGLE):
+            raise ValueError(f"{self.do} has {'no' if self.deg is not None else 'a'} `deg`")
+        if (self.servo is not None) != (self.do == "test"):
+            raise ValueError(f"{self.do} has {'no' if self.servo is not None else 'a'} `servo`")
+        return self
+
+
+class WalkWish(Closed):
+    """What the page wants of the robot's walk, 20 times a second while it walks or stands; used once (`walking.py`).
+
+    `press` is the number of the button's or stick's press that it belongs to; it grows. Velocities are the body's;
+    `height_m` null: the usual one. `sits`: lie down, and have the servos stopped. Each wish is complete, so none that
+    is lost is missed.
+    """
+
+    type: Literal["walk"]
+    id: Id
+    press: Id
+    sent_ms: SentMs
+    forward_m_s: Speed = 0.0
+    left_m_s: Speed = 0.0
+    turn_rad_s: Annotated[float, Field(ge=-4, le=4, allow_inf_nan=False)] = 0.0
+    gait: Gait = "tripod"
+    height_m: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
+    sits: bool = False
+
+
+class LinkFor(Closed):
+    """A link for a second device, such as a phone; answered by `LinkForMessage`."""
+
+    type: Literal["link_for"]
+    id: Id
+
+
+FromPage = Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor
+FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
+
+
+# ---- to the page
+
+
+class Hello(Report):
+    """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
+
+    `geometry` is the robot's, as in its file.
+    """
+
+    type: Literal["hello"] = "hello"
+    role: Role
+    person: str
+    source: str
+    version: str
+    geometry: dict[str, Any]
+    gaits: list[str] = Field(default_factory=lambda: list(GAITS))
+
+
+class StateMessage(Report):
+    """The gateway's newest state, and how long ago the console heard it; older ones may have been left out."""
+
+    type: Literal["state"] = "state"
+    age_ms: float
+    state: GatewayState
+
+
+class LinkMessage(Report):
+    """The console's link to the gateway. `connected`: state comes; `silent`: a link, but nobody is heard on it.
+
+    `gone`: no gateway. `detail` says why, a line for each host; empty while connected.
+    """
+
+    type: Literal["link"] = "link"
+    status: Literal["connected", "silent", "gone"]
+    detail: str = ""
+
+
+class EventMessage(Report):
+    """One event; after `Hello` come the newest that the console has heard. `left_out`: events not sent before it."""
+
+    type: Literal["event"] = "event"
+    event: Event
+    left_out: int = 0
+
+
+class AckMessage(Report):
+    """The answer to a command or reset. `ack` is null where none came, and `error` says why."""
+
+    type: Literal["ack"] = "ack"
+    id: int
+    took_ms: float
+    ack: Ack | None = None
+    error: str | None = None
+
+
+class Stopping(Report):
+    """How far a `StopAll` has come: sent at once, after each attempt that stays unanswered, and when it is confirmed.
+
+    While `answered` is false the console goes on asking.
+    """
+
+    type: Literal["stop"] = "stop"
+    id: int
+    asked_ms_ago: float
+    answered: bool
+    attempts: int
+    stop_frames: int | None = None
+    latency_us: float | None = None
+    estop: int | None = None
+    error: str | None = None
+
+
+class LeaseMessage(Report):
+    """Whether this WebSocket has the lease: the answer to `Lease` (with its `id`), or said when it is lost.
+
+    Who holds it otherwise stands in the state. A page renews at a third of `ttl_ms`.
+    """
+
+    type: Literal["lease"] = "lease"
+    mine: bool
+    id: int | None = None
+    accepted: bool | None = None
+    reason: str | None = None
+    detail: str | None = None
+    holder: str | None = None
+    verified: bool | None = None
+    ttl_ms: float | None = None
+
+
+class WalkMessage(Report):
+    """How the page's walk goes: ten times a second while it lasts, and once when it is over (`posture` null).
+
+    `id` is the newest wish that was used. `waits`: what the page has pressed is used up, and moves nothing any more.
+    `commanded` and `scaled` (what of it the legs can do, and in `limit` why) are forward and left in m/s, and the turn
+    in rad/s. `lost` are legs that somebody else has stopped. `detail`: why it ended, or waits.
+    """
+
+    type: Literal["walk"] = "walk"
+    press: int
+    id: int | None = None
+    posture: Posture | None = None
+    gait: str | None = None
+    height_m: float | None = None
+    commanded: list[float] = Field(default_factory=list)
+    scaled: list[float] = Field(default_factory=list)
+    limit: str = ""
+    lost: list[int] = Field(default_factory=list)
+    waits: bool = True
+    detail: str = ""
+
+
+class LinkForMessage(Report):
+    """A link that works once, and its QR code: a row of 0 (light) and 1 (dark) for each line."""
+
+    type: Literal["link_for"] = "link_for"
+    id: int
+    url: str | None = None
+    rows: list[str] = Field(default_factory=list)
+    error: str | None = None
+
+
+class Draft(Report):
+    """One servo's calibration as the page would write it; `changed`: it is not what is in force."""
+
+    trim_deg: float
+    inverted: bool
+    min_deg: float
+    max_deg: float
+    changed: bool
+
+
+class CalibrationMessage(Report):
+    """The answer to `Calibrate`: where the guide stands. `error` says in one sentence what was not done, and why.
+
+    `shown_deg` is where the servo under test stands as the draft counts; `command_deg` what to command for that, by the
+    calibration in force.
+    """
+
+    type: Literal["calibration"] = "calibration"
+    id: int
+    revision: int | None = None
+    servos: dict[int, Draft] = Field(default_factory=dict)
+    landing: dict[int, float] = Field(default_factory=dict)
+    servo: int | None = None
+    shown_deg: float | None = None
+    command_deg: float | None = None
+    error: str | None = None
+    said: str | None = None

@@ -1,0 +1,100 @@
+"""What waits to be sent to one page: of the state only the newest, of everything else a bounded number.
+
+A page that is frozen, or at the end of a bad link, costs this much and no more, and delays nobody else.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from gateway.people.console.messages import (
+    AckMessage,
+    CalibrationMessage,
+    EventMessage,
+    LeaseMessage,
+    LinkForMessage,
+    LinkMessage,
+    Stopping,
+    WalkMessage,
+)
+
+KEPT: Final = 64
+"""Events, and acknowledgements; the oldest make way."""
+
+Message = (
+    EventMessage
+    | AckMessage
+    | LinkMessage
+    | LeaseMessage
+    | CalibrationMessage
+    | Stopping
+    | WalkMessage
+    | LinkForMessage
+)
+
+
+class Outgoing:
+    """Filled and emptied on the event loop; whoever empties it waits for `wait`."""
+
+    def __init__(self) -> None:
+        self._there = asyncio.Event()
+        self._stops: dict[int, Stopping] = {}
+        self._acks: deque[AckMessage] = deque(maxlen=KEPT)
+        self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage] = deque(maxlen=KEPT)
+        self._link: LinkMessage | None = None
+        self._walk: WalkMessage | None = None
+        self._state: Callable[[], str] | None = None
+        self._events: deque[EventMessage] = deque(maxlen=KEPT)
+        self._events_lost = 0
+
+    def put(self, message: Message) -> None:
+        """Queue a message. Never waits."""
+        match message:
+            case Stopping():
+                self._stops[message.id] = message
+                if len(self._stops) > KEPT:
+                    del self._stops[next(iter(self._stops))]
+            case AckMessage():
+                self._acks.append(message)
+            case LeaseMessage() | CalibrationMessage() | LinkForMessage():
+                self._answers.append(message)
+            case LinkMessage():
+                self._link = message
+            case WalkMessage():
+                self._walk = message
+            case EventMessage():
+                if len(self._events) == KEPT:
+                    self._events_lost += 1 + self._events[0].left_out
+                self._events.append(message)
+        self._there.set()
+
+    def put_state(self, text: Callable[[], str]) -> None:
+        """Queue a state; `text` makes the message when it is sent, with the state's age by then."""
+        self._state = text
+        self._there.set()
+
+    async def wait(self) -> list[str]:
+        """The texts to send now, in their order; waits until there is one."""
+        await self._there.wait()
+        self._there.clear()
+        messages: list[Message] = [*self._stops.values(), *self._acks, *self._answers]
+        if self._link is not None:
+            messages.append(self._link)
+        if self._walk is not None:
+            messages.append(self._walk)
+        texts = [message.model_dump_json() for message in messages]
+        if self._state is not None:
+            texts.append(self._state())
+        if self._events_lost:
+            self._events[0] = self._events[0].model_copy(
+                update={"left_out": self._events[0].left_out + self._events_lost}
+            )
+            self._events_lost = 0
+        texts += [event.model_dump_json() for event in self._events]
+        self._stops.clear()
+        self._acks.clear()
+        self._answers.clear()
+        self._events.clear()
+        self._link = self._walk = self._state = None
+        return texts

@@ -1,0 +1,48 @@
+/**
+ * What the WebSocket carries, as far as the page reads it (gateway/people/console/messages.py, schemas/telemetry.py).
+ *
+ * @typedef {{id: number, running: boolean, angle_deg: number | null}} Servo
+ * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg
+ * @typedef {{holder: string | null, asked_by: string | null, verified: boolean, held_s: number | null}} LeaseState
+ * @typedef {{
+ *   mode: string, uptime_s: number, version: string, simulated: boolean, estop: number, estop_source: string | null,
+ *   legs: Leg[], commands: {accepted: number, rejected: number, coalesced: number},
+ *   spi: {device: string, framing: string, frames: number, errors: number},
+ *   watchdog: {timeout_ms: number, expirations: number,
+ *              stop_latency_us: {p50: number | null, p99: number | null, max: number | null}},
+ *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
+ * }} GatewayState
+ * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
+ *            detail: string, left_out?: number, legs?: number[]}} GatewayEvent
+ *
+ * @typedef {{type: "hello", role: "operator" | "observer", person: string, source: string, version: string,
+ *            geometry: Geometry}} Hello
+ * @typedef {{type: "state", age_ms: number, state: GatewayState}} StateMessage
+ * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage
+ * @typedef {{type: "event", event: GatewayEvent, left_out?: number}} EventMessage
+ * @typedef {{type: "ack", id: number, took_ms: number, error: string | null,
+ *            ack: {accepted: boolean, reason?: string, detail?: string} | null}} AckMessage
+ * @typedef {{type: "stop", id: number, asked_ms_ago: number, answered: boolean, attempts: number,
+ *            stop_frames: number | null, latency_us: number | null, estop: number | null,
+ *            error: string | null}} StopMessage
+ * @typedef {{type: "lease", mine: boolean, id?: number | null, accepted?: boolean | null, reason?: string | null,
+ *            detail?: string | null, holder?: string | null, verified?: boolean | null,
+ *            ttl_ms?: number | null}} LeaseMessage
+ *
+ * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, gait: string | null,
+ *            height_m: number | null, commanded: number[], scaled: number[], limit: string, lost: number[],
+ *            waits: boolean, detail: string}} WalkMessage
+ *
+ * @typedef {{trim_deg: number, inverted: boolean, min_deg: number, max_deg: number, changed: boolean}} Draft
+ * @typedef {{type: "calibration", id: number, revision: number | null, servos: Record<number, Draft>,
+ *            landing: Record<number, number>, servo: number | null, shown_deg: number | null,
+ *            command_deg: number | null, error: string | null, said: string | null}} CalibrationMessage
+ *
+ * @typedef {[number, number, number]} Vector
+ * @typedef {{xyz_m: Vector, yaw_rad: number}} Mount
+ * @typedef {{origin_xyz_m: Vector, origin_rpy_rad?: Vector, axis?: Vector}} Link
+ * @typedef {{name?: string, leg_mounts: Record<string, Mount>, chain: Link[],
+ *            servos: Record<string, {zero_deg: number, direction: 1 | -1}>}} Geometry
+ */
+
+export {};

@@ -1,0 +1,288 @@
+"""The pages that are open, and what one of them may do.
+
+Setpoints go through as they come, once. Nothing here repeats one: where a page falls silent, the gateway's watchdog
+stops the legs. A page's commands carry the time by its own clock, so that what waited on the way, in a frozen browser
+or in this process, is rejected here or by the gateway.
+"""
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from gateway.errors import GatewayError
+from gateway.geometry import Geometry
+from gateway.people.console.calibrating import Calibrating
+from gateway.people.console.driving import Driving
+from gateway.people.console.inviting import Inviting
+from gateway.people.console.link import GatewayLink
+from gateway.people.console.messages import (
+    FROM_PAGE,
+    AckMessage,
+    Alive,
+    Calibrate,
+    Command,
+    EventMessage,
+    Lease,
+    LinkFor,
+    LinkMessage,
+    Reset,
+    Role,
+    StopAll,
+    Stopping,
+    WalkWish,
+)
+from gateway.people.console.outgoing import Outgoing
+from gateway.people.console.stops import Stops
+from gateway.people.console.walking import Walking
+from gateway.robot.core.staleness import Staleness
+from schemas import keys
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
+
+MAX_AGE_MS: Final = 500.0
+"""The gateway's default (`limits.max_age_ms`). It cannot know how long a page's first command took; its pings tell."""
+WISH_AGE_MS: Final = 250.0
+"""Of a wish for the walk: what comes later counts as silence (`walking.SILENT_S`)."""
+MAX_QUESTIONS: Final = 16
+"""Of one page, under way at once."""
+MAX_STOPS: Final = 32
+"""The same for Stops of legs and servos, of which the newest of a kind replaces the older ones."""
+KEPT_EVENTS: Final = 50
+"""What a page that opens gets of the past."""
+
+
+class EndError(Exception):
+    """Ends a page's WebSocket; the text is the reason."""
+
+
+class Pages:
+    """All open pages; what the gateway says goes to each of them."""
+
+    def __init__(self) -> None:
+        self._pages: set[Page] = set()
+        self._opened = 0
+        self._state: Callable[[], str] | None = None
+        self._link = LinkMessage(status="gone")
+        self._events: deque[EventMessage] = deque(maxlen=KEPT_EVENTS)
+
+    def __len__(self) -> int:
+        return len(self._pages)
+
+    def add(self, page: "Page") -> None:
+        """It hears everything from now on, beginning with what is known."""
+        self._pages.add(page)
+        page.outgoing.put(self._link)
+        for event in self._events:
+            page.outgoing.put(event)
+        if self._state is not None:
+            page.outgoing.put_state(self._state)
+
+    def remove(self, page: "Page") -> None:
+        """It is closed."""
+        self._pages.discard(page)
+
+    def next_number(self) -> int:
+        """Of a page: no two have the same, so that the gateway takes no page's clock for another's."""
+        self._opened += 1
+        return self._opened
+
+    def heard_state(self, state: GatewayState, heard_ns: int) -> None:
+        """See `gateway.people.console.link.Listener`."""
+        self._state = partial(_state_text, state.model_dump_json(), heard_ns)
+        for page in self._pages:
+            page.outgoing.put_state(self._state)
+
+    def heard_event(self, event: Event, left_out: int) -> None:
+        """See `gateway.people.console.link.Listener`."""
+        self._events.append(EventMessage(event=event, left_out=left_out))
+        self._tell(self._events[-1])
+
+    def heard_link(self, link: LinkMessage) -> None:
+        """See `gateway.people.console.link.Listener`."""
+        self._link = link
+        self._tell(link)
+
+    def _tell(self, message: EventMessage | LinkMessage) -> None:
+        for page in self._pages:
+            page.outgoing.put(message)
+
+
+def _state_text(state: str, heard_ns: int) -> str:
+    """A StateMessage: the state's JSON is made once for all pages, its age when it is sent."""
+    return f'{{"type":"state","age_ms":{(time.monotonic_ns() - heard_ns) / 1e6:.1f},"state":{state}}}'
+
+
+class Page:
+    """One page's WebSocket: takes its messages, and answers into `outgoing`."""
+
+    def __init__(
+        self,
+        number: int,
+        person: str,
+        role: Role,
+        link: GatewayLink,
+        stops: Stops,
+        geometry: Geometry,
+        new_link: Callable[[], str],
+    ) -> None:
+        self.source = f"{person[:40]} (page {number})"
+        self.outgoing = Outgoing()
+        self._role = role
+        self._link = link
+        self._stops = stops
+        self._driving = Driving(link.lease_requests, self.source, self.outgoing.put)
+        self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
+        self._walking = Walking(link.client, f"{self.source} walks", geometry, self.outgoing.put)
+        self._inviting = Inviting(new_link, self.outgoing.put)
+        self._staleness = Staleness(MAX_AGE_MS)
+        self._wishes = Staleness(WISH_AGE_MS)
+        self._questions: set[asyncio.Task[None]] = set()
+        self._leg_stops: dict[tuple[str, str], asyncio.Task[None]] = {}
+        """By their key and what they stop; a newer one makes an older give way."""
+
+    def tell(self, message: Stopping) -> None:
+        """How far its stop has come."""
+        self.outgoing.put(message)
+
+    def take(self, text: str) -> None:
+        """One message of the page's. Raises EndError for what no page of ours sends."""
+        try:
+            message = FROM_PAGE.validate_json(text)
+        except ValidationError as error:
+            raise EndError(_first_fault(error)) from error
+        if isinstance(message, Alive):
+            self._is_late(message.now_ms)
+            self._is_late(message.now_ms, self._wishes)
+        elif self._role != "operator":
+            raise EndError("this page only looks")
+        else:
+            self._do(message)
+
+    def close(self) -> None:
+        """The WebSocket is closed. A stop that it asked for goes on; the lease is given back, after the walk."""
+        self._walking.leave(self._driving.close)
+        self._stops.leave(self)
+
+    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor) -> None:
+        match message:
+            case StopAll():
+                self._stops.press(self, message.id)
+            case Command():
+                self._command(message)
+            case Reset():
+                late = self._is_late(message.sent_ms)
+                if late is None:
+                    self._ask(message.id, keys.RESET, self._signed({"estop": message.estop}, message.sent_ms))
+                else:
+                    self._reject(message.id, keys.RESET, late)
+            case Lease():
+                self._lease(message)
+            case WalkWish():
+                if self._is_late(message.sent_ms, self._wishes) is None:
+                    self._walking.take(message, self._driving.token if self._driving.mine else None)
+            case LinkFor():
+                self._inviting.ask(message.id)
+            case Calibrate():
+                if self._calibrating.is_full:
+                    raise EndError("too many steps of the calibration wait for their answers")
+                self._calibrating.ask(message, mine=self._driving.mine)
+
+    def _lease(self, message: Lease) -> None:
+        if self._driving.is_full:
+            raise EndError("too many requests for the lease wait for their answers")
+        if message.do == "release":  # who walks sits down first
+            self._walking.end(partial(self._driving.ask, message))
+        else:
+            self._driving.ask(message)
+
+    def _command(self, message: Command) -> None:
+        payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
+        late = self._is_late(message.sent_ms)
+        if message.only_stops:  # however old; and sent again until it is answered
+            self._stop(message, {**payload, "sent_ms": None})
+        elif late is not None:
+            self._reject(message.id, message.key, late)
+        elif self._walking.active:
+            if message.id is not None:
+                self.outgoing.put(AckMessage(id=message.id, took_ms=0.0, error="this page walks; sit down first"))
+        elif message.id is not None:
+            self._ask(message.id, message.key, payload)
+        else:
+            with suppress(GatewayError):  # the page hears of the link
+                self._link.publish(message.key, payload)
+
+    def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:
+        token = self._driving.token
+        lease = {} if token is None else {"lease": token}
+        return {**payload, **lease, "source": self.source, "sent_ms": sent_ms}
+
+    def _is_late(self, sent_ms: float, among: Staleness | None = None) -> str | None:
+        now_ns = time.monotonic_ns()
+        return (among or self._staleness).too_old(None, sent_ms, now_ns, now_ns)
+
+    def _reject(self, message_id: int | None, key: str, detail: str) -> None:
+        if message_id is not None:
+            ack = Ack(accepted=False, reason=Reason.STALE, detail=detail)
+            self.outgoing.put(AckMessage(id=message_id, took_ms=0.0, ack=ack))
+        else:
+            self.outgoing.put(EventMessage(event=_rejection(self.source, key, detail)))
+
+    def _ask(self, message_id: int | None, key: str, payload: dict[str, Any]) -> None:
+        if len(self._questions) >= MAX_QUESTIONS:
+            raise EndError(f"{MAX_QUESTIONS} commands of this page wait for their acknowledgement")
+        question = asyncio.create_task(self._answer(message_id, key, payload, again=False))
+        self._questions.add(question)
+        question.add_done_callback(self._questions.discard)
+
+    def _stop(self, message: Command, payload: dict[str, Any]) -> None:
+        """Ask until it is answered or its time is over. A newer one that stops the same makes an older give way."""
+        kind = (message.key, message.payload.model_dump_json())
+        older = self._leg_stops.get(kind)
+        if older is None and len(self._leg_stops) >= MAX_STOPS:
+            raise EndError(f"{MAX_STOPS} Stops of this page wait for their acknowledgement")
+        question = asyncio.create_task(self._answer(message.id, message.key, payload, again=True))
+        self._leg_stops[kind] = question
+        question.add_done_callback(partial(self._stop_ended, kind))
+        if older is not None:
+            older.cancel()
+
+    def _stop_ended(self, kind: tuple[str, str], question: asyncio.Task[None]) -> None:
+        if self._leg_stops.get(kind) is question:
+            del self._leg_stops[kind]
+
+    async def _answer(self, message_id: int | None, key: str, payload: dict[str, Any], *, again: bool) -> None:
+        began_s = time.monotonic()
+        ack, error = None, None
+        try:
+            ack = await self._link.ask(key, payload, again=again)
+            self._driving.judge(ack)
+        except asyncio.CancelledError:
+            error = "a newer one of this page has taken its place"
+        except Exception as failed:  # also without memory or descriptors: the page has to know
+            error = str(failed) or repr(failed)
+        if message_id is not None:
+            took_ms = (time.monotonic() - began_s) * 1000
+            self.outgoing.put(AckMessage(id=message_id, took_ms=took_ms, ack=ack, error=error))
+
+
+def _rejection(source: str, key: str, detail: str) -> Event:
+    return Event(
+        time=datetime.now(UTC),
+        kind=Kind.COMMAND_REJECTED,
+        source=source,
+        key=key,
+        reason=Reason.STALE,
+        detail=detail,
+    )
+
+
+def _first_fault(error: ValidationError) -> str:
+    fault = error.errors(include_url=False, include_input=False)[0]
+    where = ".".join(str(part) for part in fault["loc"])
+    return f"{where}: {fault['msg']}" if where else fault["msg"]

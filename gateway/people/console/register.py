@@ -1,0 +1,245 @@
+"""Who may open pages: links that work once, and the sessions that they were exchanged for.
+
+Kept in a file, so that a console that is started again knows its pages, and `console --link` and `--revoke` reach the
+one that runs. The file holds no secret: of each random token only its SHA-256. It counts wall-clock time, since it
+outlives the process; what seems to come from the future is void.
+"""
+
+import fcntl
+import hashlib
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from gateway.errors import ConfigError
+from gateway.people.console.messages import Role
+
+SESSION_S: Final = 12 * 3600
+LINK_S: Final = 600
+"""Of a link that was not used: it may stand in a terminal that others see."""
+MAX_ENTRIES: Final = 256
+"""Sessions, and links; the oldest make way."""
+MAX_BYTES: Final = 1_000_000
+STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
+"""Of the service hexapod-console."""
+
+
+class Entry(BaseModel):
+    """A link, or a session: `sha256` of its token, which for a session is its cookie, and of its key."""
+
+    model_config = ConfigDict(frozen=True)
+    sha256: str
+    key_sha256: str = ""
+    """Of a session; empty for a link, and for a session of an earlier version: then no key fits."""
+    role: Role
+    created_s: float
+    lives_s: float
+
+    def is_valid(self, now_s: float) -> bool:
+        """By the wall clock."""
+        return self.created_s <= now_s < self.created_s + self.lives_s
+
+
+@dataclass(frozen=True)
+class SignIn:
+    """A new session: what the browser gets, and its entry."""
+
+    cookie: str
+    key: str
+    entry: Entry
+
+
+class _Entries(BaseModel):
+    model_config = ConfigDict(frozen=True)
+    url: str = ""
+    """Of the console that runs, or ran last, at this port."""
+    role: Role = "observer"
+    links: tuple[Entry, ...] = ()
+    sessions: tuple[Entry, ...] = ()
+
+
+class Register:
+    """The links and sessions of the console at one port. For any thread and process."""
+
+    def __init__(self, folder: Path, port: int, now_s: Callable[[], float] = time.time) -> None:
+        self.path = folder / f"console-{port}.json"
+        """Where they are kept."""
+        self._now_s = now_s
+        self._seen: tuple[int, int, int] | None = None
+        self._entries = _Entries()
+
+    def begin(self, url: str, role: Role) -> None:
+        """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError."""
+        with self._changing() as change:
+            change(change().model_copy(update={"url": url, "role": role, "links": ()}))
+
+    @property
+    def url(self) -> str:
+        """Of the console that runs, or ran last, at this port; empty: none did."""
+        return self._read().url
+
+    def new_link(self) -> str:
+        """A link that works once. Raises ConfigError where no console has begun or the folder cannot be written."""
+        if not self._read().url:
+            raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
+        with self._changing() as change:
+            now = change()
+            token, entry = self._new(now.role, LINK_S)
+            change(now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]}))
+        return f"{now.url}/?token={token}"
+
+    def exchange(self, token: str) -> SignIn | None:
+        """A new session for a link's token, which is void from now on; None for what is no valid link."""
+        found = _find(self._read().links, token, self._now_s())
+        if found is None:
+            return None
+        with self._changing() as change:
+            now = change()
+            if found not in now.links:
+                return None  # somebody else was quicker
+            cookie, entry = self._new(found.role, SESSION_S)
+            key = secrets.token_urlsafe(32)
+            entry = entry.model_copy(update={"key_sha256": _sha256(key)})
+            links = tuple(link for link in now.links if link != found)
+            change(now.model_copy(update={"links": links, "sessions": (*now.sessions, entry)[-MAX_ENTRIES:]}))
+        return SignIn(cookie, key, entry)
+
+    def cookie(self, cookie: str | None) -> Entry | None:
+        """The session of that cookie, if it is valid. It opens nothing that matters without the key."""
+        return None if cookie is None else _find(self._read().sessions, cookie, self._now_s())
+
+    def session(self, cookie: str | None, key: str | None) -> Entry | None:
+        """The session with that cookie and that key, if it is valid."""
+        found = self.cookie(cookie)
+        return found if found is not None and key is not None and found.key_sha256 == _sha256(key) else None
+
+    def still_valid(self, session: Entry) -> bool:
+        """Whether it has neither ended nor been revoked."""
+        return session.is_valid(self._now_s()) and session in self._read().sessions
+
+    def revoke(self) -> int:
+        """End all sessions and links; how many sessions there were."""
+        with self._changing() as change:
+            now = change()
+            change(now.model_copy(update={"links": (), "sessions": ()}))
+        return len(now.sessions)
+
+    def _new(self, role: Role, lives_s: float) -> tuple[str, Entry]:
+        token = secrets.token_urlsafe(32)
+        return token, Entry(sha256=_sha256(token), role=role, created_s=self._now_s(), lives_s=lives_s)
+
+    def _read(self) -> _Entries:
+        """The file as it is now; a missing or faulty one has no entries, so nobody is let in."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            self._seen, self._entries = None, _Entries()
+            return self._entries
+        seen = (found.st_ino, found.st_mtime_ns, found.st_size)
+        if seen != self._seen:
+            self._entries = self._load()
+            self._seen = seen
+        return self._entries
+
+    def _load(self) -> _Entries:
+        try:
+            with self.path.open("rb") as file:
+                return _Entries.model_validate_json(file.read(MAX_BYTES))
+        except (OSError, ValidationError):
+            return _Entries()
+
+    @contextmanager
+    def _changing(self) -> Iterator["_Change"]:
+        try:
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with _Change(self.path, self._load, self._now_s) as change:
+                yield change
+        except OSError as error:
+            raise ConfigError(
+                f"cannot write {self.path}: {error.strerror}; the console keeps its sessions there, "
+                "so make the folder writable or name another (STATE_DIRECTORY)"
+            ) from error
+
+
+class _Change:
+    """One change of the file, which nobody else changes meanwhile: call it to read, and with entries to write."""
+
+    def __init__(self, path: Path, load: Callable[[], _Entries], now_s: Callable[[], float]) -> None:
+        self._path = path
+        self._load = load
+        self._now_s = now_s
+        self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+    def __enter__(self) -> "_Change":
+        _like_the_folder(self._path, self._lock)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._lock)
+
+    def __call__(self, entries: _Entries | None = None) -> _Entries:
+        if entries is None:
+            now_s, found = self._now_s(), self._load()
+            links = tuple(link for link in found.links if link.is_valid(now_s))
+            sessions = tuple(session for session in found.sessions if session.is_valid(now_s))
+            return found.model_copy(update={"links": links, "sessions": sessions})
+        write_private(self._path, entries.model_dump_json())
+        return entries
+
+
+def write_private(path: Path, content: str) -> None:
+    """Replace a file, which nobody else may read, at once. Raises OSError."""
+    staged = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    descriptor = os.open(staged, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        _like_the_folder(path, descriptor)
+        file.write(content)
+    staged.replace(path)
+
+
+def _like_the_folder(path: Path, descriptor: int) -> None:
+    """Give it the folder's owner: `sudo hexapod-gateway console --link` must not lock the service out."""
+    if os.geteuid() == 0:
+        folder = path.parent.stat()
+        os.fchown(descriptor, folder.st_uid, folder.st_gid)
+
+
+def folder() -> Path:
+    """Where registers are kept: the service's state directory, or the user's."""
+    if given := os.environ.get("STATE_DIRECTORY"):
+        return Path(given.partition(":")[0])
+    if os.geteuid() == 0 and STATE_DIRECTORY.is_dir():
+        return STATE_DIRECTORY
+    home = os.environ.get("XDG_STATE_HOME")
+    return (Path(home) if home else Path.home() / ".local" / "state") / "hexapod-gateway"
+
+
+def begun(folder: Path) -> list[tuple[int, str]]:
+    """Port and address of the consoles that keep their sessions there; the one whose file was written last is first."""
+    paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    ports = [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
+    return [(port, url) for port in ports if (url := Register(folder, port).url)]
+
+
+def revoke_all(folder: Path, now_s: Callable[[], float] = time.time) -> int:
+    """End the sessions of all consoles that keep theirs there; how many there were."""
+    ports = [path.stem.removeprefix("console-") for path in folder.glob("console-*.json")]
+    return sum(Register(folder, int(port), now_s).revoke() for port in ports if port.isdigit())
+
+
+def _find(entries: tuple[Entry, ...], token: str, now_s: float) -> Entry | None:
+    """By the token's SHA-256: how long the comparison takes tells nothing about a token."""
+    wanted = _sha256(token)
+    return next((entry for entry in entries if entry.sha256 == wanted and entry.is_valid(now_s)), None)
+
+
+def _sha256(token: str) -> str:
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()

@@ -1,0 +1,242 @@
+"""The WebSocket of a page that is signed in, on the loop that serves all pages.
+
+It takes little at a time, so that a page that floods delays the others by little, and keeps little for one that reads
+slowly: what waits in buffers is the past, and the newest state waits behind it.
+"""
+
+import asyncio
+import socket
+import ssl
+import time
+from collections import deque
+from contextlib import suppress
+from typing import Final, cast
+
+from websockets.exceptions import InvalidState, ProtocolError
+from websockets.frames import Frame, Opcode
+from websockets.server import ServerProtocol
+
+from gateway.people.console.tls import Layer
+
+SEND_BYTES: Final = 4096
+"""Of what waits for one page in this process, and in the kernel besides what is under way: some five states."""
+READ_BYTES: Final = 1024
+"""Taken from one page before all others have their turn: some ten messages, or 170 of the smallest frames (2.5 ms)."""
+SLICE_BYTES: Final = 256
+"""Parsed before the frames in it are counted."""
+FRAMES_A_SECOND: Final = 300.0
+"""From one page, control frames too. A page that drives each leg by a message of its own sends 120 setpoints."""
+FRAMES_AT_ONCE: Final = 150.0
+"""A page whose network stalled for a second sends what waited."""
+BYTES_A_SECOND: Final = 131_072.0
+"""From one page; one that drives each leg by a message of its own sends 40 000."""
+PING_S: Final = 20.0
+"""A page of which nothing comes for so long is asked, and given up after as long again."""
+END_S: Final = 1.0
+"""How long a page has to take the reason why it is closed, and to say that it did."""
+POLICY_VIOLATION: Final = 1008
+NOT_TEXT: Final = "a page sends text"
+TOO_MUCH: Final = f"more than {FRAMES_A_SECOND:g} messages a second, or {BYTES_A_SECOND:g} bytes"
+REASON_BYTES: Final = 123
+"""What a WebSocket's close has room for."""
+
+
+class ClosedError(Exception):
+    """The WebSocket is closed."""
+
+
+class Allowance:
+    """So many a second on average, and at most `at_once` without a pause."""
+
+    def __init__(self, a_second: float, at_once: float) -> None:
+        self._a_second = a_second
+        self._at_once = at_once
+        self._left = at_once
+        self._counted_s = time.monotonic()
+
+    def take(self, count: float = 1) -> bool:
+        """Use so many; False if that is more than was left."""
+        now_s = time.monotonic()
+        refilled = self._left + (now_s - self._counted_s) * self._a_second
+        self._left = min(self._at_once, refilled) - count
+        self._counted_s = now_s
+        return self._left >= 0
+
+    @property
+    def wait_s(self) -> float:
+        """How long until one more is allowed."""
+        refilled = self._left + (time.monotonic() - self._counted_s) * self._a_second
+        return max(0.0, (1 - refilled) / self._a_second)
+
+
+class WebSocket(asyncio.BufferedProtocol):
+    """One connection, whose request has been answered with 101 in `protocol`."""
+
+    def __init__(self, layer: Layer, protocol: ServerProtocol) -> None:
+        self._layer = layer
+        self._protocol = protocol
+        self._buffer = bytearray(READ_BYTES)
+        self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
+        self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+        self._parts: list[bytes] = []
+        self._texts: deque[str] = deque()
+        self._there = asyncio.Event()
+        self._writable = asyncio.Event()
+        self._writable.set()
+        self._asked = False
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
+        self.closed = asyncio.Event()
+        """Set once the connection has ended, whoever ended it."""
+
+    async def receive(self) -> str:
+        """The next text message. Raises ClosedError."""
+        while not self._texts:
+            self._raise_if_closed()
+            self._there.clear()
+            await self._there.wait()
+        text = self._texts.popleft()
+        if not self._texts and not self._transport.is_closing():
+            self._transport.resume_reading()
+        return text
+
+    async def send(self, text: str) -> None:
+        """Send a message, once there is room for it. Raises ClosedError."""
+        await self._writable.wait()
+        self._raise_if_closed()
+        self._protocol.send_text(text.encode())
+        self._flush()
+
+    def close(self, code: int, reason: str) -> None:
+        """End it, with the reason as far as it fits. What still comes is not taken."""
+        if self._transport.is_closing():
+            return
+        with suppress(InvalidState, ProtocolError):  # it is being closed already
+            self._protocol.send_close(code, reason.encode()[:REASON_BYTES].decode(errors="ignore"))
+        self._flush()
+        self._give_up_in(END_S)
+        self._there.set()
+        self._transport.resume_reading()  # the page's own close
+
+    def abort(self) -> None:
+        """End it at once, without a word."""
+        self._transport.abort()
+
+    # ---- asyncio's
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+        self._transport.set_write_buffer_limits(high=SEND_BYTES)
+        connection: socket.socket = transport.get_extra_info("socket")
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, SEND_BYTES)
+        self._timer = self._loop.call_later(PING_S, self._ask)
+        self._flush()
+        self._take_events()
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        del sizehint
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self._asked = False
+        if not self._bytes.take(nbytes):
+            self._flooded()
+            return
+        try:
+            data = self._layer.receive(bytes(self._buffer[:nbytes]))
+        except (EOFError, ssl.SSLError):
+            self._transport.abort()
+            return
+        for start in range(0, len(data), SLICE_BYTES):
+            self._protocol.receive_data(data[start : start + SLICE_BYTES])
+            if not self._take_events():
+                return
+
+    def eof_received(self) -> None:
+        self._transport.close()
+
+    def pause_writing(self) -> None:
+        self._writable.clear()
+
+    def resume_writing(self) -> None:
+        self._writable.set()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        del exc
+        if self._timer is not None:
+            self._timer.cancel()
+        self.closed.set()
+        self._writable.set()
+        self._there.set()
+
+    # ---- inside
+
+    def _take_events(self) -> bool:
+        """Take the frames that were parsed; False if no more may be parsed."""
+        frames = self._protocol.events_received()
+        if frames and not self._frames.take(len(frames)):
+            self._flooded()
+            return False
+        for frame in frames:
+            if isinstance(frame, Frame) and not self._take(frame):
+                return False
+        self._flush()
+        return not self._transport.is_closing()
+
+    def _take(self, frame: Frame) -> bool:
+        if frame.opcode is Opcode.BINARY:
+            self.close(POLICY_VIOLATION, NOT_TEXT)
+            return False
+        if frame.opcode in (Opcode.TEXT, Opcode.CONT) and self._protocol.close_sent is None:
+            self._parts.append(bytes(frame.data))
+            if frame.fin:
+                data, self._parts = b"".join(self._parts), []
+                try:
+                    self._texts.append(data.decode())
+                except UnicodeDecodeError:
+                    self.close(1007, NOT_TEXT)
+                    return False
+                self._there.set()
+                self._transport.pause_reading()  # until this has been taken
+        return True
+
+    def _flush(self) -> None:
+        """Send what the protocol and TLS have to send."""
+        if self._transport.is_closing():
+            return
+        self._transport.write(self._layer.to_send())
+        for data in self._protocol.data_to_send():
+            if data:
+                self._transport.write(self._layer.encrypt(data))
+            else:
+                self._transport.close()  # both sides have said that it ends
+                self._give_up_in(END_S)
+
+    def _flooded(self) -> None:
+        """Say why, and take nothing more: all that it sends costs time."""
+        self._texts.clear()
+        self._protocol.fail(POLICY_VIOLATION, TOO_MUCH)
+        for data in self._protocol.data_to_send():
+            if data:
+                self._transport.write(self._layer.encrypt(data))
+        self._transport.pause_reading()
+        self._give_up_in(END_S)
+        self._there.set()
+
+    def _raise_if_closed(self) -> None:
+        if self._transport.is_closing() or self._protocol.close_sent is not None:
+            raise ClosedError
+
+    def _ask(self) -> None:
+        if self._asked:
+            self._transport.abort()
+            return
+        self._asked = True
+        self._protocol.send_ping(b"")
+        self._flush()
+        self._timer = self._loop.call_later(PING_S, self._ask)
+
+    def _give_up_in(self, delay_s: float) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_later(delay_s, self._transport.abort)

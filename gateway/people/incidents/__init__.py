@@ -1,0 +1,1 @@
+"""What the black box kept: read, told as a story, exported."""

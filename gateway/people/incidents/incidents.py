@@ -1,0 +1,183 @@
+"""Finds the incidents in a ring: what the gateway noted as one, and each end of a gateway that did not end in order."""
+
+import re
+from array import array
+from bisect import bisect
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Final
+
+from gateway.people.incidents.reader import Records
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox.recorder import FOLLOW_NS, INCIDENTS, LONGEST_NS, MISTAKE, follow_ns, incident_id
+from schemas import keys
+from schemas.telemetry import Cause, Kind
+
+BEFORE_NS: Final = 10_000_000_000
+"""How far back an incident reaches."""
+CRASH: Final = "crash"
+_ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
+"""What an id looks like: it is the name of a file, too."""
+JUST_BEFORE_NS: Final = 1_000_000_000
+NEAR_RECORDS: Final = 200
+"""What led to an incident is looked for in this time before it was noted, and among so many records on both sides."""
+MOST: Final = 100
+"""The newest of a ring: as many as are kept. A gateway notes one in 5 s at most."""
+LAST_RECORDS: Final = 20
+"""Among these is the latest: a command's time is its arrival, which may be before that of what is recorded earlier."""
+
+_TRIGGERS: Final = frozenset({*INCIDENTS, MISTAKE})
+_TELL_THE_TIME: Final = frozenset({form.START, form.CLOCK, form.INCIDENT})
+
+
+@dataclass(frozen=True, slots=True)
+class Incident:
+    """An incident: what happened, at `zero_ns`, and the time that it takes in, all by the gateway's monotonic clock."""
+
+    name: str
+    zero_ns: int
+    begin_ns: int
+    end_ns: int
+    wall_offset_ns: int
+    """Add it for the time that people read, ns since 1970."""
+    whole: bool
+    """Whether nothing can be added to it any more."""
+    killed_ns: int | None = None
+    """When the gateway's last record was written, if it ended within this time without a word."""
+
+    @property
+    def zero_wall_ns(self) -> int:
+        return self.wall_ns(self.zero_ns)
+
+    def wall_ns(self, ns: int) -> int:
+        """The time that people read at `ns`, since 1970: a machine without a clock begins there, and files with it."""
+        return max(0, ns + self.wall_offset_ns)
+
+
+def is_id(name: str) -> bool:
+    """Whether this is an incident's id, and as such safe as a file's name."""
+    if not _ID.fullmatch(name):
+        return False
+    try:
+        time_of(name)
+    except ValueError:
+        return False
+    return True
+
+
+def time_of(name: str) -> datetime:
+    """The time in an incident's id, without its milliseconds. Raises ValueError."""
+    return datetime.strptime(name[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
+
+
+def kind_of(name: str) -> str:
+    """The last part of an incident's id: 20261122-001233-123-watchdog is a watchdog."""
+    return name.split("-", 3)[-1]
+
+
+def find(records: Records, *, written: bool, now_ns: int) -> list[Incident]:
+    """The newest incidents in a ring, oldest first. `written`: a gateway writes to it now."""
+    if not len(records):
+        return []
+    starts = (index for index, kind in enumerate(records.kinds) if kind == form.START and index)
+    bounds = array("L", (0, *starts, len(records)))
+    found: list[Incident] = []  # newest first
+    for number in reversed(range(len(bounds) - 1)):
+        run = range(bounds[number], bounds[number + 1])
+        found += _of_one_run(records, run, alive=written and run.stop == len(records), now_ns=now_ns)
+        if len(found) >= MOST:
+            break
+    return found[:MOST][::-1]
+
+
+def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
+    """The incidents of one gateway, newest first. `run` are the places of its records."""
+    noted = _noted(records, run, alive=alive, now_ns=now_ns)
+    latest = next(noted, None)
+    last = run[-LAST_RECORDS:]
+    if not alive and not any(records.kinds[index] == form.END for index in last):
+        killed_ns = max(records.times_ns[index] for index in last)
+        if latest is not None and latest.begin_ns <= killed_ns <= latest.end_ns:
+            latest = replace(latest, killed_ns=killed_ns)
+        else:
+            crash = _crash(records, run, killed_ns, now_ns=now_ns)
+            if crash is not None:
+                yield crash
+    if latest is not None:
+        yield latest
+    yield from noted
+
+
+def _noted(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
+    """What the gateway noted itself, newest first."""
+    begun = [index for index in run if records.kinds[index] == form.INCIDENT][-MOST:]
+    triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
+    for index in reversed(begun):
+        record = records[index]
+        if isinstance(record.content, form.IncidentBegun) and is_id(record.content.incident):
+            name = record.content.incident
+            later = slice(bisect(triggers, index), None)
+            end_ns = _end(records, zip(triggers[later], follow[later], strict=True), record.ns, kind_of(name))
+            near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
+            zero_ns = _zero(records, near, record.ns, kind_of(name))
+            offset_ns = record.content.wall_ns - record.ns
+            whole = not alive or now_ns > end_ns
+            yield Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns, whole)
+
+
+def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[int]]:
+    """Where the events are that prolong an incident, and for how long (ns) each does."""
+    found, follow = array("L"), array("Q")
+    for index in places:
+        if records.kinds[index] == form.EVENT:
+            content = records[index].content
+            if isinstance(content, form.EventTold) and content.kind in _TRIGGERS:
+                found.append(index)
+                follow.append(follow_ns(content.kind))
+    return found, follow
+
+
+def _end(records: Records, triggers: Iterable[tuple[int, int]], begun_ns: int, kind: str) -> int:
+    """What happens within the time that an incident takes in prolongs it, as the gateway counts it."""
+    end_ns = begun_ns + follow_ns(kind)
+    for index, more_ns in triggers:
+        if records.times_ns[index] > end_ns:
+            break
+        end_ns = min(max(end_ns, records.times_ns[index] + more_ns), begun_ns + LONGEST_NS)
+    return end_ns
+
+
+def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
+    """When it happened: the watchdog's deadline, or the arrival of the emergency stop; else when it was noted."""
+    zero_ns = noted_ns
+    for index in near:
+        if not noted_ns - JUST_BEFORE_NS < records.times_ns[index] <= noted_ns:
+            continue
+        record = records[index]
+        match record.content:
+            case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
+                late_ns and kind == INCIDENTS[Kind.WATCHDOG_EXPIRED]  # a landing's frames have no deadline
+            ):
+                zero_ns = min(zero_ns, record.ns - late_ns)
+            case form.CommandRecord(key=keys.ESTOP) if kind == INCIDENTS[Kind.ESTOP_ENGAGED]:
+                zero_ns = min(zero_ns, record.ns)
+    return zero_ns
+
+
+def _crash(records: Records, run: range, killed_ns: int, *, now_ns: int) -> Incident | None:
+    """The end of a gateway that said nothing of it; None where no record tells the time of day."""
+    for index in reversed(run):
+        if records.kinds[index] not in _TELL_THE_TIME:
+            continue
+        match records[index]:
+            case form.Record(
+                ns=ns,
+                content=form.Start(wall_ns=wall_ns) | form.Clock(wall_ns=wall_ns) | form.IncidentBegun(wall_ns=wall_ns),
+            ):
+                offset_ns = wall_ns - ns
+                name = incident_id(killed_ns + offset_ns, CRASH)
+                end_ns = killed_ns + FOLLOW_NS
+                begin_ns, whole = killed_ns - BEFORE_NS, now_ns > end_ns
+                return Incident(name, killed_ns, begin_ns, end_ns, offset_ns, whole, killed_ns)
+    return None

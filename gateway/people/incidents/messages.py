@@ -1,0 +1,224 @@
+"""An incident's records as messages of a recording: on the channels of our keys, in the time that people read."""
+
+from array import array
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Annotated, Final
+
+from pydantic import AwareDatetime, Field
+
+from gateway.people.incidents.incidents import Incident
+from gateway.people.incidents.reader import Records
+from gateway.people.recordings import Message
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox.recorder import ACCEPTED
+from gateway.robot.protocol.frames import Op
+from schemas import keys
+from schemas.telemetry import Event, FrameRecord, Report
+
+RECORDER: Final = f"{keys.ROOT}/recorder"
+"""The channel of what no key of ours carries."""
+INCIDENT: Final = "incident"
+_OPS: Final = {Op.START: "start", Op.SET: "set", Op.STOP: "stop"}
+
+
+class TargetInBox(Report):
+    """What a command asks of one servo."""
+
+    id: int
+    op: str
+    angle_deg: float | None = None
+
+
+class CommandInBox(Report):
+    """A command as the gateway decoded it, and what became of it."""
+
+    time: Annotated[AwareDatetime, Field(description="its arrival")]
+    number: int
+    verb: str
+    source: str | None
+    sent_ms: float | None
+    targets: tuple[TargetInBox, ...]
+    verdict: Annotated[str | None, Field(description="accepted, coalesced, or the reason of its rejection")]
+    decided_ms: Annotated[float | None, Field(description="from its arrival to that")]
+
+
+class FrameInBox(FrameRecord):
+    """A FrameRecord with what the black box knows besides."""
+
+    transfer_us: float
+    late_us: Annotated[float | None, Field(description="of a watchdog's Stop: written so long after its deadline")]
+
+
+class Note(Report):
+    """The incident, and what happened to the gateway itself.
+
+    `what` is incident, start, end, killed, stop-servos, mode, lag, or rejected (of a message that is no command).
+    """
+
+    time: AwareDatetime
+    what: str
+    detail: str
+    source: str | None = None
+    key: str | None = None
+
+
+COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
+
+
+def messages(incident: Incident, records: Records) -> Iterator[Message]:
+    """The incident itself, and what it takes in, oldest first.
+
+    What became of a command is found before its message is made. So each record is decoded twice rather than kept.
+    """
+    times_ns = records.times_ns
+    taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
+    decisions = _Decisions(records, taken)
+    zero_ns = incident.zero_wall_ns
+    note = Note(time=_time(zero_ns), what=INCIDENT, detail=incident.name)
+    yield Message(RECORDER, note.model_dump(mode="json"), zero_ns, zero_ns)
+    calibration = records.calibration_at(incident.begin_ns)
+    if calibration is not None:  # so that the frames can be read, which have the servos' own angles
+        begin_ns = incident.wall_ns(incident.begin_ns)
+        yield Message(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
+    killed_ns = incident.killed_ns
+    last: int | None = None  # the place in `records` of what a gateway wrote that has not said that it ends
+    ended = False
+    for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
+        record = records[taken[place]]
+        if killed_ns is not None and record.ns > killed_ns:
+            yield _killed(incident.wall_ns(killed_ns))
+            killed_ns = last = None
+        if isinstance(record.content, form.Start):
+            if last is not None and last < taken[place]:  # the gateway before it, whose end is an incident of its own
+                yield _killed(incident.wall_ns(times_ns[last]))
+            yield from _stops_before(record, incident)
+            ended = False
+        ended = ended or isinstance(record.content, form.End)
+        last = None if ended else taken[place]
+        wall_ns = incident.wall_ns(record.ns)
+        topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
+        if topic_and_report is not None:
+            topic, report = topic_and_report
+            yield Message(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
+    if killed_ns is not None:
+        yield _killed(incident.wall_ns(killed_ns))
+
+
+class _Decisions:
+    """What became of each command: an accepted one names its frame, any other has a Decision."""
+
+    def __init__(self, records: Records, taken: Sequence[int]) -> None:
+        self._records = records
+        self._by = array("L", bytes(len(taken) * array("L").itemsize))  # of each command: 1 + the place in `records`
+        self._told = bytearray(len(taken))  # of each Decision: whether it is a command's here
+        waiting: dict[int | str, int] = {}
+        for place, index in enumerate(taken):
+            match records[index].content:
+                case form.CommandRecord(number=number, key=key):
+                    waiting[number or key] = place
+                case form.Decision(number=number, key=key) if (number or key) in waiting:
+                    self._by[waiting.pop(number or key)] = index + 1
+                    self._told[place] = True
+                case form.FrameWritten(number=number) if number in waiting:
+                    self._by[waiting.pop(number)] = index + 1
+
+    def of(self, place: int) -> form.Record | None:
+        """What became of the command at this place of those that are taken in; None: it is not known."""
+        return self._records[self._by[place] - 1] if self._by[place] else None
+
+    def is_told(self, place: int) -> bool:
+        """Whether what is at this place is part of a command's message."""
+        return bool(self._told[place])
+
+
+def _stops_before(start: form.Record, incident: Incident) -> Iterator[Message]:
+    """What `stop-servos` wrote before this start, after the end of the gateway before it."""
+    facts = start.content.facts if isinstance(start.content, form.Start) else {}
+    match [facts.get(name) for name in form.STOP_FACTS]:
+        case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
+            wall_ns = incident.wall_ns(first_ns)
+            repeated = f"repeated for {(last_ns - first_ns) / 1e6:.0f} ms"
+            note = Note(time=_time(wall_ns), what="stop-servos", detail=repeated)
+            yield Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
+
+
+def _killed(wall_ns: int) -> Message:
+    note = Note(time=_time(wall_ns), what="killed", detail="its last record; it ended without a word")
+    return Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
+
+
+def _message(
+    record: form.Record, decided: form.Record | None, time: datetime, *, is_told: bool
+) -> tuple[str, Report] | None:
+    match record.content:
+        case form.CommandRecord() as command:
+            return _topic(command.key), CommandInBox(
+                time=time,
+                number=command.number,
+                verb=command.verb,
+                source=command.source,
+                sent_ms=command.sent_ms,
+                targets=tuple(
+                    TargetInBox(
+                        id=servo_id, op=_OPS[op.op], angle_deg=None if op.op is Op.STOP else op.angle_cdeg / 100
+                    )
+                    for servo_id, op in command.targets
+                ),
+                verdict=None if decided is None else _verdict(decided),
+                decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
+            )
+        case form.Decision() as decision if not is_told and decision.number == 0:
+            return RECORDER, Note(
+                time=time, what="rejected", detail=decision.verdict, source=decision.source, key=decision.key
+            )
+        case form.FrameWritten() as frame:
+            return keys.FRAME, FrameInBox(
+                time=time,
+                monotonic_ns=record.ns,
+                bytes=frame.data.hex(),
+                cause=frame.cause,
+                transfer_us=frame.transfer_ns / 1000,
+                late_us=frame.late_ns / 1000 if frame.late_ns else None,
+            )
+        case form.Calibrated(calibration=calibration):
+            return keys.CALIBRATION, calibration
+        case form.EventTold() as event:
+            return keys.EVENT, Event(
+                time=time,
+                kind=event.kind,
+                source=event.source,
+                key=event.key,
+                reason=event.reason,
+                detail=event.detail,
+                left_out=event.left_out,
+            )
+        case _:
+            return _note(record, time)
+
+
+def _note(record: form.Record, time: datetime) -> tuple[str, Report] | None:
+    match record.content:
+        case form.Start(facts=facts):
+            shown = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
+            return RECORDER, Note(time=time, what="start", detail=shown)
+        case form.End(why=why):
+            return RECORDER, Note(time=time, what="end", detail=why)
+        case form.ModeChange(mode=mode):
+            return RECORDER, Note(time=time, what="mode", detail=mode)
+        case form.Lag(lag_ns=lag_ns):
+            return RECORDER, Note(time=time, what="lag", detail=f"{lag_ns / 1e6:.1f} ms")
+        case _:
+            return None
+
+
+def _verdict(record: form.Record) -> str:
+    return record.content.verdict if isinstance(record.content, form.Decision) else ACCEPTED
+
+
+def _topic(key: str) -> str:
+    return key if key in keys.COMMAND_KEYS else RECORDER
+
+
+def _time(wall_ns: int) -> datetime:
+    return datetime.fromtimestamp(wall_ns / 1e9, UTC)

@@ -1,0 +1,80 @@
+"""The frames of a recording in users' angles. On the wire they have the servos' own, and commands have users'."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from gateway.people.recordings.reading import Message
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.protocol.frames import Frame, FrameError, decode
+from schemas import calibration as wire
+from schemas.keys import CALIBRATION, FRAME, STATE
+
+
+class UserAngles:
+    """Reads each frame by the calibration that the recording says was in force when it was written."""
+
+    def __init__(self) -> None:
+        self.translated = False
+        """Whether any frame has other angles on the wire than its users have."""
+        self.consistent = True
+        """Whether the calibration that was told last is the one that is said to be in force."""
+        self._calibration = Calibration()
+        self._said = self._contradicted = False
+
+    @property
+    def known(self) -> bool:
+        """Whether the recording says what was in force all along. One of frames alone does not."""
+        return self._said and not self._contradicted
+
+    def frames(self, messages: Iterable[Message]) -> Iterator[Mapping[str, Any]]:
+        """The FrameRecords in users' angles, as far as the recording says which these are, else as on the wire."""
+        for message in messages:
+            self.hear(message.topic, message.content)
+            if message.topic == FRAME:
+                yield self.record(message.content)
+
+    def hear(self, topic: str, content: Mapping[str, Any]) -> None:
+        """A message of the recording, in their order: what it says of the calibration holds for the frames after it."""
+        if topic == STATE:
+            self._said = True
+            # An older gateway says nothing of a calibration, and had none.
+            said = content.get("calibration")
+            revision = said.get("revision", 0) if isinstance(said, dict) else 0
+            self.consistent = revision == self._calibration.revision
+        elif topic == CALIBRATION:
+            self._said = True
+            try:
+                self._calibration = calibration_of(wire.Calibration.model_validate(content))
+                self.consistent = True
+            except ValueError:  # none that a gateway says
+                self.consistent = False
+        self._contradicted |= not self.consistent
+
+    def frame(self, frame: Frame) -> Frame:
+        """A frame in users' angles, as far as known; as it is where no user could have meant it."""
+        try:
+            return self._calibration.user_frame(frame)
+        except FrameError:
+            return frame
+
+    def record(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A FrameRecord in users' angles, as far as known."""
+        if not self._calibration.servos:
+            return record
+        self.translated = True
+        try:
+            data = bytes.fromhex(record["bytes"])
+        except (KeyError, TypeError, ValueError):  # no frame; whoever reads it looks for himself
+            return record
+        return {**record, "bytes": user_bytes(self._calibration, data).hex()}
+
+
+def user_bytes(calibration: Calibration, data: bytes) -> bytes:
+    """A frame's bytes in users' angles; as they are where no user could have meant them."""
+    if not calibration.servos:
+        return data
+    try:
+        return calibration.user_frame(decode(data)).to_bytes()
+    except FrameError:
+        return data

@@ -1,0 +1,168 @@
+"""What `hexapod-gateway incidents` does: what the black box kept, and the story of each."""
+
+import logging
+import os
+import signal
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.people.incidents import kept, reader
+from gateway.people.incidents.incidents import Incident, find, is_id, time_of
+from gateway.people.incidents.keeper import LOOK_S, Keeper
+from gateway.people.incidents.messages import messages
+from gateway.people.incidents.story import NoStoryError, headline, story, what
+from gateway.people.recordings import Losses, Message, read
+from gateway.people.tools.terminal import hint, this_command, visible
+from gateway.robot.blackbox import place
+from gateway.robot.settings import Settings
+
+LAST: Final = "last"
+
+
+class _Found(NamedTuple):
+    """An incident: its file, or what is in the ring (which may have more of it)."""
+
+    name: str
+    path: Path | None
+    incident: Incident | None
+    content: reader.Content | None
+
+
+def list_all(settings: Settings) -> int:
+    """Print the incidents, newest first. Exit code 0, also where there are none."""
+    folder = _folder(settings)
+    found, said = _find(folder), kept.headlines(folder / place.INCIDENTS)
+    for each in reversed(found):
+        when = time_of(each.name)
+        size = f"{each.path.stat().st_size / 1000:.0f} kB" if each.path is not None else "in the ring"
+        print(f"{each.name:<32}  {when:%Y-%m-%d %H:%M:%S} UTC  {size:>12}  {_headline(each, said)}")  # noqa: T201
+    if not found:
+        print(f"No incidents in {folder}.")  # noqa: T201
+    return 0
+
+
+def _headline(found: _Found, headlines: dict[str, str]) -> str:
+    """What happened, in a line."""
+    if found.incident is None or found.content is None:
+        return visible(headlines.get(found.name) or what(found.name))
+    try:
+        return headline(messages(found.incident, found.content.records))
+    except (NoStoryError, KeyError, TypeError, AttributeError):
+        return what(found.name)
+
+
+def show(settings: Settings, name: str) -> int:
+    """Print the story of an incident."""
+    found = _one(settings, name)
+    losses = Losses()
+    try:
+        lines = story(_messages(found, losses))
+    except (NoStoryError, KeyError, TypeError, AttributeError) as error:  # of a later version, or changed by hand
+        lost = f" ({losses})" if losses else ""
+        raise ConfigError(f"{found.path or found.name}: is no incident that this version can tell{lost}") from error
+    if losses:
+        hint(f"{found.path}: {losses}; the story lacks them")
+    for line in lines:
+        print(line)  # noqa: T201
+    return 0
+
+
+def export(settings: Settings, name: str, file: Path) -> int:
+    """Write an incident's MCAP file."""
+    found = _one(settings, name)
+    try:
+        if os.path.lexists(file):
+            raise FileExistsError
+        _export(found, file)
+    except FileExistsError as error:
+        raise ConfigError(f"{file} exists; name another file") from error
+    except OSError as error:
+        with suppress(OSError):  # half of it is of no use, and its name would be taken
+            file.unlink(missing_ok=True)
+        raise ConfigError(f"{file}: {error.strerror}") from error
+    print(f"{found.name} is in {file}")  # noqa: T201
+    return 0
+
+
+def _export(found: _Found, file: Path) -> None:
+    if found.incident is not None and found.content is not None:
+        kept.write(file, found.incident, found.content.records, overwrite=False)
+    elif found.path is not None:
+        with file.open("xb") as copy:
+            copy.write(found.path.read_bytes())
+
+
+def keep(settings: Settings, *, once: bool) -> int:
+    """Keep incidents until SIGTERM; `once`: those that are in the ring now, also where more may still be added."""
+    logging.basicConfig(level=settings.log.level.upper(), format="%(message)s")
+    keeper = Keeper(_folder(settings))
+    if once:
+        keeper.keep_all()
+        return 0
+    ended = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    while not ended.wait(LOOK_S):
+        keeper.look()
+    keeper.keep(whole_only=False)  # nobody will look again if the machine goes down
+    return 0
+
+
+def _folder(settings: Settings) -> Path:
+    folder = place.folder_to_read(settings)
+    if folder is None:
+        raise ConfigError(
+            "the black box is off: no gateway has kept one on this machine. `make run` and the installed service keep "
+            "one; for a gateway that you start yourself, type:\n"
+            f"HEXAPOD_RECORDER__PATH=$HOME/black-box {this_command()} run --sim, and the same before `incidents`"
+        )
+    return folder
+
+
+def _find(folder: Path) -> list[_Found]:
+    """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
+    found = {each.name: _Found(each.name, each.path, None, None) for each in kept.kept(folder / place.INCIDENTS)}
+    try:
+        content = reader.read(folder / place.RING)
+    except reader.NoRingError as error:
+        if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
+            raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
+        if not isinstance(error.__cause__, FileNotFoundError):
+            hint(f"hexapod-gateway: {error}")
+        return list(found.values())
+    for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
+        before = found.pop(incident.name, None)  # what is in the ring is newer than what is there no more
+        if before is None or not kept.is_kept(folder / place.INCIDENTS, incident):
+            path = None if before is None else before.path
+            before = _Found(incident.name, path, incident, content)
+        found[incident.name] = before
+    return list(found.values())
+
+
+def _one(settings: Settings, name: str) -> _Found:
+    folder = _folder(settings)
+    found = _find(folder)
+    if name == LAST and found:
+        return found[-1]
+    for each in found:
+        if each.name == name:
+            return each
+    if name != LAST and not is_id(name):
+        raise NoIncidentError(
+            f"{name!r} is no id of an incident; `incidents list` shows them, and `last` is the newest"
+        )
+    raise NoIncidentError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")
+
+
+class NoIncidentError(GatewayError):
+    """There is no such incident."""
+
+
+def _messages(found: _Found, losses: Losses) -> list[Message]:
+    if found.incident is not None and found.content is not None:
+        return list(messages(found.incident, found.content.records))
+    return [] if found.path is None else list(read(found.path, losses))

@@ -1,0 +1,171 @@
+"""What `calibrate` does without a screen: show the calibration, record the landing pose, accept the default."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from gateway.errors import LeaseError
+from gateway.people.client.blocking import Client
+from gateway.people.client.payloads import calibration_payload
+from gateway.people.tools import driving, kept_lease
+from gateway.people.tools.calibrate.robot import once_kept
+from gateway.people.tools.reach import Connection
+from gateway.people.tools.terminal import hint, say, this_command, visible
+from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration
+from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.protocol.frames import centidegrees
+from schemas import keys
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
+
+WAIT_S: Final = 60.0
+"""How long whoever drives is given to hand over, or to end."""
+_HEAD: Final = "servo      trim  direction     lowest   highest    landing"
+
+
+def show(connect: Connection) -> int:
+    """Print what is in force."""
+    with connect() as client:
+        report, calibration = client.state().calibration, calibration_of(client.calibration())
+    hint(f"{_about(report, calibration)}; the angles are those of commands, in degrees")
+    say(_HEAD)
+    for servo_id in SERVO_IDS:
+        landing_cdeg = calibration.landing_cdeg.get(servo_id)
+        say(f"{servo_id:5}  {row(calibration.of(servo_id))}  {_angle(landing_cdeg)}".rstrip())
+    return 0
+
+
+def row(servo: ServoCalibration) -> str:
+    """One servo's trim, direction and limits, in columns."""
+    trim = f"{servo.trim_cdeg / _CDEG:+.2f}" if servo != AS_DRAWN else "0.00"
+    way = "inverted" if servo.inverted else "as drawn"
+    return f"{trim:>8}  {way:<9}  {_angle(servo.min_cdeg)}  {_angle(servo.max_cdeg)}"
+
+
+def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
+    """Record where the running servos stand as their angles of the landing pose. Returns the exit code."""
+    with connect() as client:
+        state, calibration = client.state(), calibration_of(client.calibration())
+        if state.calibration.fault is not None:
+            say(visible(untrusted(state.calibration.fault)))
+            return 1
+        stand = standing(state, legs)
+        if not stand:
+            which = f"leg {', '.join(map(str, legs))}" if legs else "the robot"
+            say(f"no servo of {which} runs, so nobody knows where it stands: make it stand, and call this meanwhile")
+            return 1
+        say("servo  lands now at     stands at")
+        for servo_id, angle_deg in stand.items():
+            say(f"{servo_id:5}  {_angle(calibration.landing_cdeg.get(servo_id)):>12}  {angle_deg:12.2f}")
+        others = sorted(calibration.landing_cdeg.keys() - stand.keys())
+        if others:
+            say(f"The others of the pose stay as they are: {', '.join(map(str, others))}.")
+        if not agreed and not _agree("Is this the landing pose of these servos?"):
+            return 1
+        payload = calibration_payload(landing=stand, revision=calibration.revision)
+        code = _change(client, "the landing pose is written", state, payload)
+    if code == 0 and not state.watchdog.landing_ms:
+        hint("The robot lands only once watchdog.landing_ms is set in the gateway's settings; it is 0.")
+    return code
+
+
+def accept_default(connect: Connection, *, agreed: bool) -> int:
+    """Go on with the default where the kept calibration cannot be used. Returns the exit code."""
+    with connect() as client:
+        state = client.state()
+        fault = state.calibration.fault
+        if fault is None:
+            say(f"there is nothing to accept: {_about(state.calibration, calibration_of(client.calibration()))}")
+            return 0
+        say(visible(fault))
+        hint(
+            "The default has no trim, turns no servo round and has the full range: on a robot that is built otherwise, "
+            "servos go where nobody wants them. The file is replaced by it."
+        )
+        if not agreed and not _agree("Is every servo of this robot as drawn, or do you calibrate it anew?"):
+            return 1
+        payload = calibration_payload(accept_default=True)
+        return _change(client, "the default calibration is in force", state, payload)
+
+
+def untrusted(fault: str) -> str:
+    """What to do where the gateway does not trust its calibration."""
+    return (
+        f"the robot's calibration is not to be trusted, and nothing is started: {fault}. Put a good file in its place "
+        f"and restart the service, or go on without any trim: {this_command()} calibrate --accept-default"
+    )
+
+
+def unkept(report: CalibrationReport) -> str:
+    """What to add where a restart loses what is written."""
+    return "" if report.kept else "The calibration is in memory only, and lost at a restart (calibration.path)."
+
+
+# ---- inside
+
+_CDEG: Final = 100
+
+
+def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str, Any]) -> int:
+    """Change the calibration, at once where nobody else drives, else once they have let go of the lease.
+
+    Without a lease where that will do: acquiring it would end what somebody holds up without one, and the robot would
+    fall.
+    """
+    try:
+        with driving.drives(client, 0, moves=True) as kept:  # this user's own, from another terminal
+            ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, {**payload, **kept}))
+        if ack.reason in (Reason.NOT_HOLDER, Reason.NO_LEASE):
+            ack = _when_free(client, payload)
+    except LeaseError as error:
+        return driving.rejected(error)
+    if not ack.accepted:
+        say(visible(f"rejected: {ack.reason}: {ack.detail}"))
+        return 1
+    say(f"{done}: revision {client.calibration().revision}")
+    if not state.calibration.kept:
+        hint(unkept(state.calibration))
+    return 0
+
+
+def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
+    """Wait until whoever drives has handed over, or ended. Raises LeaseError."""
+    holder = client.state().lease.holder
+    if holder is not None:
+        hint(f"{visible(holder)} drives, and is asked for the lease: it is written as soon as that is free, and the")
+        hint(f"servos need not run any more then. Waiting for up to {WAIT_S:g} s.")
+    with client.lease(wait_s=WAIT_S, source=kept_lease.me()):
+        return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
+
+
+def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
+    """Where the running servos of these legs, or of all, are commanded to be, in degrees."""
+    return {
+        servo.id: centidegrees(servo.angle_deg) / _CDEG
+        for leg in state.legs
+        for servo in leg.servos
+        if (not legs or leg.leg in legs) and servo.running and servo.angle_deg is not None
+    }
+
+
+def _about(report: CalibrationReport, calibration: Calibration) -> str:
+    if report.fault is not None:
+        return visible(f"NOT TRUSTED ({report.fault}), so nothing can be started")
+    kept = "kept on the robot" if report.kept else "in memory only"
+    return f"revision {calibration.revision}, {kept}"
+
+
+def _angle(cdeg: int | None) -> str:
+    return " " * 9 if cdeg is None else f"{cdeg / _CDEG:9.2f}"
+
+
+def _agree(question: str) -> bool:
+    if not sys.stdin.isatty():
+        say("nothing is written: nobody can be asked here, since there is no terminal; --yes agrees")
+        return False
+    sys.stderr.write(f"{question} [y/N] ")
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() in ("y", "yes"):
+        return True
+    say("nothing is written")
+    return False

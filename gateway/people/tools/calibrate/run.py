@@ -1,0 +1,81 @@
+"""`calibrate` without an option: the guide, from the first question to the last."""
+
+import importlib.util
+import os
+import sys
+from contextlib import suppress
+from typing import Final
+
+from gateway.errors import LeaseError
+from gateway.people.tools import driving
+from gateway.people.tools.calibrate import once
+from gateway.people.tools.calibrate.guide import Guide
+from gateway.people.tools.reach import Connection
+from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.terminal import hint, say, visible
+from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.protocol.framing import avoided_by
+from schemas.telemetry import GatewayState
+
+_NO_TERMINAL: Final = (
+    "calibrate needs a terminal, and somebody beside the robot; --show prints the calibration, and a program uses "
+    "Client.calibrate"
+)
+
+
+def run(connect: Connection) -> int:
+    """Guide. Raises ZenohError where no gateway answers."""
+    if importlib.util.find_spec("termios") is None:
+        hint("calibrate needs a Unix terminal; on Windows, run it in WSL.")
+        return 1
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        hint(f"hexapod-gateway: {_NO_TERMINAL}")
+        return 1
+    from gateway.people.tools.calibrate.screen import Screen  # noqa: PLC0415 (does not load without termios)
+
+    with connect() as client:
+        state = client.state()
+        fault = state.calibration.fault
+        trouble = why_not_at_rest(state) if fault is None else once.untrusted(fault)
+        if trouble is not None:
+            say(visible(trouble))
+            return 1
+        try:
+            calibration = calibration_of(client.calibration())
+        except ValueError as error:
+            say(f"what the gateway says is no calibration: {error}")
+            return 1
+        where = visible(" ".join(client.robot[1:]))
+        screen = Screen(client, calibration, state.watchdog.timeout_ms, where, avoided_by(state.spi.framing))
+        try:
+            screen.robot.drive()
+        except LeaseError as error:
+            return driving.not_acquired(client, error)
+        screen.session.message = _remarks(state)
+        if screen.run():
+            with suppress(OSError):  # the terminal is gone
+                if not screen.stopped:
+                    hint("NOBODY HAS CONFIRMED THE STOP: if the servo holds, switch the servos' power off.")
+                _last_words(screen.session.guide, screen.fault, calibration.revision, once.unkept(state.calibration))
+        # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
+        # frozen gateway), or for ever in a stuck terminal. The servo is stopped, and the lease released.
+        os._exit(0 if screen.stopped and screen.fault is None else 1)
+
+
+def _remarks(state: GatewayState) -> str:
+    """What a person wants to know before anything moves."""
+    landing_ms = state.watchdog.landing_ms
+    lands = f"A servo that falls silent goes to its landing angle, in {landing_ms:g} ms, and is stopped there. "
+    return lands * bool(landing_ms) + once.unkept(state.calibration)
+
+
+def _last_words(guide: Guide, fault: Exception | None, began_from: int, unkept: str) -> None:
+    if fault is not None:
+        hint(f"hexapod-gateway: this terminal cannot be drawn on ({fault}); it needs UTF-8, such as LC_ALL=C.UTF-8")
+    if guide.changed:
+        say("not written:")
+        for servo_id in guide.changed:
+            servo = guide.draft[servo_id]
+            say(f"  servo {servo_id}: {once.row(servo)}")
+    elif guide.in_force.revision != began_from:
+        say(f"revision {guide.in_force.revision} is in force. {unkept}".rstrip())

@@ -1,0 +1,167 @@
+"""`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to fix it.
+
+It changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
+"""
+
+import datetime as dt
+import os
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.text import Text
+
+from gateway.errors import ConfigError
+from gateway.people.tools.check import (
+    access,
+    calibration,
+    device,
+    laptop,
+    machine,
+    network,
+    release,
+    running,
+    service_user,
+)
+from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
+from gateway.robot import settings as settings_file
+from gateway.robot.edge.exposure import listen_endpoints
+from gateway.robot.settings import FramingNotSetError, Settings
+
+_STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
+
+
+def check(config: Path | None) -> int:
+    """Print every check's line as it is known; the exit code: 0, or 1 after a failure.
+
+    As root, each is looked at as the service's user. Where a gateway with a simulated controller runs, and no file is
+    named, that is looked at.
+    Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
+    matters only once it is known what the controller understands.
+    """
+    runs = release.running(machine.main_process())  # only root may see it
+
+    def look() -> int:
+        found = running.simulated() if config is None else None
+        if found is not None:
+            results = chain(running.results(*found), release.findings(runs))
+            return _tell(results, "The simulated robot is well", "The simulated robot is not well")
+        results = chain(run(config), release.findings(runs))
+        return _tell(results, "This machine can run the service", "This machine cannot run the service")
+
+    return service_user.run(look, machine.granted_rtprio())
+
+
+def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
+    """The same of a laptop: whether it reaches the robot, and what it may do there."""
+    steps = laptop.checks(connect, zenoh_config, timeout_s)
+    return _tell(steps, "This machine reaches the gateway", "This machine does not reach the gateway")
+
+
+def _tell(found: Iterable[Result], well: str, unwell: str) -> int:
+    console = Console(highlight=False, soft_wrap=True)
+    results = []
+    for result in found:
+        results.append(result)
+        console.print(line(result))
+    failures = sum(result.verdict is Verdict.FAILURE for result in results)
+    warnings = sum(result.verdict is Verdict.WARNING for result in results)
+    if failures:
+        console.print(Text(f"{unwell}: {_count(failures, 'failure')}.", "bold red"))
+        return 1
+    remark = f", with {_count(warnings, 'warning')}" if warnings else ""
+    console.print(Text(f"{well}{remark}.", "bold green"))
+    return 0
+
+
+def run(config: Path | None) -> Iterator[Result]:
+    """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once."""
+    path = config or settings_file.DEFAULT_PATH
+    if os.geteuid() not in (0, service_user.uid()) and _denied(path):
+        raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
+    try:
+        settings: Settings | ConfigError = settings_file.load(config)
+    except FramingNotSetError:
+        raise
+    except ConfigError as error:
+        settings = error
+    yield machine.python()
+    whose = service_user.who()
+    if whose is not None:
+        yield whose
+    if isinstance(settings, ConfigError):
+        yield from _unreadable(settings)
+    else:
+        yield _configuration(config)
+        yield from _of_settings(settings)
+    yield machine.clock()
+    yield machine.unit()
+    yield machine.running_realtime() or machine.realtime()
+
+
+def _unreadable(error: ConfigError) -> Iterator[Result]:
+    for fault in str(error).splitlines():
+        yield failure("configuration", fault, network.LET_READ if network.DENIED in fault else _FIX_IT)
+    yield warning("the rest", "device, ports and certificates were not looked at", "fix the configuration first")
+
+
+def _denied(path: Path) -> bool:
+    try:
+        path.open("rb").close()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+_FIX_IT: Final = "fix it there, and check again"
+
+
+def _configuration(config: Path | None) -> Result:
+    path = config or settings_file.DEFAULT_PATH
+    return ok("configuration", str(path) if path.exists() else f"the defaults, since there is no {path}")
+
+
+def _of_settings(settings: Settings) -> Iterator[Result]:
+    spi_device = device.device(settings.spi)
+    yield spi_device
+    yield device.speed(settings.spi)
+    yield device.framing(settings.spi)
+    yield device.lists(settings.spi)
+    kept = calibration.kept(settings)
+    yield kept
+    if kept.verdict is not Verdict.FAILURE and "not for you" not in kept.sentence:
+        yield from calibration.landing_pose(settings)
+    certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
+    yield from certificates
+    zenoh_config, told = network.zenoh_configuration(settings.zenoh)
+    yield from (result for result in told if result.sentence not in {known.sentence for known in certificates})
+    gateway_runs = device.held(spi_device)
+    if zenoh_config is not None:
+        yield from access.passes(zenoh_config, settings.zenoh.config)
+        endpoints = listen_endpoints(zenoh_config)
+        ports = network.ports(endpoints, gateway_runs=gateway_runs)
+        yield from ports
+        to_be_had = [each for each, port in zip(endpoints, ports, strict=False) if port.verdict is not Verdict.FAILURE]
+        yield from network.opens(settings.zenoh, to_be_had)
+        yield from network.routers(zenoh_config)
+    if settings.telemetry.metrics:
+        yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
+
+
+def line(result: Result) -> Text:
+    """`verdict  what  sentence → fix`, in columns."""
+    text = Text().append(f"{result.verdict:8}", _STYLES[result.verdict]).append(f" {result.name:14} ", "bold")
+    text.append(_one_line(result.sentence))
+    return text.append(f" → {_one_line(result.fix)}", "cyan") if result.fix else text
+
+
+def _one_line(text: str) -> str:
+    return "".join(char if char.isprintable() else " " for char in text)
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"

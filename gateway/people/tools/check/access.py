@@ -1,0 +1,88 @@
+"""Whether the Zenoh file's access control knows all that this gateway says and hears: an older release's may not.
+
+What it does not know is dropped without a word on either side, so people see nothing but silence.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Any, Final
+
+import zenoh
+
+from gateway.certs.access import TRAFFIC, Traffic
+from gateway.people.tools.check.result import Result, ok, warning
+from gateway.people.tools.terminal import this_command
+from gateway.robot.edge.exposure import listen_endpoints
+from gateway.zenoh_config import get
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE
+
+_NAME: Final = "access control"
+_GET_ONLY_NEEDS: Final = frozenset({"query", "reply", "declare_queryable"})
+_SHOWN: Final = 3
+
+
+def passes(config: zenoh.Config, file: str) -> list[Result]:
+    """What the access control of this Zenoh file does not let through; nothing where there is none."""
+    if get(config, "access_control/enabled") is not True or get(config, "access_control/default_permission") != "deny":
+        return []
+    dropped = _dropped(config)
+    if not dropped:
+        return [ok(_NAME, "lets all of this gateway's keys through")]
+    keys = list(dropped)
+    more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
+    messages = list(dict.fromkeys(message for key in keys for message in dropped[key]))
+    sentence = (
+        f"{file} does not let {', '.join(keys[:_SHOWN])}{more} through ({', '.join(messages)}): what is said there is "
+        "lost without a word"
+    )
+    return [warning(_NAME, sentence, _fix(config, file, keys))]
+
+
+def _dropped(config: zenoh.Config) -> dict[str, list[str]]:
+    """The keys that something is dropped on, each with the messages."""
+    namespace = get(config, "namespace") or ""
+    named = {name for policy in get(config, "access_control/policies") or [] for name in policy["rules"]}
+    rules = [
+        rule
+        for rule in get(config, "access_control/rules") or []
+        if rule["id"] in named and rule["permission"] == "allow"
+    ]
+    dropped: dict[str, list[str]] = {}
+    for traffic in TRAFFIC:
+        flow = "ingress" if traffic.from_people else "egress"
+        for key, message in _said(traffic):
+            whole = f"{namespace}/{key}" if namespace else key
+            if not any(_lets(rule, flow, message, whole) for rule in rules):
+                dropped.setdefault(whole, []).append(message)
+    return dropped
+
+
+def _said(traffic: Traffic) -> Iterator[tuple[str, str]]:
+    """Key by key: a file that was made by hand may name each."""
+    for key in (*COMMAND_KEYS, *GET_ONLY) if traffic.keys == (ALL_COMMANDS,) else traffic.keys:
+        for message in traffic.messages:
+            if key not in GET_ONLY or message in _GET_ONLY_NEEDS:
+                yield key, message
+
+
+def _lets(rule: dict[str, Any], flow: str, message: str, key: str) -> bool:
+    return (
+        flow in (rule.get("flows") or (flow,))
+        and message in rule["messages"]
+        and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
+    )
+
+
+def _fix(config: zenoh.Config, file: str, keys: list[str]) -> str:
+    namespace = get(config, "namespace")
+    port = next((found[1] for each in listen_endpoints(config) if (found := re.search(r":(\d+)$", each))), "7447")
+    anew = (
+        f"d=$(mktemp -d) && {this_command()} certs init --dir $d --host $(hostname) --port {port}"
+        f"{f' --namespace {namespace}' if namespace else ''} && sudo cp $d/gateway.json5 {file} && rm -r $d && "
+        "sudo systemctl restart hexapod-gateway"
+    )
+    before = f"{namespace}/" if namespace else ""
+    if {key.removeprefix(before) for key in keys} <= set(PUBLISHED):
+        by_hand = ", ".join(f'"{key}"' for key in keys)
+        return f'in its rules, write {by_hand} beside each "{before}{STATE}", and restart; or make it anew: {anew}'
+    return f"make it anew: {anew}"

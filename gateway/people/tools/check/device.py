@@ -1,0 +1,188 @@
+"""The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
+
+import grp
+import importlib.util
+import os
+import pwd
+import stat
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import SpiError
+from gateway.people.tools.check.result import Result, failure, ok, warning
+from gateway.robot.protocol.frames import ONE_LEG_LEN
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import SpiSettings
+from gateway.robot.spi.kernel import KernelDevice
+from schemas.robot import LEGS
+
+MEASURED_HZ: Final = 2_500_000
+"""Up to this speed the clock was measured to be clean."""
+STOP_BITS: Final = 8 * ONE_LEG_LEN
+SLOW_STOPS_MS: Final = 20.0
+"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
+
+RELEASING_DRIVERS: Final = ("spi-bcm2835",)
+"""Drivers that leave chip select to Linux's spi.c, which releases it where `cs_change` says so."""
+
+_NAME: Final = "SPI device"
+_HELD: Final = "is held by a running gateway"
+
+
+def device(spi: SpiSettings) -> Result:
+    """Whether the device can be opened and set up as the service does it. Closes it at once."""
+    path = Path(spi.device)
+    lack = _driver() or _node(path) or _permission(path)
+    if lack is not None:
+        return lack
+    try:
+        KernelDevice(spi.device, spi.speed_hz).close()
+    except SpiError as error:
+        if isinstance(error.__cause__, BlockingIOError):
+            return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
+        return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
+    return ok(_NAME, f"{path} opens, as {_user()}")
+
+
+def held(result: Result) -> bool:
+    """Whether `device` found that a gateway holds the device."""
+    return _HELD in result.sentence
+
+
+def _driver() -> Result | None:
+    if importlib.util.find_spec("spidev") is not None:
+        return None
+    return failure(_NAME, "the Python package spidev is missing", "pip install 'hexapod-gateway[spi]'")
+
+
+def _node(path: Path) -> Result | None:
+    try:
+        mode = path.stat().st_mode
+    except PermissionError as error:
+        return failure(_NAME, f"{path} cannot be looked at ({error.strerror})", "check the folder's permissions")
+    except OSError:
+        others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
+        fix = (
+            f"set spi.device; here there is {', '.join(others)}"
+            if others
+            else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+        )
+        return failure(_NAME, f"{path} does not exist", fix)
+    return None if stat.S_ISCHR(mode) else failure(_NAME, f"{path} is no device node", "set spi.device to one")
+
+
+def _permission(path: Path) -> Result | None:
+    if os.access(path, os.R_OK | os.W_OK):
+        return None
+    status = path.stat()
+    group = _group(status.st_gid)
+    rights = stat.filemode(status.st_mode)
+    may_join = status.st_gid and (status.st_mode & 0o060) == 0o060
+    fix = (
+        f"sudo usermod -aG {group} {_user()}, then log in again"
+        if may_join
+        else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
+    )
+    return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)
+
+
+def speed(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
+    """The clock, compared with what was measured, what the device tree allows, and how long a Stop may take."""
+    name = "SPI speed"
+    wanted = _megahertz(spi.speed_hz)
+    most_hz = _most_hz(sys_class / Path(spi.device).name / "device" / "of_node" / "spi-max-frequency")
+    if most_hz is not None and spi.speed_hz > most_hz:
+        return warning(
+            name,
+            f"{wanted} is above the {_megahertz(most_hz)} that the device tree allows {spi.device}",
+            f"set spi.speed_hz = {most_hz} or less, or raise spi-max-frequency",
+        )
+    if spi.speed_hz > MEASURED_HZ:
+        return warning(
+            name,
+            f"{wanted} is above the {_megahertz(MEASURED_HZ)} up to which the protocol was measured",
+            f"set spi.speed_hz = {MEASURED_HZ}, or measure the clock on your wires",
+        )
+    stops_ms = len(LEGS) * (STOP_BITS / spi.speed_hz * 1e3 + spi.frame_gap_us / 1e3)
+    if stops_ms > SLOW_STOPS_MS:
+        return warning(
+            name,
+            f"{wanted} is so slow that an emergency stop takes {stops_ms:.0f} ms to write",
+            f"set spi.speed_hz = {MEASURED_HZ}",
+        )
+    return ok(name, f"{wanted}; an emergency stop takes {stops_ms:.1f} ms to write")
+
+
+def framing(spi: SpiSettings) -> Result:
+    """The framing that the controller's firmware must have, too."""
+    if spi.framing is Framing.PLAIN:
+        return warning(
+            "framing",
+            "plain, as the protocol's document says; the published STM32 firmware jams in it until it is reset",
+            'set spi.framing = "length-prefixed" for that firmware, and reset it',
+        )
+    deadly = Framing.LENGTH_PREFIXED.avoid_cdeg or (0, 0)
+    low, high = spi.avoid_cdeg or (0, 0)
+    if low > deadly[0] or high < deadly[1]:
+        return warning(
+            "framing",
+            f"{spi.framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the published STM32 "
+            "firmware dies of these where one byte is lost, with its servos on",
+            "leave spi.avoid_deg out, unless the controller's firmware is another",
+        )
+    avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
+    return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
+
+
+def lists(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
+    """Whether the driver is known to release chip select between transfers of one call, as a plain controller needs."""
+    name = "SPI lists"
+    if not spi.batch:
+        return ok(name, "spi.batch is false: one system call for each transfer")
+    driver = _driver_of(sys_class / Path(spi.device).name / "device")
+    if driver in RELEASING_DRIVERS:
+        return ok(name, f"the driver {driver} releases chip select between the transfers of a call")
+    if spi.framing is not Framing.PLAIN:
+        return ok(
+            name, f"{driver or 'the driver'} may keep chip select within a call; the published firmware ignores it"
+        )
+    return warning(
+        name,
+        f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
+        "try six legs at once on a stand; if only the first leg obeys, set spi.batch = false",
+    )
+
+
+def _driver_of(device: Path) -> str | None:
+    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
+    try:
+        return (device.resolve(strict=True).parents[2] / "driver").resolve(strict=True).name
+    except (OSError, IndexError):
+        return None
+
+
+def _most_hz(file: Path) -> int | None:
+    """A device tree's number: four bytes, the highest first."""
+    try:
+        data = file.read_bytes()
+    except OSError:
+        return None
+    return int.from_bytes(data, "big") if len(data) == 4 and any(data) else None
+
+
+def _megahertz(hz: int) -> str:
+    return f"{hz / 1e6:g} MHz" if hz >= 10_000 else f"{hz} Hz"
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
+
+
+def _group(gid: int) -> str:
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)

@@ -1,0 +1,164 @@
+"""`check --move`: the first contact. One servo is started, moved by 5° and stopped, through the running gateway.
+
+Only what somebody agreed to, and only while nothing else runs. Every way out of it stops the servo; if even that fails,
+the gateway's watchdog does.
+"""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from gateway.errors import ConfigError, ZenohError
+from gateway.people.client.blocking import Client
+from gateway.people.tools.reach import Connection
+from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.terminal import hint, say, visible
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
+
+DEFAULT_SERVO: Final = 11
+DEFAULT_ANGLE_DEG: Final = 90.0
+STEP_DEG: Final = 5.0
+_MOST_DEG: Final = 180.0
+_HOLD_S: Final = 1.5
+"""At each angle: long enough to reach it from anywhere, and to be seen."""
+_PERIOD_S: Final = 0.05
+"""A fifth of the default watchdog timeout."""
+
+
+def causes(state: GatewayState) -> tuple[str, ...]:
+    """Why a servo may stand still though every frame was written; the likeliest first."""
+    return (
+        "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand.",
+        f"Framing: the gateway speaks {state.spi.framing}. The published STM32 firmware needs length-prefixed, a "
+        "controller that follows the protocol's document plain. Know which one is there before you change it: nothing "
+        "here tries the other one by itself, for plain makes the published firmware deaf.",
+        "Reset: has the controller ever heard the wrong framing? Then it hears nothing, whatever is set now: set the "
+        "right one, restart the gateway, and reset the controller (its reset button, or power).",
+        "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
+        f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1. "
+        "Where of several legs that are commanded at once only the first obeys, the driver does not release it between "
+        "the transfers of one call: set spi.batch = false.",
+        "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one.",
+    )
+
+
+def move(connect: Connection, *, agreed: bool) -> int:
+    """Ask, move, stop, ask. 0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError."""
+    with connect() as client:
+        _at_rest(client.state())
+        servo_id = DEFAULT_SERVO if agreed else _servo(_ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
+        angle_deg = DEFAULT_ANGLE_DEG if agreed else _angle(_ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] "))
+        end_deg = angle_deg + (STEP_DEG if angle_deg + STEP_DEG <= _MOST_DEG else -STEP_DEG)
+        say(
+            f"Servo {servo_id} will go to {angle_deg:g}° at once, wherever it stands, then to {end_deg:g}°, and be "
+            "stopped. Keep hands and cables away, and the switch of its power at hand."
+        )
+        if not agreed and _ask("Type yes to move it: ") != "yes":
+            say("Nothing was moved.")
+            return 1
+        state = client.state()  # the questions took their time
+        _at_rest(state)
+        if not _moved(client, servo_id, (angle_deg, end_deg), state.watchdog.timeout_ms):
+            return 1
+        state = client.state()
+    if state.simulated:
+        say("A simulated controller took it: no servo is there to move.")
+    answer = _ask("Did it move? yes or no: ")
+    if answer == "yes":
+        say(f"Then everything from here to servo {servo_id} works.")
+        return 0
+    if answer == "no":
+        say("The gateway wrote every frame, and SPI has no way back: one of these, the likeliest first.")
+        for place, cause in enumerate(causes(state), 1):
+            say(f"{place}. {cause}")
+    return 1
+
+
+def _moved(client: Client, servo_id: int, angles_deg: tuple[float, float], timeout_ms: float) -> bool:
+    """Whether all that was asked for was accepted. However it ends, the servo is stopped."""
+    with _stopped_after(client, servo_id):
+        if not _accepted(client.servo(servo_id, "start", angles_deg[0])):
+            return False
+        # Only `set` from here on: it is rejected for what somebody else has stopped.
+        period_s = min(_PERIOD_S, timeout_ms / 5000)
+        return all(_held(client, servo_id, angle_deg, period_s, timeout_ms) for angle_deg in angles_deg)
+
+
+@contextmanager
+def _stopped_after(client: Client, servo_id: int) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        try:
+            stopped = client.servo(servo_id, "stop")
+        except ZenohError:
+            hint(f"Nobody has confirmed that servo {servo_id} is stopped: if it holds, switch its power off.")
+            raise
+        if _accepted(stopped):
+            say(f"Servo {servo_id} is stopped.")
+
+
+def _held(client: Client, servo_id: int, angle_deg: float, period_s: float, timeout_ms: float) -> bool:
+    begun_s = before_s = time.monotonic()
+    while before_s < begun_s + _HOLD_S:
+        ack = client.servo(servo_id, "set", angle_deg)
+        apart_ms = (time.monotonic() - before_s) * 1000
+        if ack.reason == Reason.SERVO_STOPPED and _is_expired(client.state(), servo_id):
+            say(
+                f"The watchdog stopped servo {servo_id}: this machine's commands came some {apart_ms:.0f} ms apart, "
+                f"and {timeout_ms:g} ms of silence are allowed. The robot is well; the way to it is slow, or this "
+                "machine is. Try again on the robot itself, or nearer to its Wi-Fi."
+            )
+            return False
+        if not _accepted(ack):
+            return False
+        before_s = time.monotonic()
+        time.sleep(period_s)
+    return True
+
+
+def _is_expired(state: GatewayState, servo_id: int) -> bool:
+    """Whether the servo's leg was silent for too long."""
+    return any(leg.leg == servo_id // 10 and leg.watchdog == WatchdogState.EXPIRED for leg in state.legs)
+
+
+def _accepted(ack: Ack) -> bool:
+    if not ack.accepted:
+        say(visible(f"rejected: {ack.reason}: {ack.detail}"))
+    return ack.accepted
+
+
+def _at_rest(state: GatewayState) -> None:
+    trouble = why_not_at_rest(state)
+    if trouble is not None:
+        raise ConfigError(trouble)
+
+
+def _servo(text: str) -> int:
+    if not text:
+        return DEFAULT_SERVO
+    if text.isdigit() and int(text) in SERVO_IDS:
+        return int(text)
+    raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")
+
+
+def _angle(text: str) -> float:
+    if not text:
+        return DEFAULT_ANGLE_DEG
+    try:
+        angle_deg = float(text)
+    except ValueError:
+        angle_deg = -1.0
+    if 0 <= angle_deg <= _MOST_DEG:
+        return angle_deg
+    raise ConfigError(f"{text!r} is no angle: 0 to 180 degrees")
+
+
+def _ask(question: str) -> str:
+    """One line of what somebody types; "" where nobody does."""
+    sys.stdout.write(question)
+    sys.stdout.flush()
+    return sys.stdin.readline().strip().lower()

@@ -1,0 +1,74 @@
+"""`decode`: explains a frame's bytes, or says what is wrong with them."""
+
+import re
+from collections.abc import Iterator, Sequence
+
+from gateway.people.tools.terminal import say
+from gateway.robot.protocol.frames import (
+    ONE_LEG_LEN,
+    ONE_LEG_TYPE,
+    ONE_SERVO_LEN,
+    ONE_SERVO_TYPE,
+    FrameError,
+    OneLeg,
+    Op,
+)
+from gateway.robot.protocol.frames import decode as decode_frame
+
+_FRAME_HEADERS = frozenset((bytes((ONE_LEG_LEN, ONE_LEG_TYPE)), bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))))
+"""FRAME LEN and FRAME TYPE of the two kinds of frames."""
+
+_MAX_ECHO = 40
+"""How many of the typed characters a message repeats."""
+
+
+def decode(hex_bytes: Sequence[str]) -> int:
+    """Explain frames, one line each."""
+    try:
+        data = b"".join(map(_bytes, " ".join(hex_bytes).replace(",", " ").split()))
+    except ValueError as error:
+        say(str(error))
+        return 1
+    for frame in _frames(data):
+        try:
+            say(_explain(frame))
+        except FrameError as error:
+            say(f"{frame.hex(' ') or 'nothing'}: not legal: {error}")
+            return 1
+    return 0
+
+
+def _bytes(word: str) -> bytes:
+    """The bytes of `06`, `0x06`, `0x6` or `060220020000`. Raises ValueError, also for half a byte."""
+    if re.fullmatch(r"0x[0-9a-fA-F]", word):
+        word = f"0{word[2:]}"
+    digits = word.removeprefix("0x")
+    if not re.fullmatch(r"[0-9a-fA-F]+", digits):
+        raise ValueError(f"{_short(word)} is not hexadecimal")
+    if len(digits) % 2:
+        raise ValueError(f"{_short(word)} ends with half a byte; a byte has two digits, such as 06")
+    return bytes.fromhex(digits)
+
+
+def _short(word: str) -> str:
+    shown = ascii(word)
+    return shown if len(shown) <= _MAX_ECHO else shown[:_MAX_ECHO] + "…"
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    """Split off whole frames from the front; the rest is one piece, explained as it is."""
+    while data[:2] in _FRAME_HEADERS and len(data) > data[0]:
+        yield data[: data[0]]
+        data = data[data[0] :]
+    yield data
+
+
+def _explain(data: bytes) -> str:
+    frame = decode_frame(data)
+    name = f"ONE LEG, leg {frame.leg}" if isinstance(frame, OneLeg) else "ONE SERVO"
+    ops = (
+        f"servo {servo_id} {command.op.name.lower()}"
+        + ("" if command.op is Op.STOP else f" {command.angle_cdeg // 100}.{command.angle_cdeg % 100:02}°")
+        for servo_id, command in frame.servos
+    )
+    return f"{data.hex(' ')}: {name}: {', '.join(ops)}"

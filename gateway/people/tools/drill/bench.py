@@ -1,0 +1,241 @@
+"""What a step works with: one leg, a client, and everything that the gateway writes and says meanwhile."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, TypeVar
+
+import zenoh
+from pydantic import BaseModel, ValidationError
+
+from gateway.errors import GatewayError, UnansweredError
+from gateway.people.client.blocking import Client
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
+from schemas import keys
+from schemas.robot import JOINTS
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
+
+LATE_MS: Final = 20.0
+"""How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
+PERIOD_S: Final = 0.02
+QUIET_S: Final = 0.15
+"""What was to be sent has been by then: a leg's rate slot comes every 20 ms."""
+POLL_S: Final = 0.01
+ANSWER_S: Final = 5.0
+
+R = TypeVar("R", bound=BaseModel)
+Figures = dict[str, float | int | str]
+"""What a step has measured."""
+
+
+class FailedError(Exception):
+    """A step fails; the sentence says what was seen instead."""
+
+
+class Skipped(Exception):  # noqa: N818  (it is no error)
+    """A step cannot be done here; the sentence says why."""
+
+
+def demand(true: object, sentence: str) -> None:
+    """Fail the step with this sentence, unless it is true."""
+    if not true:
+        raise FailedError(sentence)
+
+
+class Seen(NamedTuple):
+    """A frame that the gateway wrote."""
+
+    at_ns: int
+    frame: Frame
+    cause: str
+
+    @property
+    def leg(self) -> int:
+        """Whose servos it is for."""
+        return self.frame.servos[0][0] // 10
+
+    @property
+    def moves(self) -> bool:
+        """Whether it starts or sets a servo."""
+        return any(command.op is not Op.STOP for _, command in self.frame.servos)
+
+
+@dataclass(slots=True)
+class Bench:
+    """One leg of one robot. With one servo, only its joint 1 moves."""
+
+    client: Client
+    leg: int
+    servos: int
+    """1 or 3."""
+    start_deg: float
+    end_deg: float
+    reaches: dict[str, Any]
+    """How `Client` reaches the gateway."""
+    late_ms: float
+    """How late a Stop may be."""
+    lands: bool = False
+    """Whether silence lands the robot before it stops it."""
+    restart: bool = False
+    """Whether the service may be killed."""
+    config: Sequence[str] = ()
+    """Arguments of `stop-servos`."""
+    calibration: Calibration = field(default_factory=Calibration)
+    """What is in force."""
+    frames_published: bool = False
+    answer_ms: float = 0.0
+    """How long the gateway takes to answer at rest."""
+    estop: int = 0
+    """The number of the drill's own emergency stop."""
+    lease: dict[str, str] = field(default_factory=dict)
+    """What commands carry, where this user has acquired the lease beforehand."""
+    frames: list[Seen] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    # ---- commands
+
+    @property
+    def servo_ids(self) -> list[int]:
+        """The servos that move."""
+        return [10 * self.leg + joint for joint in JOINTS][: self.servos]
+
+    @property
+    def key(self) -> str:
+        """Where commands for them go."""
+        return keys.leg_command(self.leg) if self.servos > 1 else keys.servo_command(self.servo_ids[0])
+
+    def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
+        """A start or a set."""
+        servo = {"op": op, "angle_deg": angle_deg}
+        return {**({"servos": [servo] * self.servos} if self.servos > 1 else servo), **self.lease}
+
+    def frame(self, op: Op, angle_deg: float) -> Frame:
+        """The frame that such a command is to cause, in the servos' own angles."""
+        command = ServoOp(op, centidegrees(angle_deg))
+        if self.servos > 1:
+            return self.calibration.frame(OneLeg(self.leg, (command, command, command)))
+        return self.calibration.frame(OneServo(self.servo_ids[0], command))
+
+    def ask(self, op: str, angle_deg: float) -> Ack:
+        """An acknowledged start or set."""
+        return self.client.ask(self.key, self.payload(op, angle_deg))
+
+    def start(self) -> None:
+        """Start the leg. Fails the step where that is rejected."""
+        ack = self.ask("start", self.start_deg)
+        demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
+
+    def reset(self, estop: int) -> Ack:
+        """Leave that emergency stop."""
+        return self.client.ask(keys.RESET, {"estop": estop, **self.lease})
+
+    def stop(self) -> None:
+        """Stop all legs."""
+        demand(self.client.stop().accepted, "a Stop was rejected")
+
+    @contextmanager
+    def streaming(self, client: Client | None = None, op: str = "set") -> Iterator[None]:
+        """Somebody publishes setpoints at 50 Hz meanwhile, and looks at no answer."""
+        ended = threading.Event()
+        sender = client or self.client
+
+        def stream() -> None:
+            with suppress(GatewayError):
+                while not ended.wait(PERIOD_S):
+                    sender.publish(self.key, self.payload(op, self.start_deg))
+
+        thread = threading.Thread(target=stream, name="stream")
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    # ---- what comes of them
+
+    def mark(self) -> int:
+        """`since` this moment."""
+        return len(self.frames)
+
+    def since(self, mark: int) -> list[Seen]:
+        """Frames written since a mark."""
+        return self.frames[mark:]
+
+    def wait(self, condition: Callable[[], object], timeout_s: float) -> bool:
+        """Wait until it holds; False where it does not in time."""
+        end_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() >= end_s:
+                return False
+            time.sleep(POLL_S)
+        return True
+
+    def running(self, state: GatewayState | None = None) -> list[int]:
+        """The servos that run, of all legs, as the gateway says."""
+        state = state or self.client.state()
+        return [servo.id for leg in state.legs for servo in leg.servos if servo.running]
+
+    def demand_no_motion(self, mark: int, when: str) -> None:
+        """Fail the step if a frame since `mark` starts or sets a servo, or one runs."""
+        time.sleep(QUIET_S)
+        moving = [seen for seen in self.since(mark) if seen.moves]
+        demand(not moving, f"{when}, {len(moving)} frames moved a servo: {moving and moving[0].frame.to_bytes().hex()}")
+        running = self.running()
+        demand(not running, f"{when}, servos run: {', '.join(map(str, running))}")
+
+    # ---- hearing
+
+    @contextmanager
+    def hears(self) -> Iterator[None]:
+        """Frames and events are kept meanwhile."""
+        subscribers: list[Any] = [
+            self.client.session.declare_subscriber(keys.FRAME, self._take_frame),
+            self.client.session.declare_subscriber(keys.EVENT, self._take_event),
+        ]
+        self.client.state()  # the gateway has answered, so it knows of the subscriptions, which were declared before
+        try:
+            yield
+        finally:
+            for subscriber in subscribers:
+                with suppress(zenoh.ZError):
+                    subscriber.undeclare()
+
+    def measure(self) -> None:
+        """How soon the gateway answers, its calibration, and whether it publishes frames (a Stop shows it)."""
+        took_ms = []
+        for _ in range(5):
+            begun_s = time.monotonic()
+            self.client.state()
+            took_ms.append((time.monotonic() - begun_s) * 1000)
+        self.answer_ms = sorted(took_ms)[2]
+        self.stop()
+        self.frames_published = self.wait(lambda: self.frames, 1.0)
+        with suppress(UnansweredError):  # a gateway that knows of no calibration
+            self.calibration = calibration_of(self.client.calibration())
+
+    def _take_frame(self, sample: zenoh.Sample) -> None:
+        record = _read(FrameRecord, sample)
+        if record is not None:
+            with suppress(FrameError, ValueError):
+                self.frames.append(Seen(record.monotonic_ns, decode(bytes.fromhex(record.bytes)), str(record.cause)))
+
+    def _take_event(self, sample: zenoh.Sample) -> None:
+        event = _read(Event, sample)
+        if event is not None:
+            self.events.append(event)
+
+
+def _read(model: type[R], sample: zenoh.Sample) -> R | None:
+    with suppress(ValidationError):
+        return model.model_validate_json(sample.payload.to_bytes())
+    return None
+
+
+def caused(frames: Sequence[Seen], cause: Cause) -> list[Seen]:
+    """Those frames that were written for this reason."""
+    return [seen for seen in frames if seen.cause == cause]

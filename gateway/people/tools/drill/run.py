@@ -1,0 +1,238 @@
+"""The drill as a whole: asks, does the steps, and leaves everything stopped whatever happens."""
+
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.people.client.blocking import Client
+from gateway.people.tools import kept_lease
+from gateway.people.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
+from gateway.people.tools.drill.steps import STEPS, Step
+from gateway.people.tools.driving import drives
+from gateway.people.tools.ending import on_end_signals
+from gateway.people.tools.reach import Connection
+from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.terminal import hint, say, this_command, visible
+from schemas.telemetry import GatewayState, Mode
+
+SOURCE: Final = "hexapod-gateway drill"
+STEP_DEG: Final = 5.0
+MOVE_DEG: Final = 15.0
+IDLE_S: Final = 2.0
+LEASE_S: Final = 1.0
+"""Any time: a step holds the lease until it ends."""
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What became of one step: `passed` is None where it was skipped."""
+
+    name: str
+    does: str
+    passed: bool | None
+    detail: str
+    figures: Figures
+    took_s: float
+    frames: list[Seen] = field(default_factory=list)
+
+    @property
+    def word(self) -> str:
+        """PASS, FAIL or SKIPPED."""
+        return "SKIPPED" if self.passed is None else "PASS" if self.passed else "FAIL"
+
+
+@dataclass(slots=True)
+class Drill:
+    """All of it, for the report."""
+
+    state: GatewayState
+    leg: int
+    frames_published: bool = False
+    outcomes: list[Outcome] = field(default_factory=list)
+    complete: bool = False
+    lost: GatewayError | None = None
+    """Why nobody has confirmed at the end that all legs are stopped."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every step was done that could be, none failed, and all legs are stopped."""
+        return self.complete and self.lost is None and all(outcome.passed is not False for outcome in self.outcomes)
+
+
+def drill(
+    connect: Connection,
+    *,
+    leg: int,
+    angle_deg: float,
+    whole_leg: bool,
+    agreed: bool,
+    only: Sequence[str] = (),
+    late_ms: float = LATE_MS,
+    endpoint: str | None,
+    zenoh_config: Path | None = None,
+    restart: bool = False,
+    config: Path | None = None,
+) -> Drill:
+    """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers.
+
+    A gateway that is lost on the way is part of what was found: `Drill.lost`.
+    """
+    found: Drill | None = None
+    steps = [step for step in STEPS if not only or step.name in only]
+    try:
+        with connect() as client:
+            state = client.state()
+            _at_rest(state)
+            _may_drive(client, state)
+            delta_deg = MOVE_DEG if whole_leg else STEP_DEG
+            bench = Bench(
+                client,
+                leg,
+                servos=3 if whole_leg else 1,
+                start_deg=angle_deg,
+                end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
+                reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
+                late_ms=late_ms,
+                lands=bool(state.watchdog.landing_ms),
+                restart=restart,
+                config=() if config is None else ("--config", str(config)),
+            )
+            _agree(bench, state, agreed=agreed)
+            with bench.hears():
+                bench.measure()  # stops and asks only: whoever may not command is told so, and nothing was moved
+                found = Drill(state, leg, bench.frames_published)
+                if not bench.frames_published:
+                    hint(
+                        "The gateway publishes no frames (telemetry.frames), so what is measured comes from its state."
+                    )
+                with _ended_stopped(bench):
+                    for number, step in enumerate(steps, 1):
+                        found.outcomes.append(_do(bench, step, f"{number}/{len(steps)}"))
+                    found.complete = True
+    except GatewayError as error:
+        if found is None:
+            raise
+        found.lost = error
+    return found
+
+
+def _do(bench: Bench, step: Step, place: str) -> Outcome:
+    which = f"servo {bench.servo_ids[0]}" if bench.servos == 1 else f"leg {bench.leg}"
+    end_of_silence = "land the robot, then stop it" if bench.lands else "stop it"
+    does = step.does.format(servos=which, start=bench.start_deg, end=bench.end_deg, end_of_silence=end_of_silence)
+    hint(f"{place} {step.name}: {does} …")
+    mark, begun_s = bench.mark(), time.monotonic()
+    passed: bool | None = True
+    figures: Figures = {}
+    try:
+        with drives(bench.client, LEASE_S if step.drives else 0, moves=True) as bench.lease:
+            figures = step.run(bench)
+        detail = ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
+    except FailedError as failed:
+        passed, detail = False, str(failed)
+    except Skipped as skipped:
+        passed, detail = None, str(skipped)
+    except GatewayError as error:
+        passed, detail = False, f"the drill could not go on: {error}"
+    outcome = Outcome(step.name, does, passed, detail, figures, time.monotonic() - begun_s, bench.since(mark))
+    say(f"{outcome.word:8}{step.name}: {detail}")
+    with suppress(GatewayError):  # the end tries again, and says it
+        _rest(bench, keep_estop=step.name == "estop")
+    return outcome
+
+
+def _short(value: float | int | str) -> str:
+    return f"{value:.1f}" if isinstance(value, float) else str(value)
+
+
+def _rest(bench: Bench, *, keep_estop: bool = False) -> None:
+    """All legs stopped; the drill's own emergency stop left, unless the next step goes on with it."""
+    bench.client.stop()
+    if not keep_estop and bench.estop and bench.client.state().mode == Mode.ESTOPPED:
+        bench.reset(bench.estop)  # rejected where somebody else has engaged a newer one
+    bench.wait(lambda: bench.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), IDLE_S)
+
+
+@contextmanager
+def _ended_stopped(bench: Bench) -> Iterator[None]:
+    """However it ends, also by a signal, all legs are stopped, and somebody says so."""
+    stopping = False
+
+    def end() -> None:
+        nonlocal stopping
+        if not stopping:  # a second Ctrl-C must not cost the Stop that the first one asks for
+            stopping = True
+            raise KeyboardInterrupt
+
+    with on_end_signals(end), _stopped(bench):
+        try:
+            yield
+        except KeyboardInterrupt:
+            hint("The drill was ended.")
+        finally:
+            stopping = True
+
+
+@contextmanager
+def _stopped(bench: Bench) -> Iterator[None]:
+    """All legs are stopped at the end, and somebody says so."""
+    try:
+        yield
+    finally:
+        try:
+            _rest(bench)
+            running = bench.running()
+        except GatewayError:
+            hint("Nobody has confirmed that all legs are stopped: if one holds, switch the servos' power off.")
+            raise
+        if running:
+            hint(f"Servos still run: {', '.join(map(str, running))}: switch their power off.")
+        else:
+            hint("All legs are stopped.")
+
+
+def _at_rest(state: GatewayState) -> None:
+    trouble = why_not_at_rest(state)
+    if trouble is not None:
+        raise ConfigError(trouble)
+
+
+def _may_drive(client: Client, state: GatewayState) -> None:
+    """Raises ConfigError while somebody else holds the lease: nothing would be proved."""
+    holder = state.lease.holder
+    if holder is not None and kept_lease.token_of(client) is None:
+        raise ConfigError(
+            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released, or ask for it "
+            f"({this_command()} lease ask)"
+        )
+
+
+def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
+    if state.simulated:
+        return
+    which = f"Servo {bench.servo_ids[0]}" if bench.servos == 1 else f"Leg {bench.leg}"
+    hint(
+        f"{which} will go to {bench.start_deg:g}° at once, wherever it stands, and move by up to "
+        f"{abs(bench.end_deg - bench.start_deg):g}°, several times. Keep people away, and the switch of its power at "
+        "hand."
+    )
+    if state.watchdog.landing_ms:
+        hint(f"Whenever it falls silent, it goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
+    if agreed:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError("nobody can be asked here, since there is no terminal; --yes agrees")
+    sys.stderr.write("Type yes to begin: ")
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise ConfigError("nothing was moved")
+
+
+def unknown_steps(names: Iterable[str]) -> list[str]:
+    """Those that are no step's name."""
+    return sorted(set(names) - {step.name for step in STEPS})

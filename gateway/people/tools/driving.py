@@ -1,0 +1,196 @@
+"""Who is driving, from a shell: what `lease` and `send --hold` do with the lease."""
+
+import shlex
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from types import FrameType
+from typing import Final
+
+from gateway.errors import ConfigError, LeaseError, LeaseLostError, UnansweredError
+from gateway.people.client.blocking import Client
+from gateway.people.client.lease import Lease
+from gateway.people.tools import kept_lease, reach
+from gateway.people.tools.reach import Connection
+from gateway.people.tools.terminal import hint, say, this_command, visible
+from schemas.telemetry import GatewayState, LeaseReport, Reason
+
+connection = partial(reach.connection, source="hexapod-gateway lease")
+
+
+_UNVERIFIED: Final = " (a name that nobody has verified)"
+
+
+def status(connect: Connection) -> int:
+    """Say who drives."""
+    with connect() as client:
+        lease = client.state().lease
+    say(_who(lease))
+    if lease.asked_by is not None:
+        say(f"{visible(lease.asked_by)} asks for it")
+    return 0
+
+
+def take(connect: Connection, *, agreed: bool, for_s: float) -> int:
+    """Take it by force, after asking whether that is meant."""
+    with connect() as client:
+        state = client.state()
+    if not agreed and state.lease.holder is not None and not _agree(state):
+        say("nothing is done")
+        return 1
+    return hold(connect, for_s=for_s, take=True)
+
+
+def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float = 0.0) -> int:
+    """Hold it until Ctrl-C, for so long, or until it is lost or released from elsewhere. Returns the exit code."""
+    with connect() as client, _ended() as ended:
+        if wait_s and (holder := client.state().lease.holder) is not None:
+            hint(f"{visible(holder)} drives, and is asked; waiting for up to {wait_s:g} s.")
+        lease = client.lease(
+            take=take, wait_s=wait_s, source=kept_lease.me(), on_lost=lambda _: ended.set(), on_asked=_tell_of_asker
+        )
+        try:
+            lease.acquire()
+        except LeaseError as error:
+            return not_acquired(client, error)
+        try:
+            released = _drive(client, lease, ended, for_s)
+        finally:
+            lease.release()
+    if lease.lost is None or released:
+        say("released" if lease.lost is None else "released elsewhere")
+        return 0
+    say(visible(f"lost: {lease.lost.detail}"))
+    return 1
+
+
+def _drive(client: Client, lease: Lease, ended: threading.Event, for_s: float) -> bool:
+    """Until it is over; whether this user has released it elsewhere."""
+    token = lease.token or ""
+    with kept_lease.kept(client, token):
+        say(f"{lease.holder} drives{_UNVERIFIED if not lease.verified else ''}")
+        hint("Until it is released, `send` and `reset` of this user drive." + ("" if for_s else " Ctrl-C releases it."))
+        ended.wait(for_s or None)
+        return not kept_lease.is_kept(client, token)
+
+
+def release(connect: Connection, to: str | None) -> int:
+    """Release what this user holds on this machine."""
+    with connect() as client:
+        token = kept_lease.token_of(client)
+        if token is None:
+            say("rejected: no_lease: this user holds no lease of that robot on this machine")
+            return 1
+        if to is None:
+            kept_lease.forget(client, token)  # first, so that whoever holds it knows why it has ended
+        ack = client.lease_requests.release(token, to)
+        if not ack.accepted:
+            return rejected(LeaseError(ack.reason or "", ack.detail or "", ack.holder))
+        kept_lease.forget(client, token)
+        say("released" if to is None else f"handed over to {visible(to)}")
+        return 0
+
+
+@contextmanager
+def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, str]]:
+    """What a command of `send` adds to its payload to drive: the token that this user keeps, or nothing (a Stop).
+
+    One that is held for a time acquires the lease for that time, where it is free. Raises LeaseError where it is not.
+    """
+    if not moves:
+        yield {}
+        return
+    token = None
+    with suppress(UnansweredError):  # a gateway that knows of no lease
+        token = kept_lease.token_of(client)
+    if token is not None or not hold_s:
+        yield {} if token is None else {"lease": token}
+        return
+    lease = client.lease(source=kept_lease.me())
+    try:
+        lease.acquire()
+    except UnansweredError:
+        pass
+    except LeaseError as error:
+        if error.reason == Reason.LEASE_HELD:
+            raise
+        if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know what is asked
+            hint(visible(f"It is sent without the lease: {error.detail}"))
+    try:
+        yield {}
+    finally:
+        lease.release()
+
+
+def not_acquired(client: Client, error: LeaseError) -> int:
+    """Say why the lease is not to be had, and what can be done. Returns the exit code."""
+    if error.reason == Reason.LEASE_HELD and kept_lease.token_of(client) is not None:
+        say("rejected: lease_held: this user holds it already, in another terminal")
+        hint(f"`{this_command()} lease release` ends that.")
+        return 1
+    return rejected(error)
+
+
+def rejected(error: LeaseError | LeaseLostError) -> int:
+    """Say why, and what can be done. Returns the exit code."""
+    say(visible(f"rejected: {error.reason}: {error.detail}"))
+    advise(error.reason)
+    return 1
+
+
+def advise(reason: str | None) -> None:
+    """What a person can do whose command was rejected because of the lease."""
+    if reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
+        hint(
+            f"`{this_command()} lease ask` asks for it; `lease take` takes it by force, and stops all legs first; "
+            "`send stop` and `estop` work for everybody."
+        )
+    elif reason == Reason.NO_LEASE:
+        hint(f"This robot wants to know who drives: `{this_command()} lease acquire`, or `send … --hold S`.")
+
+
+def _who(lease: LeaseReport) -> str:
+    if lease.holder is None:
+        return "nobody drives"
+    verified = "" if lease.verified else _UNVERIFIED
+    holder = visible(lease.holder)
+    if lease.held_s is None:
+        return f"handed over to {holder}{verified}, who has not acquired it yet"
+    return f"{holder} drives{verified}, for {lease.held_s:.0f} s"
+
+
+def _agree(state: GatewayState) -> bool:
+    running = sum(any(servo.running for servo in leg.servos) for leg in state.legs)
+    legs = "no leg runs" if not running else f"{running} leg{'' if running == 1 else 's'} running"
+    if not sys.stdin.isatty():
+        raise ConfigError(f"{_who(state.lease)} ({legs}): say --yes to take it without being asked")
+    hint(f"{_who(state.lease)}; {legs}. Taking it by force stops all six legs first.")
+    sys.stderr.write("Take it? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _tell_of_asker(who: str) -> None:
+    to = shlex.quote(visible(who))
+    hint(f"{visible(who)} asks for the lease: `{this_command()} lease release --to {to}` hands it over.")
+
+
+@contextmanager
+def _ended() -> Iterator[threading.Event]:
+    """Set by Ctrl-C and by a request to end, so that the lease is released."""
+    ended = threading.Event()
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        ended.set()
+
+    handlers: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+    for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        handlers.setdefault(number, signal.signal(number, end))
+    try:
+        yield ended
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

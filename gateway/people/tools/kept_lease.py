@@ -1,0 +1,93 @@
+"""The lease of a person who drives from a shell: `lease acquire` holds it, `send` and `reset` carry its token.
+
+It lies in a file that only its owner may read, in the folder that the system empties at logout (XDG_RUNTIME_DIR), and
+is removed when the lease ends. It is never printed, and never an argument of a process, which all may read.
+"""
+
+import getpass
+import hashlib
+import json
+import os
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import ConfigError
+from gateway.people.client.blocking import Client
+
+_FOLDER: Final = "hexapod-gateway"
+_MAX_SOURCE: Final = 64
+
+
+def me() -> str:
+    """Who drives, where no certificate says it."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user without a name
+        user = "somebody"
+    return f"{user}@{socket.gethostname()}"[:_MAX_SOURCE]
+
+
+def token_of(client: Client) -> str | None:
+    """The token that this person keeps for the client's robot, if the gateway still takes it. Raises DisconnectedError.
+
+    One that it no longer takes is forgotten: commands that carry it would be rejected.
+    """
+    file = _file(client)
+    token = _read(file)
+    if token is None:
+        return None
+    if client.lease_requests.renew(token).accepted:
+        return token
+    _forget(file, token)
+    return None
+
+
+@contextmanager
+def kept(client: Client, token: str) -> Iterator[None]:
+    """Keep a token for the other commands of this person. Raises ConfigError."""
+    file = _file(client)
+    try:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor, new = tempfile.mkstemp(dir=file.parent)  # for its owner only
+        with open(descriptor, "w", encoding="ascii") as out:
+            out.write(token)
+        Path(new).replace(file)
+    except OSError as error:
+        raise ConfigError(f"cannot keep the lease in {file}: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        _forget(file, token)
+
+
+def is_kept(client: Client, token: str) -> bool:
+    """Whether it is still kept: `lease release` forgets it."""
+    return _read(_file(client)) == token
+
+
+def forget(client: Client, token: str) -> None:
+    """It is over."""
+    _forget(_file(client), token)
+
+
+def _file(client: Client) -> Path:
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    above = Path(runtime) if runtime and Path(runtime).is_dir() else Path.home() / ".cache"
+    return above / _FOLDER / f"lease-{hashlib.sha256(json.dumps(client.robot).encode()).hexdigest()[:16]}"
+
+
+def _read(file: Path) -> str | None:
+    try:
+        return file.read_text("ascii").strip() or None
+    except (OSError, ValueError):
+        return None
+
+
+def _forget(file: Path, token: str) -> None:
+    if _read(file) == token:  # and not that of a newer one
+        with suppress(OSError):
+            file.unlink()

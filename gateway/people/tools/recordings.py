@@ -1,0 +1,101 @@
+"""The command line of recordings and viewers: `record`, `replay` and `foxglove`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway.errors import ConfigError
+from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+
+app = typer.Typer()
+
+GeometryOption = Annotated[
+    Path | None,
+    typer.Option("--geometry", metavar="FILE", help="The robot's shape (JSON). Default: the Elkapod's."),
+]
+
+
+@app.command()
+def record(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to make, such as ride.mcap")],
+    seconds: Annotated[
+        float | None, typer.Option("--for", metavar="S", min=0, help="End by itself after this many seconds.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Record nothing: make a file whole that was cut off.")
+    ] = False,
+    geometry: GeometryOption = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Record state, events and frames into an MCAP file, until Ctrl-C.
+
+    Foxglove and Lichtblick open it, and so do twenty lines of Python (docs/recordings.md). Frames are in it where the
+    gateway publishes them (telemetry.frames). Recordings in the same folder that were cut off are made whole first.
+
+    Exit codes: 0 ended on request, 1 the disk does not take it, 2 the file exists or is none, 4 no gateway answers.
+    """
+    from gateway.people.tools import reach
+    from gateway.people.tools.record import record, repair_file
+
+    if repair:
+        sys.exit(repair_file(file))
+    if file.suffix != ".mcap":
+        raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
+    connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record")
+    sys.exit(record(connection, file, geometry=geometry, overwrite=force, seconds=seconds))
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording with frames")],
+    speed: Annotated[float, typer.Option("--speed", metavar="X", min=0.1, max=10, help="2 is twice as fast.")] = 1.0,
+    check: Annotated[
+        bool, typer.Option("--check", help="Compare what the gateway then writes: same bytes, same order, same times.")
+    ] = False,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="MS", min=0, help="With --check: how far times may be off.")
+    ] = 5.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Move a real robot without asking.")] = False,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Drive a gateway with the frames of a recording, in their time; asks before it moves a real robot.
+
+    It drives (see `lease`) meanwhile, and stops all legs at the end, also on Ctrl-C.
+
+    Exit codes: 0 all was sent (--check: and the gateway wrote the same), 1 it was rejected or stopped, or differs,
+    2 there is nothing to replay, the robot is not at rest, or nobody agreed, 4 no gateway answers.
+    """
+    from gateway.people.tools import reach
+    from gateway.people.tools.replay import SOURCE, replay
+
+    connection = reach.connection(connect, zenoh_config, timeout, source=SOURCE)
+    sys.exit(replay(connection, file, speed=speed, check=check, agreed=yes, tolerance_ms=tolerance))
+
+
+@app.command()
+def foxglove(
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="On 127.0.0.1; 0: any free one.")
+    ] = 8765,
+    geometry: GeometryOption = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Show the robot live in Foxglove or Lichtblick, with the channels of a recording. Read only.
+
+    Exit codes: 0 ended on request, 2 the extra \\[foxglove] is missing or a file is faulty, 4 no gateway answers,
+    5 the address is taken.
+    """
+    from gateway.people.tools import reach
+    from gateway.people.tools.foxglove_server import serve
+
+    connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway foxglove")
+    sys.exit(serve(connection, port=port, geometry=geometry))

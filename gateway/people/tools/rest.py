@@ -1,0 +1,19 @@
+"""Whether a robot is at rest: what moves a servo by itself begins only then."""
+
+from typing import Final
+
+from gateway.people.tools.terminal import this_command
+from schemas.telemetry import GatewayState, Mode
+
+_WAIT: Final = "wait until it is idle"
+
+
+def why_not_at_rest(state: GatewayState) -> str | None:
+    """One sentence with what to do; None: it is."""
+    if state.mode == Mode.IDLE:
+        return None
+    remedies = {
+        str(Mode.ACTIVE): f"a servo runs; stop it first ({this_command()} send stop)",
+        str(Mode.ESTOPPED): f"leave the emergency stop first ({this_command()} reset)",
+    }
+    return f"the gateway is {state.mode}, and nothing is moved: {remedies.get(str(state.mode), _WAIT)}"

@@ -1,0 +1,173 @@
+"""`send`, `estop` and `reset`: one acknowledged command each, through a running gateway."""
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import ConfigError, LeaseError
+from gateway.people.client.blocking import Client, several_answer
+from gateway.people.client.config import client_config
+from gateway.people.client.payloads import leg_payload, servo_payload
+from gateway.people.client.proof import Identity
+from gateway.people.tools import reach
+from gateway.people.tools.kept_lease import me
+from gateway.people.tools.reach import Connection
+from gateway.people.tools.terminal import hint, say, this_command, visible
+from schemas import keys
+from schemas.robot import JOINTS, LEGS
+from schemas.telemetry import Ack
+
+HOLD_PERIOD_S = 0.05
+"""A fifth of the default watchdog timeout."""
+
+OTHERS_S = 0.2
+"""How long a command goes on listening after the answer, but only where somebody has yet to answer or decline."""
+
+_MOST_PERSON: Final = 40
+"""Of the 64 characters that a source may have."""
+
+
+def connection(
+    connect: str | None, zenoh_config: Path | None, timeout_s: float, *, command: str = "send"
+) -> Connection:
+    """How to reach the gateway; in events and states its commands are those of the person who sends them."""
+    person = person_of(connect, zenoh_config)[:_MOST_PERSON]
+    return reach.connection(connect, zenoh_config, timeout_s, source=f"{person} (hexapod-gateway {command})")
+
+
+def person_of(connect: str | None, zenoh_config: Path | None) -> str:
+    """The certificate's person; without one, the user of this machine."""
+    if zenoh_config is not None:
+        identity = Identity.of(client_config(connect, zenoh_config))
+        if identity is not None:
+            with suppress(ConfigError):
+                return identity.person()
+    return me()
+
+
+def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
+    """Send a leg's command; see `_send`."""
+    wanted = 0 if op == "stop" else len(JOINTS)
+    _check_op(op)
+    if len(angles_deg) != wanted:
+        raise ConfigError(
+            f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; "
+            f"for example: send leg {leg} {op}{' 90 45 120' if wanted else ''}"
+        )
+    return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
+
+
+def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
+    """Send a servo's command; see `_send`."""
+    _check_op(op)
+    if (angle_deg is None) != (op == "stop"):
+        wanted, angle = ("no", "") if op == "stop" else ("one", " 90")
+        raise ConfigError(f"{op} takes {wanted} angle; for example: send servo {servo_id} {op}{angle}")
+    try:
+        key = keys.servo_command(servo_id)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    return _send(connect, key, servo_payload(op, angle_deg), moves=op != "stop", hold_s=hold_s)
+
+
+def send_stop(connect: Connection) -> int:
+    """Stop all six legs."""
+    with connect() as client:
+        code = _report(client.stop(), "all six legs are stopped")
+        _tell_of_others(client, keys.LEGS_COMMAND)
+        return code
+
+
+def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
+    """Send an acknowledged command, repeat it for `hold_s`, and say what became of it. Returns the exit code."""
+    from gateway.people.tools import driving  # a Stop does not wait for what this loads
+
+    with connect() as client:
+        try:
+            with driving.drives(client, hold_s, moves=moves) as lease:
+                code = _send_for(client, key, {**payload, **lease}, moves=moves, hold_s=hold_s)
+        except LeaseError as error:
+            code = driving.rejected(error)
+        _tell_of_others(client, key)
+        return code
+
+
+def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
+    code = _report(client.ask(key, payload, again=not moves), "accepted")
+    end = time.monotonic() + hold_s
+    again = _set_instead_of_start(payload)
+    while code == 0 and time.monotonic() < end:
+        time.sleep(HOLD_PERIOD_S)
+        ack = client.ask(key, again)
+        if not ack.accepted:
+            code = _report(ack, "")
+    if code == 0 and moves:
+        watchdog = client.state().watchdog
+        timeout = f"{watchdog.timeout_ms:g} ms"
+        lands = f", once the robot has landed in {watchdog.landing_ms:g} ms" if watchdog.landing_ms else ""
+        hint(
+            f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout}{lands}."
+            if hold_s
+            else f"The watchdog stops it {timeout} after a command{lands}; --hold S repeats it for S seconds."
+        )
+    return code
+
+
+def _set_instead_of_start(payload: dict[str, object]) -> dict[str, object]:
+    """What keeps running what a command started: a start, sent again, would undo somebody else's Stop."""
+    servos = payload.get("servos")
+    if isinstance(servos, list | tuple):
+        return {**payload, "servos": [_set_instead_of_start(servo) for servo in servos]}
+    return {**payload, "op": "set"} if payload.get("op") == "start" else payload
+
+
+def estop(connect: Connection) -> int:
+    """Engage the emergency stop."""
+    with connect() as client:
+        ack = client.estop()
+        stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
+        if stopped:
+            say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
+            hint(f"All commands are rejected until `{this_command()} reset`.")
+        else:
+            written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
+            say(f"latched, but {written}: switch the servos' power off")
+        _tell_of_others(client, keys.ESTOP)
+    return 0 if stopped else 1
+
+
+def reset(connect: Connection) -> int:
+    """Leave the emergency stop."""
+    from gateway.people.tools import driving
+
+    with connect() as client:
+        with driving.drives(client, 0, moves=True) as lease:
+            ack = client.ask(keys.RESET, {"estop": client.state().estop, **lease})
+        code = _report(ack, "reset; nothing moves until it is started again")
+        _tell_of_others(client, keys.RESET)
+        return code
+
+
+def _tell_of_others(client: Client, key: str) -> None:
+    """After the result, since nobody is to wait for that: say that not only the gateway answers."""
+    count = len(client.answerers(key, OTHERS_S))
+    if count > 1:
+        hint(several_answer(count, key))
+
+
+def _check_op(op: str) -> None:
+    if op not in ("start", "set", "stop"):
+        raise ConfigError(f"{op} is no operation; it is start, set or stop")
+
+
+def _report(ack: Ack, accepted: str) -> int:
+    if ack.accepted:
+        say(accepted + (" (a newer command replaced it while it waited)" if ack.coalesced else ""))
+        return 0
+    from gateway.people.tools import driving
+
+    say(visible(f"rejected: {ack.reason}: {ack.detail}"))
+    driving.advise(ack.reason)
+    return 1

@@ -1,0 +1,34 @@
+"""`run`: the service, and what it prints once it is ready."""
+
+from collections.abc import Sequence
+
+import zenoh
+
+from gateway.people.client.blocking import DEFAULT_ENDPOINT
+from gateway.people.tools.terminal import say, this_command
+from gateway.robot import service
+from gateway.robot.edge.exposure import listen_endpoints
+from gateway.robot.settings import Settings
+
+
+def run(settings: Settings, *, simulated: bool) -> None:
+    """Run the service and, once it is ready, say where it is and what to try next."""
+
+    def ready(config: zenoh.Config) -> None:
+        robot = "a simulated controller" if simulated else settings.spi.device
+        endpoints = listen_endpoints(config)
+        where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
+        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
+        say(next_step(endpoints, this_command()))
+
+    service.run(settings, simulated=simulated, on_ready=ready)
+
+
+def next_step(endpoints: Sequence[str], command: str) -> str:
+    """What to try, where the service listens on `endpoints`; `command` is how this program was called."""
+    plain = [endpoint for endpoint in endpoints if not endpoint.startswith(("tls/", "quic/"))]
+    if not plain:
+        made = "NAME.json5 is made by: hexapod-gateway certs issue NAME --role operator, where ca.key is"
+        return f"Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 ({made})"
+    connect = "" if DEFAULT_ENDPOINT in plain else f" --connect {plain[0]}"
+    return f"Try, in a second terminal: {command} walk --forward 0.1 --seconds 5{connect}"

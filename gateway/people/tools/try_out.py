@@ -1,0 +1,93 @@
+"""What `make run` starts: a simulated robot with a black box, what keeps its incidents, and the console.
+
+They end together, on Ctrl-C or SIGTERM, or when the gateway ends; the end of the others does not end the gateway. Each
+is a process of its own, as on a robot. The console begins when the gateway is ready, so that its link is printed last.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Final
+
+from gateway.people.tools.ending import on_end_signals
+from gateway.people.tools.terminal import say
+from gateway.robot.blackbox.place import tried
+
+NO_CONSOLE: Final = "no"
+_COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")
+_LOOK_S: Final = 0.1
+"""How soon the end of a gateway that never becomes ready is noticed."""
+_END_S: Final = 5.0
+
+
+def try_out(console: Sequence[str]) -> int:
+    """Run all three until the gateway has ended; its exit code. `console`: its options, or `no`."""
+    children: list[subprocess.Popen[bytes]] = []
+    ended = False
+
+    def start(*arguments: str, **environment: str) -> subprocess.Popen[bytes]:
+        child = subprocess.Popen([_command(), *arguments], env={**_environment(os.environ), **environment})
+        children.append(child)
+        if ended:
+            child.terminate()
+        return child
+
+    def end() -> None:
+        nonlocal ended
+        ended = True
+        for child in children:
+            with suppress(ProcessLookupError):
+                child.terminate()
+
+    with ExitStack() as stack:
+        stack.enter_context(on_end_signals(end))
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hexapod-"))
+        notified = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+        notified.bind(f"{folder}/notify")
+        notified.settimeout(_LOOK_S)
+        gateway = start("run", "--sim", NOTIFY_SOCKET=f"{folder}/notify")
+        if _is_ready(gateway, notified) and not ended:
+            start("incidents", "keep")
+            say(f"or, from the keyboard: {_command()} walk")
+            if list(console) != [NO_CONSOLE]:
+                start("console", *console)
+        status = gateway.wait()
+        end()
+        for child in children:
+            try:
+                child.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                child.kill()
+    return status if status >= 0 else 128 - status
+
+
+def _is_ready(gateway: subprocess.Popen[bytes], notified: socket.socket) -> bool:
+    """Wait for its word to systemd; False where it has ended before."""
+    while gateway.poll() is None:
+        with suppress(TimeoutError):
+            if b"READY=1" in notified.recv(4096):
+                return True
+    return False
+
+
+def _environment(given: Mapping[str, str]) -> dict[str, str]:
+    """What is recorded, and where, unless somebody wants something else."""
+    return {"HEXAPOD_RECORDER__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
+
+
+def _command() -> str:
+    return _shown(_COMMAND)
+
+
+def _shown(path: Path) -> str:
+    """As somebody types it in the folder in which this was started: what is printed there can be copied."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+if __name__ == "__main__":
+    sys.exit(try_out(sys.argv[1:]))

@@ -1,0 +1,201 @@
+"""The terminal of `walk`: keys, the robot and drawing on a thread each, so that none waits for another."""
+
+import math
+import os
+import queue
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from gateway.errors import GatewayError
+from gateway.people.client.blocking import Client
+from gateway.people.client.walk import Walk
+from gateway.people.tools.keys import Keyboard, keys_at_once, wake_on_signals
+from gateway.people.tools.terminal import hint, visible
+from gateway.people.tools.walk.keypad import Keypad
+from gateway.people.tools.walk.script import went
+from gateway.people.walking import Velocity
+from schemas.telemetry import Mode
+
+FRAME_S: Final = 0.1
+TICK_S: Final = 0.02
+HOLD_S: Final = 0.25
+"""Should this program freeze, the robot stands after it: its other thread commands 50 times a second."""
+REST_S: Final = 60.0
+"""Without a key: then it sits down, and its servos are stopped."""
+HEIGHT_STEP_M: Final = 0.01
+_READ: Final = 4096
+_GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
+_KEYS: Final = """
+  W S ↑ ↓   forward, backward          1 2 3   tripod, ripple, wave
+  ← →       turn                       + -     faster, slower
+  A D       step sideways              r f     higher, lower
+  t         stand     c  sit down      q       sit down, stop and leave
+
+  SPACE or x   EMERGENCY STOP          g       go on after a stop (a person's word)
+"""
+
+
+class Screen:
+    """One person's drive; `run` shows it until q."""
+
+    def __init__(self, client: Client, holder: str, gait: str, geometry: Path | None, height_m: float | None) -> None:
+        """`holder`: by which name we hold the lease."""
+        self._client = client
+        self._holder = holder
+        self._walk: Walk = client.walk(gait, geometry)
+        self._height_m = height_m
+        self._pad = Keypad()
+        self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._ended = threading.Event()
+        self._message = "Nothing moves before you press a key."
+        self._sits = False
+        self._console = Console()
+        self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
+
+    def run(self) -> int:
+        """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
+        terminal = sys.stdin.fileno()
+        drawer = threading.Thread(target=self._draw, name="draw", daemon=True)
+        driver = threading.Thread(target=self._drive, name="drive", daemon=True)
+        self._walk.open()
+        self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
+        failed: GatewayError | None = None
+        with keys_at_once(terminal), wake_on_signals() as (woken, _):
+            drawer.start()
+            driver.start()
+            try:
+                self._read_keys(terminal, woken)
+            finally:
+                self._ended.set()
+                try:
+                    self._walk.close(sits=self._sits)
+                except GatewayError as error:
+                    failed = error
+                drawer.join(1.0)
+        if failed is not None:
+            hint(f"hexapod-gateway: {visible(str(failed))}")
+            return 1
+        return 0
+
+    # ---- keys
+
+    def _read_keys(self, terminal: int, woken: int) -> None:
+        keyboard = Keyboard()
+        while True:
+            ready, _, _ = select.select([terminal, woken], [], [])
+            if woken in ready:
+                return
+            try:
+                data = os.read(terminal, _READ)
+            except OSError:  # the terminal is gone
+                return
+            if not data or not self._press(keyboard.keys(data, time.monotonic())):
+                return
+
+    def _press(self, keys: list[str]) -> bool:
+        """Act on them; whether to go on. An emergency stop among them is all that counts."""
+        if " " in keys or "x" in keys:
+            self._pad.release()
+            threading.Thread(target=self._estop, name="estop").start()
+            return True
+        for key in keys:
+            if key == "ctrl-c":
+                return False
+            if key in ("q", "escape"):
+                self._sits, self._message = True, "It sits down …"
+                self._pad.release()
+                return False
+            if not self._pad.press(key, time.monotonic()):
+                self._act(key.lower())
+        return True
+
+    def _act(self, key: str) -> None:
+        walk = self._walk
+        if key == "t":
+            self._todo.put(lambda: walk.stand(self._height_m))
+        elif key == "c":
+            self._todo.put(walk.sit)
+        elif key == "g":
+            self._todo.put(self._go_on)
+        elif key in _GAITS:
+            self._todo.put(lambda: walk.walk_as(_GAITS[key]))
+        elif key in ("r", "f"):
+            self._todo.put(lambda: self._rise(HEIGHT_STEP_M if key == "r" else -HEIGHT_STEP_M))
+
+    def _rise(self, by_m: float) -> None:
+        height_m = (self._height_m or self._walk.state.height_m) + by_m
+        self._walk.stand(height_m)
+        self._height_m = height_m
+
+    def _go_on(self) -> None:
+        if self._client.state().mode == Mode.ESTOPPED:
+            self._client.reset()
+        self._walk.start_again()
+        self._message = "It goes on with the next key."
+
+    def _estop(self) -> None:
+        try:
+            ack = self._client.estop()
+            self._message = f"EMERGENCY STOP: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs"
+        except GatewayError as error:
+            self._message = f"NOT STOPPED: {error}"
+
+    # ---- the robot
+
+    def _drive(self) -> None:
+        if self._height_m is not None:
+            height_m = self._height_m
+            self._todo.put(lambda: self._walk.stand(height_m))
+        while not self._ended.is_set():
+            try:
+                if not self._todo.empty():
+                    self._message = ""
+                    self._todo.get()()
+                velocity = self._pad.velocity(time.monotonic())
+                if velocity.moves:
+                    self._walk.go(*velocity)
+                else:
+                    self._ended.wait(TICK_S)
+            except (GatewayError, RuntimeError) as error:
+                self._message = str(error).replace("start_again() goes on", "g goes on")
+                self._pad.release()
+
+    # ---- drawing
+
+    def _draw(self) -> None:
+        with self._live:
+            while not self._ended.wait(FRAME_S):
+                self._live.update(self._picture(), refresh=True)
+            self._live.update(self._picture(), refresh=True)
+
+    def _picture(self) -> Text:
+        text = Text(no_wrap=False)
+        text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n\n", "bold")
+        try:
+            state = self._walk.state
+        except RuntimeError:  # it is over
+            return text.append("It is stopped.")
+        commanded = _shown(self._pad.velocity(time.monotonic()))
+        text.append(f"  {state.posture:10} {state.gait}, {100 * state.height_m:.0f} cm high, ")
+        text.append(f"keys: {self._pad.speed_m_s:g} m/s\n")
+        text.append(f"  commanded  {commanded}\n")
+        text.append(f"  scaled to  {_shown(state.scaled)}  ")
+        text.append(f"{state.limit}\n" if state.limit else "\n", "yellow")
+        text.append(f"  went       {went(state)}\n")
+        text.append(_KEYS)
+        text.append(f"\n{visible(self._message)}\n", "bold red" if state.lost or "STOP" in self._message else "")
+        return text
+
+
+def _shown(velocity: Velocity) -> str:
+    forward, left, turn = velocity
+    return f"{forward:+.2f} m/s ahead, {left:+.2f} m/s left, {math.degrees(turn):+.0f} °/s"

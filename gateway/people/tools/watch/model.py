@@ -1,0 +1,399 @@
+"""What `watch` shows, as data: pure, with the time as an argument. It neither draws nor speaks Zenoh.
+
+People stand beside the robot, so it must always be right about three things: how old the picture is, whether the
+gateway is there, and whether the emergency stop was taken.
+"""
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import Enum, StrEnum, auto
+from typing import Final
+
+from gateway.people.tools.terminal import visible
+from schemas.robot import LEGS
+from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
+
+NS_PER_MS: Final = 1_000_000
+NS_PER_S: Final = 1_000_000_000
+
+SILENT_AFTER_NS: Final = 2_000_000_000
+"""Long enough for a gateway that publishes no state, which is asked for it, and for one lost answer (link.py: 0.4 s,
+0.6 s, 0.4 s). The end of its process is noticed at once, by its liveliness token."""
+RATE_WINDOW_S: Final = 2.0
+"""Rates are means over this time: at 10 states a second, steady to the eye and still quick to follow."""
+SAME_START_S: Final = 0.1
+"""Two states of one gateway agree on its start time to within this; no gateway restarts so quickly."""
+STOP_PATIENCE_NS: Final = 500_000_000
+"""A stop takes milliseconds. If its confirmation takes longer, the person must go to the power switch."""
+REMARK_NS: Final = 15 * NS_PER_S
+"""How long a remark on a success is shown; one on a failure stays until another key is pressed."""
+QUESTION_NS: Final = 10 * NS_PER_S
+"""An older question is withdrawn, so that a stray y answers nothing."""
+KEPT_EVENTS: Final = 200
+SOURCES: Final = 64
+"""Sources counted separately, as in the gateway; all further ones share one line."""
+OTHERS: Final = "all others"
+NAMELESS: Final = "no name"
+
+
+class Presence(Enum):
+    """Whether anybody is there."""
+
+    WAITING = auto()  # nothing has been heard yet
+    LIVE = auto()
+    SILENT = auto()  # something was heard, and then no more
+
+
+class Tone(StrEnum):
+    """How a remark is meant."""
+
+    GOOD = "good"
+    NOTE = "note"
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """What became of a key that was pressed, in one sentence."""
+
+    tone: Tone
+    text: str
+    since_ns: int
+    of_stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One event, or a remark of `watch` about the gateway (`kind` is then none of the gateway's)."""
+
+    time: datetime
+    kind: str
+    text: str
+    bad: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Per second, means over the window; None until two states have been heard."""
+
+    accepted: float | None = None
+    rejected: float | None = None
+    coalesced: float | None = None
+    frames: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    uptime_s: float
+    accepted: int
+    rejected: int
+    coalesced: int
+    frames: int
+
+
+@dataclass(slots=True)
+class Model:
+    """Everything that is shown. `heard_…` methods take what arrives; the others take the time."""
+
+    state: GatewayState | None = None
+    own_expiry: str | None = None
+    """That this laptop's certificate expires soon."""
+    trouble: str = ""
+    """Why there is no connection: a line for each host."""
+    remark: Remark | None = None
+    rejected: Counter[str] = field(default_factory=Counter)
+    """Commands rejected since we watch, by source, with those that the gateway left out of its events."""
+    reasons: dict[str, str] = field(default_factory=dict)
+    """The latest reason, by source."""
+    lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_EVENTS))
+    """Newest first."""
+    stop_wanted_ns: int | None = None
+    """Since when an emergency stop is requested and not confirmed; None: there is none."""
+    stop_tries: int = 0
+    estop: int | None = None
+    """The number of the latest emergency stop that we have heard of."""
+    _state_ns: int = 0
+    _heard_ns: int | None = None
+    _gone: bool = False
+    _told: Presence = Presence.WAITING
+    _samples: deque[_Sample] = field(default_factory=deque)
+    _back: bool = False
+    """It was silent, and no state has come since."""
+    _warned: set[str] = field(default_factory=set)
+    drives: bool = False
+    """We hold the lease."""
+    _asked_ns: int | None = None
+    _take_ns: int | None = None
+    _pressed_ns: int = 0
+    _reset_ns: int = 0
+
+    # ---- what is heard
+
+    def heard_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
+        """A state came, published or as an answer."""
+        self._hear(now_ns, wall)
+        known = self.state
+        back, self._back = self._back, False
+        older = known is not None and state.uptime_s < known.uptime_s
+        if known is not None and (older or back):  # its uptime alone does not show a restart after a silence
+            if abs(_started_s(state) - _started_s(known)) >= SAME_START_S:
+                self._note(wall, "restarted", "the gateway was started again", bad=True)
+                self._samples.clear()
+            elif older:
+                return  # an answer that a published state has overtaken
+        if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
+            self._forget_remark_of_stop()
+        self.state, self._state_ns, self.estop = state, now_ns, state.estop
+        if state.mode is Mode.ESTOPPED and self.stop_wanted_ns is not None and self.stop_tries:
+            # The answer was lost, or somebody else engaged it where this laptop may not.
+            self.stop_wanted_ns = None
+            text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
+            self.remark = Remark(Tone.NOTE, text, now_ns, of_stop=True)
+        commands = state.commands
+        self._samples.append(
+            _Sample(state.uptime_s, commands.accepted, commands.rejected, commands.coalesced, state.spi.frames)
+        )
+        # Keep one sample that is at least a window old, so that states that come slowly also give rates.
+        while len(self._samples) > 2 and state.uptime_s - self._samples[1].uptime_s >= RATE_WINDOW_S:
+            self._samples.popleft()
+
+    def heard_event(self, event: Event, now_ns: int, wall: datetime) -> None:
+        """An event came."""
+        self._hear(now_ns, wall)
+        source = visible(event.source or NAMELESS)
+        text = visible(event.detail)
+        if event.kind is Kind.COMMAND_REJECTED:
+            known = source if source in self.rejected or len(self.rejected) < SOURCES else OTHERS
+            self.rejected[known] += 1 + event.left_out
+            if event.reason is not None:
+                self.reasons[known] = event.reason
+            text = f"{source}: {text}"
+        elif event.source is not None and source not in text:
+            text = f"{text} ({source})"
+        self.lines.appendleft(Line(event.time, visible(event.kind), text, event.kind in _BAD))
+
+    def heard_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
+        """The gateway's liveliness token came or went; it goes within milliseconds when the process ends."""
+        if alive:
+            self._hear(now_ns, wall)
+        else:
+            self._gone = True
+            self.look(now_ns, wall)
+
+    def heard_others(self, warning: str, wall: datetime) -> None:
+        """Other programs answer, too; each warning is shown once."""
+        if warning not in self._warned:
+            self._warned.add(warning)
+            self._note(wall, "others_answer", warning, bad=True)
+
+    def look(self, now_ns: int, wall: datetime) -> None:
+        """Notice what time alone changes: silence, and a question that nobody answered."""
+        presence = self.presence(now_ns)
+        if presence is Presence.SILENT and self._told is not Presence.SILENT:
+            self._told = presence
+            self._note(wall, "silent", "the gateway fell silent", bad=True)
+        if self._asked_ns is not None and not self.asking(now_ns):
+            self._asked_ns = None
+        if self._take_ns is not None and not self.asking_to_take(now_ns):
+            self._take_ns = None
+        remark = self.remark
+        if remark is not None and remark.tone is not Tone.BAD and now_ns - remark.since_ns > REMARK_NS:
+            self.remark = None
+
+    def _hear(self, now_ns: int, wall: datetime) -> None:
+        if self._told is Presence.SILENT and self._heard_ns is not None:
+            self._back = True
+            away_s = (now_ns - self._heard_ns) / NS_PER_S
+            self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
+        self._heard_ns, self._gone, self._told, self.trouble = now_ns, False, Presence.LIVE, ""
+
+    def _forget_remark_of_stop(self) -> None:
+        """Remove a remark that says STOPPED once the robot may move again."""
+        if self.remark is not None and self.remark.of_stop:
+            self.remark = None
+
+    def _note(self, wall: datetime, kind: str, text: str, *, bad: bool) -> None:
+        self.lines.appendleft(Line(wall, kind, text, bad))
+
+    # ---- what it means
+
+    def presence(self, now_ns: int) -> Presence:
+        """Whether the gateway is there."""
+        if self._heard_ns is None:
+            return Presence.WAITING
+        return Presence.SILENT if self._gone or now_ns - self._heard_ns > SILENT_AFTER_NS else Presence.LIVE
+
+    def silent_s(self, now_ns: int) -> float:
+        """For how long nothing has been heard."""
+        return 0.0 if self._heard_ns is None else (now_ns - self._heard_ns) / NS_PER_S
+
+    def state_age_ms(self, now_ns: int) -> float:
+        """How long ago the state came; infinite before the first."""
+        return float("inf") if self.state is None else (now_ns - self._state_ns) / NS_PER_MS
+
+    def command_age_ms(self, leg: LegReport, now_ns: int) -> float | None:
+        """The age of the leg's last accepted command: as the state said, plus the time since the state came."""
+        return None if leg.age_ms is None else leg.age_ms + self.state_age_ms(now_ns)
+
+    def running_legs(self) -> int:
+        """Legs with a running servo, in the last state."""
+        legs = () if self.state is None else self.state.legs
+        return sum(any(servo.running for servo in leg.servos) for leg in legs)
+
+    def rates(self) -> Rates:
+        """Commands and frames a second, by the gateway's own clock."""
+        if len(self._samples) < 2:
+            return Rates()
+        first, last = self._samples[0], self._samples[-1]
+        span_s = last.uptime_s - first.uptime_s
+        if span_s <= 0:
+            return Rates()
+        return Rates(
+            (last.accepted - first.accepted) / span_s,
+            (last.rejected - first.rejected) / span_s,
+            (last.coalesced - first.coalesced) / span_s,
+            (last.frames - first.frames) / span_s,
+        )
+
+    # ---- emergency stop and reset
+
+    def stop_pressed(self, now_ns: int) -> None:
+        """The stop key was pressed. The stop is wanted until it is confirmed, or until a reset is requested."""
+        self._asked_ns = self._take_ns = None
+        self.remark = None
+        if self.stop_wanted_ns is None:
+            self.stop_wanted_ns = self._pressed_ns = now_ns
+            self.stop_tries = 0
+
+    def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
+        """The gateway confirms the request of `asked_ns`, and says how many Stop frames it wrote."""
+        self.estop = max(self.estop or 0, ack.estop or 0)
+        if asked_ns < self._reset_ns:
+            return  # a reset has followed that stop; a later stop waits for its own answer
+        told = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
+        if self.stop_wanted_ns is None and told:
+            return  # the second answer to one stop
+        self.stop_wanted_ns = None
+        frames = ack.stop_frames or 0
+        took = f", confirmed {(now_ns - self._pressed_ns) / NS_PER_MS:.0f} ms after the key"
+        if frames >= len(LEGS) and ack.latency_us is not None:
+            text = f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request{took}"
+            self.remark = Remark(Tone.GOOD, text, now_ns, of_stop=True)
+        else:
+            text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
+            self.remark = Remark(Tone.BAD, text, now_ns)
+
+    def stop_unanswered(self) -> None:
+        """Nobody confirmed it in time; it is being sent again."""
+        self.stop_tries += 1
+
+    def stop_alarm(self, now_ns: int) -> str | None:
+        """The alarm about a stop that nobody confirms, or None."""
+        if self.stop_wanted_ns is None:
+            return None
+        if not self.stop_tries and now_ns - self.stop_wanted_ns < STOP_PATIENCE_NS:
+            return None
+        waited_s = (now_ns - self.stop_wanted_ns) / NS_PER_S
+        why = (
+            "the gateway runs but does not take it (an observer's certificate may not stop)"
+            if self.presence(now_ns) is Presence.LIVE
+            else "trying on"
+        )
+        return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"
+
+    def reset_pressed(self, now_ns: int) -> None:
+        """The reset key was pressed: ask whether it is meant, if an emergency stop is engaged."""
+        estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
+        if self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None:
+            self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
+            return
+        self._asked_ns, self._take_ns = now_ns, None
+
+    def asking(self, now_ns: int) -> bool:
+        """Whether the question about the reset is on the screen."""
+        return self._asked_ns is not None and now_ns - self._asked_ns < QUESTION_NS
+
+    def reset_confirmed(self, now_ns: int) -> None:
+        """The question was answered with yes."""
+        self._asked_ns = None
+        self.stop_wanted_ns = None
+        self._reset_ns = now_ns
+        self.remark = Remark(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
+
+    def reset_declined(self, now_ns: int) -> None:
+        """The question was answered with anything else."""
+        self._asked_ns = None
+        self.remark = Remark(Tone.NOTE, "no reset: the emergency stop stays as it is", now_ns)
+
+    def reset_answered(self, ack: Ack | None, now_ns: int) -> None:
+        """What became of the reset; None: nobody answered."""
+        if ack is None:
+            text = "NO RESET: nobody answered (an observer's certificate may not reset)"
+            self.remark = Remark(Tone.BAD, text, now_ns)
+        elif ack.accepted:
+            self.remark = Remark(Tone.GOOD, "reset; nothing moves until it is started again", now_ns)
+        else:
+            self.remark = Remark(Tone.BAD, f"NO RESET: {ack.reason}: {visible(ack.detail or '')}", now_ns)
+
+    # ---- who is driving
+
+    @property
+    def holder(self) -> str | None:
+        """Who drives, in the last state."""
+        return None if self.state is None else self.state.lease.holder
+
+    def take_pressed(self, now_ns: int) -> None:
+        """The key to take the lease was pressed: ask whether it is meant."""
+        self._asked_ns, self._take_ns = None, now_ns
+
+    def asking_to_take(self, now_ns: int) -> bool:
+        """Whether the question about the lease is on the screen."""
+        return self._take_ns is not None and now_ns - self._take_ns < QUESTION_NS
+
+    def take_question(self, now_ns: int) -> str | None:
+        """That question, or None."""
+        if not self.asking_to_take(now_ns):
+            return None
+        if self.holder is None:
+            return "Drive? Nobody else's starts, sets and resets count then, until t is pressed again.  y: yes  n: no"
+        return f"Take it from {visible(self.holder)}? All six legs stop first.  y: yes  n: no"
+
+    def take_declined(self, now_ns: int) -> None:
+        """The question was answered with anything else."""
+        self._take_ns = None
+        self.remark = Remark(Tone.NOTE, "not taken", now_ns)
+
+    def take_confirmed(self, now_ns: int) -> None:
+        """The question was answered with yes."""
+        self._take_ns = None
+        self.remark = Remark(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
+
+    def lease_answered(self, trouble: str | None, done: str, now_ns: int) -> None:
+        """What became of a key about the lease: `trouble`, or `done`."""
+        if trouble is None:
+            self.remark = Remark(Tone.GOOD, visible(done), now_ns)
+        else:
+            self.remark = Remark(Tone.BAD, visible(trouble), now_ns)
+
+
+_BAD: Final = frozenset(
+    {
+        Kind.WATCHDOG_EXPIRED,
+        Kind.OVERFLOW,
+        Kind.ESTOP_ENGAGED,
+        Kind.BUS_FAULT,
+        Kind.STOPPED_OUTSIDE,
+        Kind.STOPPING,
+    }
+)
+
+
+def _started_s(state: GatewayState) -> float:
+    return state.time.timestamp() - state.uptime_s
+
+
+def top_rejected(rejected: Mapping[str, int], count: int) -> list[tuple[str, int]]:
+    """The sources with most rejections, most first; equal ones by name, so that lines keep their places."""
+    return sorted(rejected.items(), key=lambda item: (-item[1], item[0]))[:count]

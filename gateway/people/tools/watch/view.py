@@ -1,0 +1,287 @@
+"""Draws the model: one text of exactly the terminal's size. 80 columns and 24 rows hold everything important.
+
+Nothing here waits, and colour is never the only sign: what runs has another mark than what rests.
+"""
+
+import datetime as dt
+from typing import Final
+
+from rich.cells import cell_len
+from rich.text import Text
+
+from gateway.certs import expiry
+from gateway.people.tools.terminal import visible
+from gateway.people.tools.watch.model import Model, Presence, Rates, Tone, top_rejected
+from schemas.telemetry import GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
+
+_MODES: Final[dict[str, str]] = {
+    Mode.STARTING: "bold black on yellow",
+    Mode.IDLE: "bold white on blue",
+    Mode.ACTIVE: "bold black on green",
+    Mode.ESTOPPED: "bold white on red",
+    Mode.BUS_FAULT: "bold white on magenta",
+    Mode.STOPPING: "bold black on yellow",
+}
+_TONES: Final = {Tone.GOOD: "bold green", Tone.NOTE: "cyan", Tone.BAD: "bold white on red"}
+_ALARM: Final = "bold white on red"
+_ASK: Final = "bold black on yellow"
+_BANNER_ROWS: Final = 2
+_MAX_TROUBLES: Final = 3
+_TROUBLE_ROWS: Final = 4
+_ROOMY_ROWS: Final = 24
+_AGE_COLUMNS: Final = 22
+_LEG_COLUMNS: Final = 4
+_SOURCE_COLUMNS: Final = 14
+_MAX_SOURCES: Final = 4
+_EVENT_COLUMNS: Final = len("12:34:56 command_rejected ")
+
+
+def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> Text:
+    """The whole screen, `height` lines of at most `width` columns."""
+    live = model.presence(now_ns) is Presence.LIVE
+    blank = [Text()] if height >= _ROOMY_ROWS else []
+    top = [_header(model, now_ns, where), *_banner(model, now_ns, width)]
+    body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
+    numbers = [] if model.state is None else [*blank, *_numbers(model.state, model.rates(), live)]
+    trouble = [] if live else _trouble(model, width)
+    room = max(0, height - len(top) - len(trouble) - len(body) - 1)
+    rest = [*numbers, *_rejections(model), *blank, *_events(model, width, room)][:room]
+    lines = [*top, *trouble, *body, *rest][: height - 1]
+    lines += [Text()] * (height - 1 - len(lines))
+    lines.append(_keys())
+    for line in lines:
+        line.truncate(width)
+    return Text("\n", no_wrap=True, overflow="crop", end="").join(lines)
+
+
+# ---- what matters most
+
+
+def _header(model: Model, now_ns: int, where: str) -> Text:
+    line = Text()
+    state, presence = model.state, model.presence(now_ns)
+    if presence is Presence.WAITING:
+        line.append(" WAITING ", _ASK).append(f"  for a gateway on {where}")
+        return line
+    mode = "?" if state is None else visible(state.mode).upper().replace("_", " ")
+    if presence is Presence.SILENT:
+        line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", _ALARM).append(f"  was {mode}")
+    else:
+        line.append(f" {mode} ", "bold" if state is None else _MODES.get(state.mode, "bold"))
+    if state is not None and state.mode is Mode.ESTOPPED and state.estop_source is not None:
+        line.append(f" by {_clipped(state.estop_source, _SOURCE_COLUMNS)}", "bold")
+    if state is not None:
+        running = model.running_legs()
+        legs = f"{running} leg{'' if running == 1 else 's'} running"
+        line.append(f"  {legs}", "bold green" if running and presence is Presence.LIVE else "dim")
+        line.append_text(_driver(state.lease))
+        line.append(f"  {where}  up {dt.timedelta(seconds=int(state.uptime_s))}  {state.version}", "dim")
+    return line
+
+
+def _driver(lease: LeaseReport) -> Text:
+    """Who drives, and who asks for it."""
+    if lease.holder is None:
+        return Text()
+    holder = _clipped(lease.holder, _SOURCE_COLUMNS) + ("" if lease.verified else "?")
+    text = Text(f"  {holder} drives" if lease.held_s is not None else f"  handed to {holder}", "bold")
+    if lease.asked_by is not None:
+        text.append(f", {_clipped(lease.asked_by, _SOURCE_COLUMNS)} asks", "bold yellow")
+    return text
+
+
+def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
+    """Two rows for what has to be read now; one message may have both."""
+    messages: list[tuple[str, str]] = []
+    alarm = model.stop_alarm(now_ns)
+    if alarm is not None:
+        messages.append((alarm, _ALARM))
+    elif model.stop_wanted_ns is not None:
+        messages.append(("EMERGENCY STOP sent, waiting for its confirmation", _ALARM))
+    if model.asking(now_ns):
+        messages.append(("Leave the emergency stop? Nothing moves until it is started again.  y: yes  n: no", _ASK))
+    if (question := model.take_question(now_ns)) is not None:
+        messages.append((question, _ASK))
+    if model.presence(now_ns) is Presence.SILENT:
+        messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
+    if model.remark is not None:
+        messages.append((model.remark.text, _TONES[model.remark.tone]))
+    if model.state is not None and (fault := model.state.calibration.fault) is not None:
+        messages.append((f"Nothing can be started (calibrate --accept-default): {visible(fault)}", "bold yellow"))
+    if (expiring := _expiring(model)) is not None:
+        messages.append((f"{visible(expiring)}: see `certs renew`", "yellow"))
+    if model.presence(now_ns) is Presence.WAITING:
+        messages.append(("no connection; trying again" if model.trouble else "connecting …", "yellow"))
+    rows = _BANNER_ROWS if len(messages) == 1 else 1
+    lines = [Text(f" {row} ", style) for text, style in messages for row in _wrapped(text, width - 2, rows)]
+    del lines[_BANNER_ROWS:]
+    return lines + [Text()] * (_BANNER_ROWS - len(lines))
+
+
+def _expiring(model: Model) -> str | None:
+    """The certificate that expires soon, this laptop's or the robot's (by its own clock)."""
+    certificate = None if model.state is None else model.state.certificate
+    if model.own_expiry is not None or model.state is None or certificate is None:
+        return model.own_expiry
+    soon = expiry.soon(certificate.file, certificate.expires, model.state.time)
+    return None if soon is None else f"the robot's {soon}"
+
+
+def _trouble(model: Model, width: int) -> list[Text]:
+    """Why there is no connection, a few rows for each host."""
+    return [
+        Text(f" {row} ", "yellow")
+        for line in model.trouble.splitlines()[:_MAX_TROUBLES]
+        for row in _wrapped(line, width - 2, _TROUBLE_ROWS)
+    ]
+
+
+def _wrapped(text: str, width: int, rows: int) -> list[str]:
+    """At most so many rows; the last one holds the rest, however long."""
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and cell_len(f"{lines[-1]} {word}") > width and len(lines) < rows:
+            lines.append("")
+        lines[-1] += f" {word}" if lines[-1] else word
+    return lines
+
+
+def _keys() -> Text:
+    return (
+        Text()
+        .append(" SPACE or e: EMERGENCY STOP ", "bold white on red")
+        .append("  r: reset  q: quit  a: ask  t: take", "bold")
+        .append("  (● on  ○ off)", "dim")
+    )
+
+
+# ---- legs
+
+
+def _servo_columns(width: int) -> int:
+    return max(10, (width - _LEG_COLUMNS - _AGE_COLUMNS - _SOURCE_COLUMNS) // 3)
+
+
+def _head(state: GatewayState, width: int) -> Text:
+    column = _servo_columns(width)
+    line = Text("leg ", "dim")
+    for joint in (1, 2, 3):
+        line.append(f"joint {joint}".ljust(column))
+    line.append(f"last heard / {state.watchdog.timeout_ms:g} ms".ljust(_AGE_COLUMNS))
+    return line.append("commanded by")
+
+
+def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool) -> list[Text]:
+    column = _servo_columns(width)
+    lines = []
+    for leg in state.legs:
+        line = Text().append(f" {leg.leg}  ", "bold")
+        for servo in leg.servos:
+            line.append_text(_servo(servo, column))
+        age = _age(leg, model.command_age_ms(leg, now_ns), state.watchdog.timeout_ms, live)
+        line.append_text(age)
+        if leg.source is not None:
+            line.append(" " * (_AGE_COLUMNS - age.cell_len)).append(_clipped(leg.source, _SOURCE_COLUMNS))
+        if not live:
+            line.stylize("dim")
+        lines.append(line)
+    return lines
+
+
+def _clipped(source: str, columns: int) -> str:
+    text = visible(source)
+    return text if len(text) <= columns else text[: columns - 1] + "…"
+
+
+def _servo(servo: ServoReport, column: int) -> Text:
+    angle = "  —  " if servo.angle_deg is None else f"{servo.angle_deg:6.2f}°"
+    style = "green" if servo.running else "dim"
+    cell = Text().append("● " if servo.running else "○ ", style).append(angle.rjust(7), style).append(" ")
+    bar_columns = column - 11
+    if bar_columns > 1:
+        cell.append_text(bar((servo.angle_deg or 0) / 180, bar_columns, style))
+    cell.append(" " * (column - cell.cell_len))
+    return cell
+
+
+def _age(leg: LegReport, age_ms: float | None, timeout_ms: float, live: bool) -> Text:
+    if age_ms is None:
+        return Text("never", "dim")
+    if not live:
+        return Text("?")
+    if leg.watchdog is WatchdogState.ARMED:
+        share = age_ms / timeout_ms
+        style = "green" if share < 0.5 else "yellow" if share < 0.8 else "red"
+        return bar(share, 10, style).append(f" {age_ms:5.0f} ms", style)
+    ago = f"{ago_words(age_ms)} ago"
+    if leg.watchdog is WatchdogState.EXPIRED:
+        return Text(f"EXPIRED, {ago}", "bold red")
+    return Text(ago, "dim")
+
+
+def ago_words(age_ms: float) -> str:
+    """An age for people, at most seven characters of it."""
+    age_s = age_ms / 1000
+    if age_s < 100:
+        return f"{age_s:.1f} s"
+    return f"{age_s / 60:.0f} min" if age_s < 6000 else f"{age_s / 3600:.0f} h"
+
+
+def bar(share: float, columns: int, style: str) -> Text:
+    """A bar of so many columns, filled by `share`, 0 to 1, to half a column."""
+    halves = round(max(0.0, min(share, 1.0)) * columns * 2)
+    full, half = divmod(halves, 2)
+    return Text().append("━" * full + "╸" * half, style).append("─" * (columns - full - half), "dim")
+
+
+# ---- numbers, rejections, events
+
+
+def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
+    commands, spi, watchdog = state.commands, state.spi, state.watchdog
+    per_second = (rates.accepted, rates.rejected, rates.coalesced, rates.frames)
+    in_all = (commands.accepted, commands.rejected, commands.coalesced, spi.frames)
+    stops = watchdog.stop_latency_us
+    latency = (
+        "latency: none so far"
+        if stops.p50 is None or stops.p99 is None or stops.max is None
+        else f"p50 {stops.p50 / 1e3:.1f} p99 {stops.p99 / 1e3:.1f} max {stops.max / 1e3:.1f} ms"
+    )
+    head = Text("           accepted  rejected replaced   frames ", "dim")
+    head.append(f"  {spi.errors} SPI error{'' if spi.errors == 1 else 's'}", "bold red" if spi.errors else "dim")
+    head.append(f" ({spi.framing}, {'simulated' if state.simulated else spi.device})", "dim")
+    rate = Text().append("per second ", "dim")
+    for value in per_second:
+        rate.append(f"{'—' if value is None or not live else f'{value:.1f}':>8} ")
+    rate.append(
+        f"  watchdog expired {watchdog.expirations} time{'' if watchdog.expirations == 1 else 's'}",
+        "yellow" if watchdog.expirations else "dim",
+    )
+    total = Text().append("in all     ", "dim")
+    for count in in_all:
+        total.append(f"{count:>8} ")
+    total.append(f"  Stop {latency}", "dim")
+    return [head, rate, total]
+
+
+def _rejections(model: Model) -> list[Text]:
+    line = Text().append("rejected    ", "dim")
+    if not model.rejected:
+        return [line.append("nobody, since this view began", "dim")]
+    for source, count in top_rejected(model.rejected, _MAX_SOURCES):
+        line.append(f"{source} ", "yellow").append(f"{count} ", "bold yellow")
+        line.append(f"({model.reasons.get(source, '?')})  ", "dim")
+    if len(model.rejected) > _MAX_SOURCES:
+        line.append(f"and {len(model.rejected) - _MAX_SOURCES} more sources", "dim")
+    return [line]
+
+
+def _events(model: Model, width: int, room: int) -> list[Text]:
+    lines: list[Text] = []
+    for event in list(model.lines)[:room]:
+        style = "bold red" if event.bad else "yellow" if event.kind == "command_rejected" else "cyan"
+        first, *more = _wrapped(event.text, max(20, width - _EVENT_COLUMNS), 2)
+        head = Text().append(f"{event.time.astimezone():%H:%M:%S} ", "dim").append(f"{event.kind:16} ", style)
+        lines.append(head.append(first))
+        lines += [Text(" " * _EVENT_COLUMNS + row) for row in more]
+    return lines

@@ -1,0 +1,89 @@
+"""Why the gateway is not reached, or does not answer: what is looked at after a command has failed, and by `check`."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import zenoh
+
+from gateway.errors import ConfigError, ZenohError
+from gateway.people.client import diagnosis
+from gateway.people.client.blocking import Client
+from gateway.people.client.config import client_config
+from gateway.people.client.diagnosis import Finding, Identity, Step
+from schemas import keys
+from schemas.telemetry import GatewayState
+
+LOOK_S: Final = 1.0
+"""What a command that failed may go on to find out why."""
+_ANSWER_S: Final = 0.5
+_MATCHING_S: Final = 0.3
+_PAUSE_S: Final = 0.01
+
+
+def unreached(connect: str | None, zenoh_config: Path | None) -> list[str]:
+    """One line for each endpoint; takes LOOK_S at most."""
+    try:
+        return diagnosis.why(client_config(connect, zenoh_config), LOOK_S)
+    except ConfigError as error:  # the certificate has run out meanwhile
+        return str(error).splitlines()
+
+
+def unanswered(client: Client, connect: str | None, zenoh_config: Path | None) -> list[str]:
+    if not client.session.info.links():
+        return unreached(connect, zenoh_config)
+    try:
+        identity = Identity.of(client_config(connect, zenoh_config))
+    except ConfigError as error:
+        return str(error).splitlines()
+    return [f"no gateway answered: {allowed(client, identity)[1][-1]}"]
+
+
+def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, list[Finding]]:
+    """What an open session may do: the steps of role and gateway, and the state if that came. Takes 1 s at most."""
+    role = "" if identity.certificate is None else diagnosis.role(identity.certificate)
+    try:
+        state = client.state(_ANSWER_S)
+    except ZenohError:
+        return None, [_nobody(role)]
+    watching = Finding(Step.ROLE, "you may watch" + (f", as {role}" if role else ""))
+    if not _may_command(client):
+        fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator"
+        return state, [watching, Finding(Step.ROLE, f"you may not command, as {role or 'nobody in particular'}", fix)]
+    commanding = Finding(Step.ROLE, "you may command" + (f", as {role}" if role else ""))
+    return state, [commanding, Finding(Step.GATEWAY, f"answers, and is {state.mode}")]
+
+
+def _nobody(role: str) -> Finding:
+    if role and role.partition(".")[0] not in ("operator", "observer"):
+        fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator"
+        return Finding(Step.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)
+    fix = "does it run behind this router, and with this namespace? See its journal (journalctl -u hexapod-gateway)"
+    return Finding(Step.GATEWAY, "the connection is open, but no gateway answers there", fix)
+
+
+def _may_command(client: Client) -> bool:
+    """Whether the gateway takes this session's commands; nothing is sent. Access control hides its keys from others."""
+    with _declared(client.session) as publisher:
+        end_s = time.monotonic() + _MATCHING_S
+        while not _matching(publisher):
+            if time.monotonic() > end_s:
+                return False
+            time.sleep(_PAUSE_S)
+    return True
+
+
+@contextmanager
+def _declared(session: zenoh.Session) -> Iterator[zenoh.Publisher]:
+    publisher = session.declare_publisher(keys.LEGS_COMMAND)
+    try:
+        yield publisher
+    finally:
+        publisher.undeclare()
+
+
+def _matching(publisher: zenoh.Publisher) -> bool:
+    status: Any = publisher.matching_status  # Zenoh's type stub takes it for a bool
+    return bool(status.matching)

@@ -1,0 +1,482 @@
+"""The gait engine: body velocities in, servo angles out. Pure: time is an argument.
+
+**Stance.** All feet that stand move as one rigid body against the robot's motion, so none scrapes.
+**Swing.** A foot leaves the ground with the ground's velocity, and lands with it where the middle of its next stance is
+the foot's resting place. So a stride needs no memory of the one before, and a change of velocity no special case.
+**What cannot be done.** Each foot stays in a disc around its resting place (robot.py). A velocity that would carry a
+standing foot out of it is scaled down, as a whole vector. What a servo's speed does not allow slows time itself down
+for that tick: all feet and the body, so their motion stays the same, only slower.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+from gateway.errors import WalkError
+from gateway.geometry.kinematics import Vector
+from gateway.people.walking import gaits
+from gateway.people.walking.inverse import Angles
+from gateway.people.walking.motion import STILL, Body, Velocity, carried, travelled
+from gateway.people.walking.planning import Planner, balanced
+from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
+from gateway.people.walking.ways import ON_GROUND_M, Bend, Move, Shift, Step, across, between, lowered, outward, up
+from schemas.robot import LEGS
+
+SLEW_M_S2: Final = 0.25
+"""How fast the velocity over the ground changes."""
+SLEW_RAD_S2: Final = 1.2
+"""How fast the turning changes."""
+STOPS_WITHIN: Final = 0.35
+"""Of a stride: the velocity is 0 by then, so that the last swing ends within the stride."""
+_HALT_S: Final = 0.15
+"""The same where a leg was lost."""
+_LATE_M: Final = 0.002
+"""A foot is lifted at a tick, so up to a tick too late."""
+_SPEED_SPARE: Final = 0.95
+"""Of a servo's speed: the gateway counts from its own last frame, which may come a little early or late."""
+_LEAST_FEET: Final = 3
+_HALVINGS: Final = 7
+_ALMOST: Final = 1e-9
+_TRIES: Final = 8
+_LONGEST_S: Final = 0.1
+"""A tick that comes later moves no further than this one would."""
+
+
+class Posture(StrEnum):
+    """What the robot is doing."""
+
+    LYING = "lying"
+    SITTING = "sitting"
+    STANDING = "standing"
+    WALKING = "walking"
+    MOVING = "moving"
+    HALTED = "halted"
+
+
+class Odometry(NamedTuple):
+    """Where the body is, as its steps have carried it since the beginning; feet that slip are not noticed."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+
+    def after(self, velocity: Velocity, seconds: float) -> "Odometry":
+        """Further by that."""
+        ahead_m, aside_m, turned = travelled(velocity, seconds)
+        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return Odometry(
+            self.x_m + cosine * ahead_m - sine * aside_m,
+            self.y_m + sine * ahead_m + cosine * aside_m,
+            self.heading_rad + turned,
+        )
+
+
+_ORIGIN: Final = Odometry()
+
+
+class Swing(NamedTuple):
+    """A foot in the air: where it left the ground, which moves on below it, and how far it is, 0 to 1."""
+
+    left: Vector
+    part: float = 0.0
+
+
+@dataclass(slots=True)
+class _State:
+    """All that changes. A tick that comes out too fast is taken back: so it is copied, and its values are immutable."""
+
+    body: Body
+    feet: dict[int, Vector]
+    """In the ground frame."""
+    pose: dict[int, Angles]
+    swings: dict[int, Swing] = field(default_factory=dict)
+    velocity: Velocity = STILL
+    clock: float = 0.0
+    """In strides."""
+    odometry: Odometry = _ORIGIN
+    moves: tuple[Move, ...] = ()
+    """The way to another posture."""
+    part: float = 0.0
+    """Of the first of these."""
+    sits: bool = False
+    """Or lies; at the end of its way, if it is on one."""
+    brake_s: float = 0.0
+    """How long the velocity still takes to become 0."""
+
+    def copy(self) -> "_State":
+        new = copy(self)
+        new.feet, new.pose, new.swings = dict(self.feet), dict(self.pose), dict(self.swings)
+        return new
+
+
+class Engine:
+    """Walks, stands and sits; `step` once a tick. Not for several threads at once."""
+
+    def __init__(self, robot: Robot, gait: str = "tripod", angles_deg: Pose | None = None) -> None:
+        """`angles_deg`: of the legs that run, as they were last commanded; the others are slack and may be anywhere.
+
+        Raises WalkError where the robot can neither stand nor sit, and for a gait that there is not.
+        """
+        self.robot = robot
+        self.gait_name, self._gait = gait, gaits.gait(gait)
+        self._next_gait: str | None = None
+        self._stance = robot.stance(Body(robot.usual_m))
+        self._planner = Planner(robot)
+        self.commanded = STILL
+        self.scaled = STILL
+        self.limit = ""
+        """Why the velocity is scaled down, in a sentence; "" where it is not."""
+        self.lost: frozenset[int] = frozenset()
+        """Legs that somebody else has stopped: they are left out of what `step` returns."""
+        self._stopping = False
+        self._stuck = False
+        self._pace = 1.0
+        self._cap: tuple[object, float] = (None, 1.0)
+        self._wanted: deque[Stance | None] = deque(maxlen=1)
+        start = self._planner.found(angles_deg or {})
+        self._state = _State(start.body, dict(start.feet), dict(start.pose), moves=start.moves, sits=start.sits)
+
+    # ---- what it is asked for
+
+    def step(self, velocity: Velocity, seconds: float) -> Pose:
+        """The angles (degrees) of all legs after `seconds` (0.1 at most) towards this velocity."""
+        seconds = max(0.0, min(seconds, _LONGEST_S))
+        self.commanded = velocity
+        self._begin_what_is_wanted()
+        target = velocity if self.walks_at_once and not self._stopping else STILL
+        cap = self._capped(target)
+        before, pace = self._state, 1.0
+        for _ in range(_TRIES):
+            after = before.copy()
+            try:
+                self._advance(after, target.times(cap), seconds * pace)
+            except WalkError as error:  # what the discs and the plans are there to prevent
+                self._stand_still(str(error))
+                break
+            ratio = self._fastest(before.pose, after.pose, seconds)
+            if ratio <= 1.0:
+                self._state, self._stuck = after, False
+                break
+            pace *= min(0.98 / ratio, 0.9)
+        self._report(target, cap, pace, seconds)
+        if self.posture is Posture.STANDING:
+            self._stopping = False
+        return self.pose
+
+    def stand(self, stance: Stance | None = None) -> None:
+        """Go to this stance (`Robot.stance`; None: the latest), from wherever it is: a walk ends before."""
+        self._wanted.append(stance or self._stance)
+
+    def sit(self) -> None:
+        """End the walk and lie down: the body on the ground, so that the servos may be stopped."""
+        self._wanted.append(None)
+
+    def stop(self) -> None:
+        """End the walk: finish the swing and stand on six feet, within a stride, whatever velocity `step` is given."""
+        self._stopping = True
+
+    def walk_as(self, gait: str) -> None:
+        """Another gait; a walk pauses for the change. Raises WalkError for one that there is not."""
+        gaits.gait(gait)
+        self._next_gait = gait
+
+    def halt(self, legs: Iterable[int]) -> None:
+        """Those legs were stopped by somebody else: put the others down, and stand still until `resume`."""
+        self.lost |= frozenset(legs)
+        self._wanted.clear()
+        state = self._state
+        state.brake_s = 0.0
+        for leg in self.lost:
+            state.swings.pop(leg, None)
+        move = state.moves[0] if state.moves else None
+        hanging = [] if move is None or isinstance(move, Shift) else [leg for leg in move.paths if leg not in self.lost]
+        state.moves, state.part = (), 0.0
+        self._lower(hanging)
+
+    def resume(self) -> None:
+        """The lost legs run again, at the angles of `frozen`; they are put down, and the walk can go on."""
+        legs, self.lost = self.lost, frozenset()
+        body = self._state.body
+        turn = body.turn
+        for leg in legs:
+            self._state.feet[leg] = body.grounded(self.robot.foot_m(leg, self._state.pose[leg]), turn)
+        self._lower(legs)
+
+    @property
+    def frozen(self) -> Pose:
+        """Where the lost legs were last commanded to."""
+        return {leg: self._state.pose[leg] for leg in self.lost}
+
+    # ---- what it is doing
+
+    @property
+    def posture(self) -> Posture:
+        """What it is doing."""
+        state = self._state
+        if self.lost:
+            return Posture.HALTED
+        if state.swings or state.velocity.moves:
+            return Posture.WALKING
+        if state.moves or self._wanted:
+            return Posture.MOVING
+        if not state.sits:
+            return Posture.STANDING
+        return Posture.SITTING if all(foot[2] < ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
+
+    @property
+    def walks_at_once(self) -> bool:
+        """Whether a velocity has an effect now: it stands or walks, and nothing else is asked for."""
+        state = self._state
+        return not (state.sits or state.moves or self._wanted or self._next_gait or self.lost)
+
+    @property
+    def pose(self) -> Pose:
+        """The angles of all legs that are not lost, as the latest step has left them."""
+        return {leg: angles for leg, angles in self._state.pose.items() if leg not in self.lost}
+
+    @property
+    def odometry(self) -> Odometry:
+        """Where its steps have carried it."""
+        return self._state.odometry
+
+    @property
+    def velocity(self) -> Velocity:
+        """At which it moves now."""
+        return self._state.velocity
+
+    @property
+    def stance(self) -> Stance:
+        """In which it stands and walks."""
+        return self._stance
+
+    @property
+    def body(self) -> Body:
+        """The body's pose above the ground."""
+        return self._state.body
+
+    @property
+    def feet(self) -> Mapping[int, Vector]:
+        """Where they are, in the ground frame."""
+        return self._state.feet
+
+    @property
+    def standing(self) -> frozenset[int]:
+        """The legs whose feet carry: on the ground, and not about to leave it."""
+        state = self._state
+        move = state.moves[0] if state.moves else None
+        away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
+        return frozenset(leg for leg in LEGS if leg not in away and state.feet[leg][2] < ON_GROUND_M)
+
+    # ---- postures
+
+    def _begin_what_is_wanted(self) -> None:
+        """Once it stands still: another gait, then the way to another posture."""
+        state = self._state
+        if state.swings or state.velocity.moves or state.moves or self.lost:
+            return
+        if self._next_gait is not None:
+            self.gait_name, self._gait = self._next_gait, gaits.gait(self._next_gait)
+            self._next_gait = None
+            self._step_within_reach()
+        if self._wanted:
+            wanted = self._wanted.popleft()
+            self._stance = wanted or self._stance
+            state.moves = self._planner.way(state.body, state.feet, state.pose, wanted)
+            state.sits, state.part = wanted is None, 0.0
+
+    def _step_within_reach(self) -> None:
+        """A foot that the gait before left outside this one's disc is stepped back: no velocity would ever lift it."""
+        state = self._state
+        outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
+        if outside and not state.sits:
+            state.moves = self._planner.way(state.body, state.feet, state.pose, self._stance)
+            state.part = 0.0
+
+    def _lower(self, legs: Iterable[int]) -> None:
+        state = self._state
+        hanging = [leg for leg in legs if state.feet[leg][2] > 0.0]
+        if hanging and not state.sits:
+            state.moves, state.part = (lowered(state.feet, hanging),), 0.0
+
+    def _stand_still(self, why: str) -> None:
+        """Nothing moves any more than it has."""
+        state = self._state
+        state.velocity, state.moves, state.part = STILL, (), 0.0
+        self.limit, self._stuck = why, True
+
+    # ---- one tick
+
+    def _advance(self, state: _State, target: Velocity, seconds: float) -> None:
+        body_before, feet_before = state.body, dict(state.feet)
+        if not state.moves:
+            self._walk(state, target, seconds)
+        elif self._go_on_the_way(state, seconds):
+            return
+        turn = state.body.turn
+        for leg, foot in state.feet.items():
+            if leg not in self.lost and (state.body != body_before or foot != feet_before[leg]):
+                state.pose[leg] = self.robot.angles_deg(leg, state.body.seen(foot, turn))
+
+    def _go_on_the_way(self, state: _State, seconds: float) -> bool:
+        """Whether the joints lead, so that their angles are there already."""
+        move = state.moves[0]
+        state.part = min(1.0, state.part + seconds / move.seconds)
+        if isinstance(move, Shift):
+            state.body = move.at(state.part)
+        elif isinstance(move, Step):
+            for leg in move.paths.keys() - self.lost:
+                state.feet[leg] = move.at(leg, state.part)
+        else:
+            self._bend(state, move)
+        if state.part == 1.0:
+            state.moves, state.part = state.moves[1:], 0.0
+        return isinstance(move, Bend)
+
+    def _bend(self, state: _State, move: Bend) -> None:
+        """The joints lead, and the feet follow."""
+        for leg in move.paths:
+            state.pose[leg] = move.at(leg, state.part)
+        if state.part == 1.0 and move.then is not None:
+            state.body = move.then
+        turn = state.body.turn
+        for leg, angles in state.pose.items():
+            state.feet[leg] = state.body.grounded(self.robot.foot_m(leg, angles), turn)
+
+    def _walk(self, state: _State, target: Velocity, seconds: float) -> None:
+        gait = self._gait
+        began = not state.velocity.moves and not state.swings
+        if began:
+            state.clock = 0.0
+        velocity = self._slewed(state, target, seconds)
+        if velocity.moves:
+            velocity = velocity.times(self._allowed(state, velocity))
+        state.velocity = velocity
+        state.odometry = state.odometry.after(velocity, seconds)
+        for leg, foot in state.feet.items():
+            if leg not in state.swings and leg not in self.lost:
+                state.feet[leg] = carried(foot, velocity, seconds)
+        if velocity.moves or state.swings:
+            state.clock = (state.clock + (0.0 if began else seconds / gait.period_s)) % 1.0
+        for leg, swing in list(state.swings.items()):
+            self._swing(state, leg, swing, seconds)
+        if velocity.moves and not self.lost:
+            self._lift(state)
+
+    def _swing(self, state: _State, leg: int, swing: Swing, seconds: float) -> None:
+        """From the line on which the ground carries the foot to the one on which it will land."""
+        gait, velocity = self._gait, state.velocity
+        left = carried(swing.left, velocity, seconds)
+        part = swing.part + seconds / gait.swing_s
+        landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
+        if part > 1.0 - _ALMOST:
+            state.feet[leg] = landing
+            del state.swings[leg]
+            return
+        lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
+        x, y, _ = between(left, lands, across(part))
+        state.feet[leg] = x, y, LIFT_M * up(part)
+        state.swings[leg] = Swing(left, part)
+
+    def _lift(self, state: _State) -> None:
+        """The feet whose time has come, if the others carry the robot; else they wait."""
+        due = [leg for leg in LEGS if leg not in state.swings and self._is_due(leg, state.clock)]
+        if not due:
+            return
+        stay = [leg for leg in LEGS if leg not in state.swings and leg not in due]
+        if len(stay) >= _LEAST_FEET and balanced(self.robot, state.body, state.feet, state.pose, stay):
+            state.swings.update({leg: Swing(state.feet[leg]) for leg in due})
+
+    def _is_due(self, leg: int, clock: float) -> bool:
+        return gaits.phase(self._gait, leg, clock + _ALMOST) < (1 - self._gait.duty) / 2
+
+    # ---- velocities
+
+    def _slewed(self, state: _State, target: Velocity, seconds: float) -> Velocity:
+        now = state.velocity
+        if not target.moves:
+            if not now.moves:
+                return STILL
+            if not state.brake_s:
+                state.brake_s = _HALT_S if self.lost else min(_needs_s(now), STOPS_WITHIN * self._gait.period_s)
+            left_s = state.brake_s - seconds
+            part = max(0.0, left_s / state.brake_s)
+            state.brake_s = max(0.0, left_s)
+            return now.times(part) if part > _ALMOST else STILL
+        state.brake_s = 0.0
+        change = Velocity(*(b - a for a, b in zip(now, target, strict=True)))
+        part = min(1.0, seconds / max(_needs_s(change), _ALMOST))
+        return Velocity(*(a + part * b for a, b in zip(now, change, strict=True)))
+
+    def _capped(self, target: Velocity) -> float:
+        """The part of this velocity whose strides fit into the discs."""
+        key = target, self._stance, self._gait
+        if self._cap[0] != key:
+            self._cap = key, _largest(lambda part: self._strides_fit(target.times(part)))
+        return self._cap[1]
+
+    @property
+    def _within_m(self) -> float:
+        """How far from its resting place a foot stands at most."""
+        return self._stance.radius_m / outward(self._gait.swing_s, self._gait.stance_s)
+
+    def _strides_fit(self, velocity: Velocity) -> bool:
+        within_m, half_s = self._within_m, self._gait.stance_s / 2
+        return all(math.dist(carried(rest, velocity, half_s), rest) <= within_m for rest in self._stance.feet.values())
+
+    def _allowed(self, state: _State, velocity: Velocity) -> float:
+        """The part of it with which every foot that stands stays in its disc until it is lifted."""
+        return _largest(lambda part: self._stays(state, velocity.times(part)))
+
+    def _stays(self, state: _State, velocity: Velocity) -> bool:
+        within_m = self._within_m + _LATE_M
+        for leg, rest in self._stance.feet.items():
+            if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
+                continue
+            foot = state.feet[leg]
+            left_s = (1.0 - gaits.phase(self._gait, leg, state.clock)) * self._gait.period_s
+            if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
+                return False
+        return True
+
+    def _fastest(self, before: Pose, after: Pose, seconds: float) -> float:
+        """The fastest servo's speed, as a part of what it may do."""
+        most = 0.0
+        for leg, angles in after.items():
+            for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
+                allowed = self.robot.ranges[10 * leg + joint].max_speed_deg_s * _SPEED_SPARE * seconds
+                if old != new:
+                    most = max(most, abs(new - old) / allowed if allowed else math.inf)
+        return most
+
+    def _report(self, target: Velocity, cap: float, pace: float, seconds: float) -> None:
+        """Servos are too slow at some moments of a stride only: the slowest of them counts for a stride."""
+        self._pace = min(pace, self._pace + (1 - self._pace) * seconds / self._gait.period_s)
+        self.scaled = target.times(cap * self._pace)
+        if not target.moves:
+            self._pace, self.limit = 1.0, self.limit if self._stuck else ""
+        elif cap < 1.0:
+            self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"
+        elif self._pace < _SPEED_SPARE:
+            self.limit = f"the servos' speed allows {100 * self._pace:.0f} % of it"
+        else:
+            self.limit = ""
+
+
+def _needs_s(change: Velocity) -> float:
+    """How long a change takes."""
+    return max(math.hypot(change.forward_m_s, change.left_m_s) / SLEW_M_S2, abs(change.turn_rad_s) / SLEW_RAD_S2)
+
+
+def _largest(fits: Callable[[float], bool]) -> float:
+    """The largest part from 0 to 1 that fits, where smaller ones do."""
+    if fits(1.0):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low

@@ -1,0 +1,182 @@
+"""Inverse kinematics: joint angles for a foot position, for the chain of the geometry file. Pure.
+
+A leg is a joint that turns about the mount's z axis, then two parallel joints across it. That shape has a solution in
+closed form. The file's numbers differ from it a little (`1.5708` for a right angle), so Newton's method on the exact
+chain finishes it.
+"""
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.errors import WalkError
+from gateway.geometry import Geometry
+from gateway.geometry.kinematics import Vector, from_rpy
+from gateway.people.walking.vectors import (
+    angle_about,
+    apply,
+    back,
+    cross,
+    dot,
+    matrix,
+    minus,
+    perpendicular,
+    plus,
+    product,
+    scaled,
+    turned,
+    wrapped,
+)
+
+Angles = tuple[float, float, float]
+"""Of a leg's joints 1, 2 and 3; in radians here, in degrees where servos are meant."""
+
+_OFF: Final = 0.02
+"""Radians by which an axis may differ from the shape that has a closed form; Newton's method makes up for it."""
+_CLOSE_M: Final = 1e-9
+_ITERATIONS: Final = 8
+_PARALLEL: Final = 1e-12
+"""Below this square of a distance (m²) the foot is on the first joint's axis, and any angle will do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Where the parts of a leg are, in the body's frame: for the foot's position, its derivative and the masses."""
+
+    joints_m: tuple[Vector, Vector, Vector]
+    foot_m: Vector
+    axes: tuple[Vector, Vector, Vector]
+
+
+class Limb:
+    """One leg's chain of three joints."""
+
+    def __init__(self, geometry: Geometry, leg: int) -> None:
+        """Raises WalkError for a chain that has not the shape above."""
+        self.leg = leg
+        mount = geometry.leg_mounts[leg]
+        self._mount_m = mount.xyz_m
+        self._mount_turn = matrix(from_rpy((0.0, 0.0, mount.yaw_rad)))
+        self._origins_m = tuple(joint.origin_xyz_m for joint in geometry.joints)
+        self._turns = tuple(matrix(from_rpy(joint.origin_rpy_rad)) for joint in geometry.joints)
+        self._axes = tuple(joint.axis for joint in geometry.joints)
+        self._tip_m = geometry.foot.origin_xyz_m
+        self._limits_rad = tuple(joint.limits_rad for joint in geometry.joints)
+        self._plan()
+
+    def forward(self, joints_rad: Angles) -> Reach:
+        """Where its joints and its foot are, in the body's frame."""
+        turn, at_m = self._mount_turn, self._mount_m
+        joints_m, axes = [], []
+        for origin_m, fixed, axis, angle in zip(self._origins_m, self._turns, self._axes, joints_rad, strict=True):
+            at_m = plus(at_m, apply(turn, origin_m))
+            turn = product(turn, fixed)
+            joints_m.append(at_m)
+            axes.append(apply(turn, axis))
+            turn = product(turn, turned(axis, angle))
+        first, second, third = joints_m
+        one, two, three = axes
+        return Reach((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))
+
+    def inverse(self, foot_m: Vector) -> Angles:
+        """Joint angles (radians) that put the foot there. Raises WalkError where the leg does not reach."""
+        angles = self._guess(foot_m)
+        for _ in range(_ITERATIONS):
+            reach = self.forward(angles)
+            off_m = minus(foot_m, reach.foot_m)
+            if max(map(abs, off_m)) < _CLOSE_M:
+                break
+            angles = _improved(angles, reach, off_m)
+        return angles
+
+    # ---- the closed form
+
+    def _plan(self) -> None:
+        """The same leg as a turntable and two rods in a plane, whose points are complex numbers."""
+        first, second, third = self._turns
+        one = apply(first, self._axes[0])
+        two = apply(second, self._axes[1])
+        three = apply(second, apply(third, self._axes[2]))
+        upright = abs(one[2]) > math.cos(_OFF)
+        across = abs(dot(self._axes[0], two)) < math.sin(_OFF)
+        side = 1.0 if dot(two, three) > 0 else -1.0
+        parallel = side * dot(two, three) > math.cos(_OFF)
+        if not (upright and across and parallel):
+            raise WalkError(
+                f"leg {self.leg}: joint 1 must turn about the mount's z axis, and joints 2 and 3 about parallel axes "
+                "across it; for another chain there is no walking"
+            )
+        self._side = side
+        self._along = perpendicular(self._axes[1])
+        self._upward = cross(self._axes[1], self._along)
+        self._femur = self._in_plane(self._origins_m[2])
+        self._tibia = self._in_plane(apply(third, self._tip_m))
+        self._aside_m = dot(self._origins_m[1], two) + dot(
+            plus(self._origins_m[2], apply(third, self._tip_m)), self._axes[1]
+        )
+        self._across = two
+        low, high = self._limits_rad[2]
+        offset = cmath.phase(self._tibia / self._femur)
+        self._bend = 1.0 if side * (low + high) / 2 + offset > 0 else -1.0
+
+    def _in_plane(self, vector: Vector) -> complex:
+        return complex(dot(vector, self._along), dot(vector, self._upward))
+
+    def _guess(self, foot_m: Vector) -> Angles:
+        from_mount = back(self._mount_turn, minus(foot_m, self._mount_m))
+        level = back(self._turns[0], minus(from_mount, self._origins_m[0]))
+        axis = self._axes[0]
+        up = dot(level, axis)
+        out = minus(level, scaled(axis, up))
+        square = dot(out, out)
+        if square > _PARALLEL:
+            aside = math.acos(max(-1.0, min(1.0, self._aside_m / math.sqrt(square))))
+            bearing = angle_about(axis, self._across, out)
+            choices = (wrapped(bearing - aside), wrapped(bearing + aside))
+            low, high = self._limits_rad[0]
+            first = min(choices, key=lambda angle: abs(angle - (low + high) / 2))
+        else:
+            first = 0.0
+        straight = apply(turned(axis, -first), level)
+        span = self._in_plane(back(self._turns[1], minus(straight, self._origins_m[1])))
+        femur_m, tibia_m = abs(self._femur), abs(self._tibia)
+        distance_m = abs(span)
+        cosine = (distance_m**2 - femur_m**2 - tibia_m**2) / (2 * femur_m * tibia_m)
+        if not -1.0 - 1e-6 <= cosine <= 1.0 + 1e-6:
+            raise WalkError(
+                f"leg {self.leg} does not reach: its foot would be {distance_m:.3f} m from its second joint, and "
+                f"{abs(femur_m - tibia_m):.3f} to {femur_m + tibia_m:.3f} m are possible"
+            )
+        knee = self._bend * math.acos(max(-1.0, min(1.0, cosine)))
+        bent = knee - cmath.phase(self._tibia / self._femur)
+        second = cmath.phase(span / (self._femur + self._tibia * cmath.exp(1j * bent))) if distance_m else 0.0
+        return first, wrapped(second), wrapped(self._side * bent)
+
+
+def _improved(angles: Angles, reach: Reach, off_m: Vector) -> Angles:
+    """One step of Newton's method; a little damped, since a straight leg has no inverse."""
+    columns = [
+        cross(axis, minus(reach.foot_m, joint_m)) for axis, joint_m in zip(reach.axes, reach.joints_m, strict=True)
+    ]
+    damping = 1e-10
+    square = [[dot(a, b) + (damping if a is b else 0.0) for b in columns] for a in columns]
+    wanted = [dot(column, off_m) for column in columns]
+    one, two, three = _solved(square, wanted)
+    return angles[0] + one, angles[1] + two, angles[2] + three
+
+
+def _solved(matrix: list[list[float]], wanted: list[float]) -> Vector:
+    """Cramer's rule."""
+    a, b, c = matrix[0], matrix[1], matrix[2]
+    columns = ((a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2]))
+    x, y, z = columns
+    right = (wanted[0], wanted[1], wanted[2])
+    determinant = dot(x, cross(y, z))
+    if determinant == 0.0:
+        return 0.0, 0.0, 0.0
+    return (
+        dot(right, cross(y, z)) / determinant,
+        dot(x, cross(right, z)) / determinant,
+        dot(x, cross(y, right)) / determinant,
+    )

@@ -1,0 +1,95 @@
+"""Velocities over the ground, and the body's pose above it. Pure.
+
+The ground frame lies on the ground below the body and goes with it: x forward, y left, z up. In it a foot that stands
+moves backward as the body moves forward.
+"""
+
+import math
+from typing import Final, NamedTuple, Self
+
+from gateway.errors import WalkError
+from gateway.geometry.kinematics import Vector, from_rpy
+from gateway.people.walking.vectors import Matrix, apply, back, matrix
+
+ABSURD: Final = 10.0
+"""m/s or rad/s: no walking robot does that, so it is a mistake in units and is not scaled down."""
+_STRAIGHT: Final = 1e-9
+
+
+class Velocity(NamedTuple):
+    """Of the body over the ground."""
+
+    forward_m_s: float = 0.0
+    left_m_s: float = 0.0
+    turn_rad_s: float = 0.0
+    """Counter-clockwise, seen from above."""
+
+    @classmethod
+    def checked(cls, forward_m_s: float, left_m_s: float, turn_rad_s: float) -> Self:
+        """Raises WalkError where one is no number, not finite or absurd."""
+        for name, value in (("forward_m_s", forward_m_s), ("left_m_s", left_m_s), ("turn_rad_s", turn_rad_s)):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise WalkError(f"{name} is {value!r}; a velocity is a finite number")
+            if abs(value) > ABSURD:
+                raise WalkError(f"{name} is {value:g}; no walking robot does more than {ABSURD:g}")
+        return cls(float(forward_m_s), float(left_m_s), float(turn_rad_s))
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is any motion at all."""
+        return any(self)
+
+    def times(self, factor: float) -> "Velocity":
+        """The same direction, `factor` times as fast."""
+        return Velocity(self.forward_m_s * factor, self.left_m_s * factor, self.turn_rad_s * factor)
+
+
+STILL: Final = Velocity()
+
+
+def travelled(velocity: Velocity, seconds: float) -> tuple[float, float, float]:
+    """Where the body is after so long, in its first ground frame: x and y in metres, heading in radians."""
+    forward, left, turn = velocity
+    heading = turn * seconds
+    if abs(heading) < _STRAIGHT:
+        return forward * seconds, left * seconds, heading
+    sine, rest = math.sin(heading) / turn, (1 - math.cos(heading)) / turn
+    return sine * forward - rest * left, rest * forward + sine * left, heading
+
+
+def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
+    """Where a point that rests on the ground is in the ground frame so much later (or earlier: seconds below 0)."""
+    x, y, heading = travelled(velocity, seconds)
+    cosine, sine = math.cos(heading), math.sin(heading)
+    ahead, aside = point[0] - x, point[1] - y
+    return cosine * ahead + sine * aside, cosine * aside - sine * ahead, point[2]
+
+
+class Body(NamedTuple):
+    """The body's pose above the ground: how high its frame's origin is, and how it leans."""
+
+    height_m: float
+    roll_rad: float = 0.0
+    """To the right."""
+    pitch_rad: float = 0.0
+    """Forward, nose down."""
+
+    @property
+    def turn(self) -> Matrix:
+        """From the body's frame into the ground frame."""
+        return matrix(from_rpy((self.roll_rad, self.pitch_rad, 0.0)))
+
+    def seen(self, point: Vector, turn: Matrix) -> Vector:
+        """A point of the ground frame in the body's; `turn` is its own (computed once for many points)."""
+        return back(turn, (point[0], point[1], point[2] - self.height_m))
+
+    def grounded(self, point: Vector, turn: Matrix) -> Vector:
+        """A point of the body's frame in the ground frame."""
+        x, y, z = apply(turn, point)
+        return x, y, z + self.height_m
+
+    def towards(self, other: "Body", part: float) -> "Body":
+        """The pose between the two: `part` is 0 here and 1 there."""
+        pairs = zip(self, other, strict=True)
+        height_m, roll_rad, pitch_rad = (a + (b - a) * part for a, b in pairs)
+        return Body(height_m, roll_rad, pitch_rad)

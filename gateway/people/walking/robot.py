@@ -1,0 +1,196 @@
+"""A robot as its walker knows it: the geometry, each servo's range and speed, and where its feet can be. Pure."""
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from gateway.errors import WalkError
+from gateway.geometry import Geometry
+from gateway.geometry.kinematics import Vector
+from gateway.geometry.urdf import BODY_HEIGHT_M
+from gateway.people.walking.inverse import Angles, Limb
+from gateway.people.walking.motion import Body
+from schemas.robot import JOINTS, LEGS
+
+MAX_SPEED_DEG_S: Final = 300.0
+"""Of a servo whose settings name no speed: an MG996R without load does 353."""
+
+
+class Range(NamedTuple):
+    """One servo, in degrees as commands name them."""
+
+    min_deg: float = 0.0
+    max_deg: float = 180.0
+    max_speed_deg_s: float = math.inf
+
+    def within(self, other: "Range") -> "Range":
+        """What both allow."""
+        return Range(
+            max(self.min_deg, other.min_deg),
+            min(self.max_deg, other.max_deg),
+            min(self.max_speed_deg_s, other.max_speed_deg_s),
+        )
+
+
+class Stance(NamedTuple):
+    """A body's pose, where its feet rest below it, and how far each may go from there."""
+
+    body: Body
+    feet: Mapping[int, Vector]
+    """In the ground frame."""
+    radius_m: float
+    """Of the disc around each foot's place in which it stays, on the ground and while it is lifted."""
+    why: str = ""
+    """What keeps the discs from being larger."""
+
+    def check_walks(self) -> None:
+        """Raises WalkError where its feet have no room for a stride."""
+        if self.radius_m < LEAST_RADIUS_M:
+            raise WalkError(f"its limits leave it no stride {_pose(self.body)}: {self.why}")
+
+
+Pose = Mapping[int, Angles]
+"""Angles of legs in degrees, as commands name them."""
+
+LIFT_M: Final = 0.035
+STRIDE_RADIUS_M: Final = 0.055
+"""A foot goes at most so far from where it rests; longer strides make the legs of the Elkapod touch."""
+LEAST_RADIUS_M: Final = 0.008
+"""With less it would only shuffle."""
+_SPARE_DEG: Final = 0.5
+"""Of a joint's limits, kept free in the disc."""
+_REACH_STEP_M: Final = 0.01
+_HEIGHT: Final = 0.7
+"""Of the height at which the femur is level and the tibia upright: the one at which it stands if no other is named."""
+_DIRECTIONS: Final = tuple((math.cos(angle), math.sin(angle)) for angle in (math.tau * k / 12 for k in range(12)))
+_HALVINGS: Final = 6
+_CLEARANCE_M: Final = 0.003
+
+
+class Robot:
+    """Where its feet can be, and by which angles."""
+
+    def __init__(self, geometry: Geometry, ranges: Mapping[int, Range] = MappingProxyType({})) -> None:
+        """`ranges`: of servos whose range is smaller than 0 to 180, or whose speed is limited. Raises WalkError."""
+        self.geometry = geometry
+        self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
+        self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
+        heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]
+        self.lying_m = BODY_HEIGHT_M / 2 + _CLEARANCE_M - (max(heights_m) + min(heights_m)) / 2
+        """The height at which the body lies on the ground."""
+        _, *parts_m = (math.hypot(*part.origin_xyz_m) for part in geometry.chain)
+        coxa_m, femur_m, tibia_m = parts_m
+        steps = int((femur_m + tibia_m) / _REACH_STEP_M)
+        self._reaches_m = tuple(coxa_m + femur_m + _REACH_STEP_M * step for step in range(-2, steps))
+        """How far from its mount a foot may rest: below the knee or further out. A short one needs the least force."""
+        shoulder_m = (max(heights_m) + min(heights_m)) / 2 + geometry.joints[0].origin_xyz_m[2]
+        self.usual_m = round(max(_HEIGHT * (tibia_m - shoulder_m), self.lying_m), 3)
+        """The height at which it stands if no other is named."""
+        self.stance = lru_cache(maxsize=16)(self._stance)
+
+    def angles_deg(self, leg: int, foot_m: Vector, spare_deg: float = 0.0) -> Angles:
+        """The servos' angles that put a foot there (body's frame). Raises WalkError, which names the limit."""
+        joints_rad = self.limbs[leg].inverse(foot_m)
+        first, second, third = (
+            self._angle_deg(10 * leg + joint, angle_rad, spare_deg)
+            for joint, angle_rad in zip(JOINTS, joints_rad, strict=True)
+        )
+        return first, second, third
+
+    def joints_rad(self, leg: int, angles_deg: Angles) -> Angles:
+        """The joints' angles."""
+        first, second, third = (
+            self.geometry.joint_rad(10 * leg + joint, angle) for joint, angle in zip(JOINTS, angles_deg, strict=True)
+        )
+        return first, second, third
+
+    def foot_m(self, leg: int, angles_deg: Angles) -> Vector:
+        """Where the foot is in the body's frame."""
+        return self.limbs[leg].forward(self.joints_rad(leg, angles_deg)).foot_m
+
+    def _stance(self, body: Body, *, walks: bool = True) -> Stance:
+        """Where its feet rest at this pose, so that they reach far around. Raises WalkError where they cannot.
+
+        With `walks` they need room for a stride; without, they need only stand.
+        """
+        if not all(map(math.isfinite, body)):
+            raise WalkError("a height and a leaning are finite numbers")
+        if body.height_m < self.lying_m:
+            raise WalkError(f"it cannot stand {_pose(body)}: it lies on the ground at {self.lying_m:.3f} m")
+        wanted_m = STRIDE_RADIUS_M if walks else LEAST_RADIUS_M
+        fits: list[tuple[float, dict[int, Vector]]] = []
+        why: WalkError | None = None
+        for reach_m in self._reaches_m:
+            feet = self._below(reach_m)
+            try:
+                self._check(body, feet, 0.0)
+                fits.append((reach_m, feet))
+                self._check(body, feet, wanted_m)
+            except WalkError as error:
+                why = why or error  # the first belongs to the place that needs the least force
+            else:
+                return Stance(body, MappingProxyType(feet), wanted_m)
+        if not fits:
+            raise WalkError(f"it cannot stand {_pose(body)}: {why}") from why
+        radius_m, feet = max(((self._radius_m(body, feet, wanted_m), feet) for _, feet in fits), key=lambda it: it[0])
+        return Stance(body, MappingProxyType(feet), radius_m, str(why))
+
+    def _below(self, reach_m: float) -> dict[int, Vector]:
+        mounts = self.geometry.leg_mounts
+        return {
+            leg: (
+                mounts[leg].xyz_m[0] + reach_m * math.cos(mounts[leg].yaw_rad),
+                mounts[leg].xyz_m[1] + reach_m * math.sin(mounts[leg].yaw_rad),
+                0.0,
+            )
+            for leg in LEGS
+        }
+
+    def _radius_m(self, body: Body, feet: Mapping[int, Vector], most_m: float) -> float:
+        """The radius below `most_m` within which all feet reach."""
+        low, high = 0.0, most_m
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            try:
+                self._check(body, feet, middle)
+            except WalkError:
+                high = middle
+            else:
+                low = middle
+        return low
+
+    def _check(self, body: Body, feet: Mapping[int, Vector], radius_m: float) -> None:
+        turn = body.turn
+        for leg, (x, y, _) in feet.items():
+            for across, along in _DIRECTIONS if radius_m else _DIRECTIONS[:1]:
+                for up_m in (0.0, LIFT_M):
+                    point = x + radius_m * across, y + radius_m * along, up_m
+                    self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
+
+    def _range(self, servo_id: int, ranges: Mapping[int, Range]) -> Range:
+        """The servo's own, and what the joint allows."""
+        servo = self.geometry.servos[servo_id]
+        ends = [servo.servo_deg(limit) for limit in self.geometry.joints[servo_id % 10 - 1].limits_rad]
+        joint = Range(min(ends), max(ends), MAX_SPEED_DEG_S)
+        found = Range().within(joint._replace(max_speed_deg_s=math.inf)).within(ranges.get(servo_id, joint))
+        if found.min_deg > found.max_deg:
+            raise WalkError(f"servo {servo_id}: its limits and its joint's leave no angle")
+        return found
+
+    def _angle_deg(self, servo_id: int, joint_rad: float, spare_deg: float) -> float:
+        angle_deg = self.geometry.servos[servo_id].servo_deg(joint_rad)
+        allowed = self.ranges[servo_id]
+        for turned in (angle_deg, angle_deg - 360.0, angle_deg + 360.0):
+            if allowed.min_deg + spare_deg <= turned <= allowed.max_deg - spare_deg:
+                return turned
+        raise WalkError(
+            f"servo {servo_id} would stand at {angle_deg:.1f} degrees, and may go from {allowed.min_deg:g} to "
+            f"{allowed.max_deg:g}"
+        )
+
+
+def _pose(body: Body) -> str:
+    leaning = f", leaning {body.roll_rad:g} and {body.pitch_rad:g} rad" if body.roll_rad or body.pitch_rad else ""
+    return f"{body.height_m:g} m high{leaning}"

@@ -1,0 +1,124 @@
+"""What drives the engine by the clock, and stops by itself when its own driver falls silent. Pure: time is an argument.
+
+A program's walk, the console's pad and a bridge to other programs are each one of these beside a stream of setpoints.
+
+- A velocity holds for `hold_s`. Then the robot finishes its step and stands.
+- Whoever says nothing at all for `rest_s` has the robot sit down; after that `is_over`, and the servos may be stopped.
+"""
+
+from typing import Final, NamedTuple
+
+from gateway.people.walking.engine import Engine, Odometry, Posture
+from gateway.people.walking.motion import STILL, Velocity
+from gateway.people.walking.robot import Pose, Robot, Stance
+
+HOLD_S: Final = 0.5
+"""As diff_drive_controller and twist_mux have it."""
+REST_S: Final = 10.0
+"""Servos that hold a robot up get hot."""
+
+
+class WalkState(NamedTuple):
+    """What a walk is doing."""
+
+    posture: Posture
+    gait: str
+    height_m: float
+    commanded: Velocity
+    """What was asked for; 0 once it is no longer held."""
+    scaled: Velocity
+    """What of it the legs can do: the same direction, and slower where `limit` says why."""
+    limit: str
+    odometry: Odometry
+    """Where its steps have carried it since the walk began."""
+    lost: tuple[int, ...]
+    """Legs that somebody else has stopped."""
+
+
+class Walker:
+    """One walk. Not for several threads at once; times are seconds of one monotonic clock."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        gait: str = "tripod",
+        angles_deg: Pose | None = None,
+        *,
+        hold_s: float = HOLD_S,
+        rest_s: float = REST_S,
+    ) -> None:
+        """`angles_deg`: of legs that run already. Raises WalkError."""
+        self.engine = Engine(robot, gait, angles_deg)
+        self.hold_s = hold_s
+        self.rest_s = rest_s
+        self._velocity = STILL
+        self._said_s: float | None = None
+        self._ticked_s: float | None = None
+        self._busy_s: float | None = None
+        """When it last was on a way that it was sent on."""
+
+    def go(self, velocity: Velocity, now_s: float) -> None:
+        """Walk at this velocity for `hold_s`; a robot that lies or sits stands up first. Raises WalkError."""
+        if velocity.moves:
+            self.engine.stance.check_walks()
+        self._said_s = now_s
+        self._velocity = velocity
+        if velocity.moves and self.engine.posture in (Posture.LYING, Posture.SITTING):
+            self.engine.stand()
+
+    def stand(self, stance: Stance | None, now_s: float) -> None:
+        """End the walk, and stand so (None: as before)."""
+        self._said_s = now_s
+        self._velocity = STILL
+        self.engine.stand(stance)
+
+    def sit(self, now_s: float) -> None:
+        """End the walk, and lie down on the belly."""
+        self._said_s = now_s
+        self._velocity = STILL
+        self.engine.sit()
+
+    def walk_as(self, gait: str, now_s: float) -> None:
+        """Another gait. Raises WalkError."""
+        self.engine.walk_as(gait)
+        self._said_s = now_s
+
+    def tick(self, now_s: float) -> Pose:
+        """Where each leg is to be now, in degrees."""
+        if self._said_s is None:
+            self._said_s = now_s
+        if now_s - self._said_s > self.hold_s:
+            self._velocity = STILL
+        posture = self.engine.posture
+        if posture is Posture.MOVING:
+            self._busy_s = now_s
+        elif posture is Posture.STANDING and self._is_silent(now_s):
+            self.engine.sit()
+        elapsed_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
+        self._ticked_s = now_s
+        return self.engine.step(self._velocity, elapsed_s)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its driver is silent and the robot down: nothing falls when the servos are stopped."""
+        silent = self._ticked_s is not None and self._is_silent(self._ticked_s)
+        return silent and self.engine.posture in (Posture.LYING, Posture.SITTING)
+
+    def _is_silent(self, now_s: float) -> bool:
+        since_s = max(self._said_s or 0.0, self._busy_s or 0.0)
+        return now_s - since_s > self.rest_s
+
+    @property
+    def state(self) -> WalkState:
+        """What it is doing."""
+        engine = self.engine
+        return WalkState(
+            posture=engine.posture,
+            gait=engine.gait_name,
+            height_m=engine.body.height_m,
+            commanded=self._velocity,
+            scaled=engine.scaled,
+            limit=engine.limit,
+            odometry=engine.odometry,
+            lost=tuple(sorted(engine.lost)),
+        )

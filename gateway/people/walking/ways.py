@@ -1,0 +1,142 @@
+"""The ways between postures: a few moves one after the other, each smooth and with feet that do not scrape. Pure."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, NamedTuple
+
+from gateway.geometry.kinematics import Vector
+from gateway.people.walking.gaits import TRIPODS
+from gateway.people.walking.inverse import Angles
+from gateway.people.walking.motion import Body
+from gateway.people.walking.robot import LIFT_M
+
+STEP_S: Final = 0.5
+"""For a foot's step to another place."""
+_SINK_M_S: Final = 0.08
+"""How fast the body rises and sinks, at most on average."""
+_LEAN_RAD_S: Final = 0.4
+_BEND_DEG_S: Final = 90.0
+_LEAST_S: Final = 0.2
+_UPRIGHT: Final = 0.15
+_CLIMB: Final = 0.4
+_TURNING: Final = 0.05
+ON_GROUND_M: Final = 0.004
+"""A foot that is lower than this stands."""
+_THERE_M: Final = 0.005
+"""A foot that is so near to its place need not step."""
+
+
+class Shift(NamedTuple):
+    """The body goes to another pose above feet that stand."""
+
+    begin: Body
+    end: Body
+
+    @property
+    def seconds(self) -> float:
+        rise_m, roll, pitch = (abs(b - a) for a, b in zip(self.begin, self.end, strict=True))
+        return max(_LEAST_S, rise_m / _SINK_M_S, max(roll, pitch) / _LEAN_RAD_S)
+
+    def at(self, part: float) -> Body:
+        return self.begin.towards(self.end, smooth(part))
+
+
+class Step(NamedTuple):
+    """Some feet go to other places at the same time: at most three, unless the body lies on the ground."""
+
+    paths: Mapping[int, tuple[Vector, Vector]]
+    lift_m: float = LIFT_M
+    seconds: float = STEP_S
+
+    def at(self, leg: int, part: float) -> Vector:
+        begin, end = self.paths[leg]
+        x, y, z = between(begin, end, smooth(part))
+        return x, y, z + self.lift_m * bump(part)
+
+
+class Bend(NamedTuple):
+    """Some legs go from one pose to another, each servo straight to its angle."""
+
+    paths: Mapping[int, tuple[Angles, Angles]]
+    then: Body | None = None
+    """The body's pose from its end on, where that is known only then."""
+
+    @property
+    def seconds(self) -> float:
+        furthest = max(abs(b - a) for path in self.paths.values() for a, b in zip(*path, strict=True))
+        return max(_LEAST_S, furthest / _BEND_DEG_S)
+
+    def at(self, leg: int, part: float) -> Angles:
+        return between(*self.paths[leg], smooth(part))
+
+
+Move = Shift | Step | Bend
+
+
+def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[Step]:
+    """Three feet at a time to their places; those that are there already stay."""
+    for tripod in TRIPODS:
+        paths = {
+            leg: (feet[leg], places[leg])
+            for leg in tripod
+            if leg in feet and math.dist(feet[leg], places[leg]) > _THERE_M
+        }
+        if paths:
+            yield Step(paths)
+
+
+def shift(begin: Body, end: Body) -> Iterator[Shift]:
+    """Nothing, where the body is there already."""
+    if begin != end:
+        yield Shift(begin, end)
+
+
+# ---- smooth curves from 0 to 1
+
+
+def smooth(part: float) -> float:
+    """From 0 to 1, without velocity or acceleration at either end."""
+    return part**3 * (10.0 + part * (6.0 * part - 15.0))
+
+
+def across(part: float) -> float:
+    """How far a stride's swing is from where it left the ground to where it lands.
+
+    At its ends it stays above one place of the ground: servos give way under load, and a foot that moves on while it is
+    low would push the robot back. With 15 % of the swing at each end, the simulated robot (tests/walking) goes as far
+    as its steps are long, with none 7 to 13 % less.
+    """
+    return ease((part - _UPRIGHT) / (1.0 - 2.0 * _UPRIGHT))
+
+
+def up(part: float) -> float:
+    """How high a stride's swing is: up in its first 40 %, down in its last."""
+    return ease(min(part, 1.0 - part) / _CLIMB)
+
+
+def ease(part: float) -> float:
+    """From 0 to 1, without velocity at either end; less sudden in the middle than `smooth`."""
+    part = max(0.0, min(1.0, part))
+    return part * part * (3.0 - 2.0 * part)
+
+
+def bump(part: float) -> float:
+    """From 0 up to 1 and back to 0, without velocity at either end."""
+    return 16.0 * (part * (1.0 - part)) ** 2
+
+
+def outward(swing_s: float, stance_s: float) -> float:
+    """By which factor a swing goes further out than a stance: at its ends it goes on with the ground."""
+    return 1.0 + 2.0 * _UPRIGHT * swing_s / stance_s + _TURNING
+
+
+def between(begin: Vector, end: Vector, part: float) -> Vector:
+    """The point (or pose) on the straight line from `begin` (0) to `end` (1)."""
+    (a, b, c), (d, e, f) = begin, end
+    rest = 1.0 - part
+    return a * rest + d * part, b * rest + e * part, c * rest + f * part
+
+
+def lowered(feet: Mapping[int, Vector], legs: Iterable[int]) -> Step:
+    """Those feet straight down to the ground."""
+    return Step({leg: (feet[leg], (feet[leg][0], feet[leg][1], 0.0)) for leg in legs}, lift_m=0.0, seconds=STEP_S / 2)

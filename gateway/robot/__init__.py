@@ -1,0 +1,1 @@
+"""What runs between Zenoh and SPI; it imports nothing of `gateway.people`."""

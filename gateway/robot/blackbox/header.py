@@ -1,0 +1,78 @@
+"""The first page of a ring's file: what the file is, and what is quicker to find there than among the records.
+
+| bytes   | what                                                                                          |
+|---------|-----------------------------------------------------------------------------------------------|
+| 0-27    | magic, version, the size of a slot, and how many there are                                    |
+| 64-71   | the sequence number of the newest start or incident                                           |
+| 128-133 | CRC-32 and length of what follows; 0: nothing                                                 |
+| 134-    | the calibration in force: it is changed far less often than the ring comes round              |
+"""
+
+import struct
+import zlib
+from typing import Any, Final
+
+from gateway.robot.blackbox.format import HEADER_BYTES, SLOT, DamagedError
+
+VERSION: Final = 2
+MAGIC: Final = b"hexapod black box\n"
+
+_BEGIN: Final = struct.Struct("<18sHII")
+_ANNOUNCED: Final = struct.Struct("<Q")
+_ANNOUNCED_AT: Final = 64
+_CALIBRATION: Final = struct.Struct("<IH")
+_CALIBRATION_AT: Final = 128
+_CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
+
+
+def new(slots: int) -> bytes:
+    """The header of a new file with so many slots."""
+    return _BEGIN.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
+
+
+def file_bytes(slots: int) -> int:
+    """The size of a file with so many slots."""
+    return HEADER_BYTES + slots * SLOT
+
+
+def slots_of(head: bytes, size: int) -> int:
+    """The slots of a file that begins with `head` and has `size` bytes. Raises DamagedError."""
+    if len(head) < _BEGIN.size:
+        raise DamagedError("it has no header")
+    magic, version, slot, slots = _BEGIN.unpack_from(head)
+    if magic != MAGIC:
+        raise DamagedError("it is no black box")
+    if version != VERSION or slot != SLOT:
+        raise DamagedError(f"it has version {version}, with records of {slot} bytes")
+    if not slots or size != file_bytes(slots):
+        raise DamagedError(f"it has {size} bytes, and its header says {slots} records")
+    return int(slots)
+
+
+def announce(buffer: Any, sequence: int) -> None:
+    """Put the sequence number of the newest start or incident where a watcher looks at little cost."""
+    _ANNOUNCED.pack_into(buffer, _ANNOUNCED_AT, sequence)
+
+
+def announced(head: bytes) -> int:
+    """What `announce` has put there; 0 in a header that is cut off."""
+    if len(head) < HEADER_BYTES:
+        return 0
+    return int(_ANNOUNCED.unpack_from(head, _ANNOUNCED_AT)[0])
+
+
+def put_calibration(buffer: Any, data: bytes) -> None:
+    """Put what is in force (as `format.calibration` writes it) there. What does not fit counts as unknown."""
+    if len(data) > HEADER_BYTES - _CALIBRATION_BEGIN:
+        data = b""
+    _CALIBRATION.pack_into(buffer, _CALIBRATION_AT, zlib.crc32(data), len(data))
+    buffer[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + len(data)] = data
+
+
+def calibration(head: bytes) -> bytes:
+    """What `put_calibration` has put there; empty: nothing, or not all of it."""
+    if len(head) < HEADER_BYTES:
+        return b""
+    checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)
+    data = head[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + length]
+    return data if len(data) == length and zlib.crc32(data) == checksum else b""

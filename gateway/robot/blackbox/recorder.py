@@ -1,0 +1,307 @@
+"""What the gateway tells its black box. `NO_RECORDER` takes it all and keeps nothing.
+
+Nothing here is on the way of a Stop: a step's Stops, and the command that asked for them, are recorded once all of
+them are written. Other frames are recorded as soon as they are written, so that what was carried out when the process
+was killed is there.
+
+A command that is carried out at once is recorded with its frame, where that is one call of some 100 µs. Where it is
+two, with a pause between them (`length-prefixed` without `spi.batch`), a process may well be killed before the second;
+then the command is recorded first.
+
+Who calls owns the gateway's state, as with the supervisor.
+"""
+
+import logging
+import os
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Any, Final, Self
+
+from gateway.errors import GatewayError
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import place
+from gateway.robot.blackbox.ring import Ring
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.calibration_report import report_of
+from gateway.robot.core.intake import Intent
+from gateway.robot.core.value import value
+from gateway.robot.protocol.frames import OP_STOP
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import Settings
+from schemas.telemetry import Cause, Kind, Mode
+
+LAG_NS: Final = 10_000_000
+"""A timer that is later than this is recorded: a Stop would have been late by it."""
+CLOCK_NS: Final = 1_000_000_000
+FOLLOW_NS: Final = 5_000_000_000
+"""An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
+LONGEST_NS: Final = 30_000_000_000
+"""… up to this."""
+LANDING_NS: Final = 5_000_000_000
+"""What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
+KEPT_BEFORE_OPEN: Final = 200
+"""Records of the start, which come before the ring is open: the first Stops do not wait for it."""
+
+INCIDENTS: Final = {
+    Kind.WATCHDOG_EXPIRED: "watchdog",
+    Kind.LANDING: "landing",
+    Kind.ESTOP_ENGAGED: "estop",
+    Kind.BUS_FAULT: "bus-fault",
+    Kind.OVERFLOW: "overflow",
+    Kind.LEASE_TAKEN: "lease-taken",
+    Kind.STOPPED_OUTSIDE: "stopped-outside",
+}
+"""Events that are kept as incidents, and how their ids end."""
+MISTAKE: Final = "mistake"
+ACCEPTED: Final = "accepted"
+
+logger = logging.getLogger(__name__)
+
+
+Held = tuple[int, int, str, str, str | None, Intent]
+"""A command that is to be recorded: when it came, its number, verb, key and source, and what it wants."""
+
+
+@value
+class Written:
+    """A frame that was written: its bytes, why, when its last bit left (computed: the begin of its call and its place
+    on the wire), how long its call took, and when it was due."""
+
+    data: bytes
+    cause: Cause
+    ns: int
+    transfer_ns: int
+    deadline_ns: int | None = None
+    heard: bool = True
+    """False: it counts as failed, since the preamble before it did."""
+
+
+class Recorder:
+    """The black box, and what it is told. This one keeps nothing."""
+
+    incident: str | None = None
+    """The id of the latest incident of this run."""
+    incidents = 0
+    """How many this run has begun."""
+    step: Sequence[Written] = ()
+    """The frames that the supervisor's present step has written up to now."""
+    told = 0
+    """How many of them are recorded."""
+    held: Held | None = None
+    """The command of the present step, if it is not recorded yet."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """An error with a sentence is an end in order; any other is for `incidents` to find."""
+        if isinstance(error, GatewayError):
+            self.ended(str(error))
+        self.close()
+
+    def open(self) -> None:
+        """Open the ring. Until then, what comes waits. Never raises."""
+
+    def close(self) -> None:
+        """No more records."""
+
+    def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
+        """A command came in at `ns`; `number` 0: it gets no further."""
+
+    def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
+        """What became of it; number 0: of a message that was not read as a command."""
+
+    def frames(self) -> None:
+        """Record what is not recorded of `step`, and its command; to be called when no Stop follows in it."""
+
+    def mode(self, mode: Mode) -> None:
+        """The gateway's mode changes."""
+
+    def event(
+        self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
+    ) -> str | None:
+        """An event is published; returns the id of the incident that it belongs to, if it is one."""
+
+    def calibration(self, calibration: Calibration) -> None:
+        """What is in force from now on; to be called at the start, and at each change."""
+
+    def beat(self, lag_ns: int) -> None:
+        """The loop turns, ten times a second; its timer was so late."""
+
+    def mistake(self, detail: str) -> None:
+        """An exception that nobody expected ends the service."""
+
+    def ended(self, why: str) -> None:
+        """The last Stops are written."""
+
+
+NO_RECORDER: Final = Recorder()
+
+
+class RingRecorder(Recorder):
+    """Writes what it is told to a ring."""
+
+    def __init__(
+        self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._wall_ns = wall_ns
+        self._ring: Ring | None = None
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._append: Callable[[int, int, bytes], None] = self._wait
+        # Whether a command is recorded before its frame.
+        self._before = settings.spi.framing is not Framing.PLAIN and not settings.spi.batch
+        self._clock_ns = 0  # when the time that people read was recorded last
+        self._first_ns = self._until_ns = 0  # what belongs to the latest incident
+        self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
+
+    def open(self) -> None:
+        folder = place.folder_of(self._settings)
+        waiting, self._waiting = self._waiting, []
+        if folder is None:
+            return
+        try:
+            self._ring = Ring(place.prepare(folder), place.slots_for(self._settings))
+        except OSError as error:
+            logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
+            self._append = _forget
+            return
+        if self._ring.note:
+            logger.warning(self._ring.note)
+        self._append = self._ring.append
+        for kind, ns, rest in waiting:
+            self._append(kind, ns, rest)
+        self._ring.announce()  # a gateway that is killed between two looks of the watcher is not missed
+
+    def close(self) -> None:
+        self._append = _forget
+        if self._ring is not None:
+            self._ring.close()
+            self._ring = None
+
+    def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
+        if number and not self._before:
+            self.held = ns, number, verb, key, source, intent
+            return
+        for target in intent.targets:
+            if target[1].op is OP_STOP:
+                self.held = ns, number, verb, key, source, intent
+                return
+        self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
+
+    def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
+        if self.held is not None:
+            if verdict == ACCEPTED and self.told == len(self.step) - 1 and self._ring is not None:
+                ns, of, verb, _, _, intent = self.held
+                frame = self.step[self.told]
+                body = form.carried_out(
+                    self._ring.sequence, ns, number, verb, key, source, intent.sent_ms, intent.targets,
+                    frame.data, frame.ns, frame.transfer_ns,
+                ) if of == number else None  # fmt: skip
+                if body is not None:
+                    self._ring.put(body)
+                    self.told += 1
+                    self.held = None
+                    return
+            self._release()
+        if verdict == ACCEPTED and self.told == len(self.step) - 1:
+            written = self.step[self.told]
+            self.told += 1
+            self._append(
+                form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, 0, number)
+            )
+        else:
+            self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
+
+    def frames(self) -> None:
+        if self.held is not None:
+            self._release()
+        if self.told == len(self.step):
+            return
+        for written in self.step[self.told :]:
+            late_ns = 0 if written.deadline_ns is None else written.ns - written.deadline_ns
+            self._append(form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, late_ns))
+        self.told = len(self.step)
+
+    def mode(self, mode: Mode) -> None:
+        self._append(form.MODE, self._clock(), form.mode(mode))
+
+    def event(
+        self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
+    ) -> str | None:
+        now_ns = self._clock()
+        self._append(form.EVENT, now_ns, form.event(kind, source, key, reason, detail, left_out))
+        what = INCIDENTS.get(kind)
+        return None if what is None else self._happened(what, now_ns)
+
+    def beat(self, lag_ns: int) -> None:
+        now_ns = self._clock()
+        if lag_ns > LAG_NS:
+            self._append(form.LAG, now_ns, form.number(lag_ns))
+        if now_ns - self._clock_ns >= CLOCK_NS:
+            self._clock_ns = now_ns
+            self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
+
+    def mistake(self, detail: str) -> None:
+        if self.held is not None:
+            self._release()
+        now_ns = self._clock()
+        self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
+        self._happened(MISTAKE, now_ns)
+
+    def calibration(self, calibration: Calibration) -> None:
+        if self._ring is None:
+            return
+        before, now = self._ring.calibration, form.calibration(report_of(calibration))
+        if before == now:
+            return
+        if before:
+            ns = self._clock()
+            self._append(form.CALIBRATION, ns, before)
+            self._append(form.CALIBRATION, ns, now)
+        self._ring.calibration = now  # last: who is killed before has it among the records
+
+    def ended(self, why: str) -> None:
+        self._append(form.END, self._clock(), form.mode(why))
+
+    def _happened(self, what: str, now_ns: int) -> str:
+        """What happens within the time that an incident takes in belongs to it, and prolongs it."""
+        if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_NS):
+            wall_ns = self._wall_ns()
+            self.incident = incident_id(wall_ns, what)
+            self.incidents += 1
+            self._first_ns = now_ns
+            self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
+            if self._ring is not None:
+                self._ring.announce()
+        self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
+        return self.incident
+
+    def _release(self) -> None:
+        """Record the command that was held, now that its Stops are written."""
+        if self.held is not None:
+            (ns, number, verb, key, source, intent), self.held = self.held, None
+            self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
+
+    def _wait(self, kind: int, ns: int, rest: bytes) -> None:
+        if len(self._waiting) < KEPT_BEFORE_OPEN:
+            self._waiting.append((kind, ns, rest))
+
+
+def follow_ns(what: str) -> int:
+    """How long what happens belongs to an incident: `what` is the end of its id, or the kind of a later event."""
+    return FOLLOW_NS + LANDING_NS if what == Kind.LANDING else FOLLOW_NS
+
+
+def incident_id(wall_ns: int, what: str) -> str:
+    """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
+    seconds, ns = divmod(wall_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"
+
+
+def _forget(_kind: int, _ns: int, _rest: bytes) -> None:
+    """Where there is no ring."""

@@ -1,0 +1,133 @@
+"""The ring that the records are written to: a memory-mapped file that outlives its process.
+
+The pages of a shared mapping belong to the file and not to the process, so they are still there after SIGKILL. Writing
+a record is a copy into memory: no system call, and no page fault, since all pages are mapped at the opening.
+
+The file must be in memory (tmpfs). The kernel makes a page of a file on a disk wait at its first write after each
+write-back, for as long as the disk is busy, and a Stop would wait with it (docs/blackbox.md has the measurement).
+"""
+
+import fcntl
+import mmap
+import os
+import stat
+import struct
+from pathlib import Path
+from typing import Final
+from zlib import crc32
+
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import header
+from gateway.robot.blackbox.format import HEAD_BYTES, pack_head, pack_slot_into
+
+_FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
+_HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
+
+
+class Ring:
+    """The writer's side. One owner."""
+
+    def __init__(self, path: Path, slots: int) -> None:
+        """Open the file, or begin it anew if it is not one of this version and size. Raises OSError.
+
+        `note` then says in one sentence what was found, if people want to know it.
+        """
+        self.note = ""
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+        self._fd = os.open(path, flags, 0o600)
+        try:
+            _check_owner(self._fd, path)
+            _lock(self._fd)
+            size = header.file_bytes(slots)
+            whole = self._is_whole(slots)
+            if not whole:
+                os.ftruncate(self._fd, 0)
+            # All blocks now: with a hole, a full disk would be met as SIGBUS in the middle of a write.
+            os.posix_fallocate(self._fd, 0, size)
+            self._map = mmap.mmap(self._fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        except BaseException:
+            os.close(self._fd)
+            raise
+        self._slots = slots
+        if not whole:
+            self._map[: form.HEADER_BYTES] = header.new(slots)
+        self.sequence = self._newest() + 1
+        """Of the next record."""
+
+    def append(self, kind: int, ns: int, rest: bytes) -> None:
+        """Write a record. One that does not fit is continued in further slots."""
+        sequence = self.sequence
+        offset = _HEADER + sequence % self._slots * _SLOT
+        if len(rest) <= _ROOM:
+            body = pack_head(len(rest) + HEAD_BYTES, kind, 0, sequence, ns) + rest  # `form.put`, without a call
+            pack_slot_into(self._map, offset, crc32(body), body)
+            self.sequence = sequence + 1
+            return
+        form.put(self._map, offset, kind, sequence, ns, rest[: form.ROOM], True)
+        self.sequence = sequence + 1
+        self.append(form.MORE, ns, rest[form.ROOM :])
+
+    def put(self, body: bytes) -> None:
+        """Write a record whose `body` has its head already, with the number `sequence`, and fits."""
+        sequence = self.sequence
+        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
+        self.sequence = sequence + 1
+
+    def announce(self) -> None:
+        """Whoever watches the file shall look: the record written last is a start or an incident."""
+        header.announce(self._map, self.sequence - 1)
+
+    @property
+    def calibration(self) -> bytes:
+        """What the header says is in force, as `format.calibration` writes it; empty: nothing."""
+        return header.calibration(self._map[: form.HEADER_BYTES])
+
+    @calibration.setter
+    def calibration(self, data: bytes) -> None:
+        header.put_calibration(self._map, data)
+
+    def close(self) -> None:
+        """Release the file; its content stays."""
+        self._map.close()
+        os.close(self._fd)
+
+    def _is_whole(self, slots: int) -> bool:
+        size = os.fstat(self._fd).st_size
+        if size == 0:
+            return False
+        try:
+            found = header.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
+        except form.DamagedError as error:
+            self.note = f"the black box is begun anew: {error}"
+            return False
+        if found != slots:
+            self.note = f"the black box is begun anew: it has {found} records, and the settings want {slots}"
+        return found == slots
+
+    def _newest(self) -> int:
+        """The highest sequence number of a whole record; 0: there is none."""
+        number, torn = form.newest(self._map, self._slots)
+        if number and torn:
+            self.note = f"the black box is continued; {torn} of its newest records are not whole"
+        return number
+
+
+def written_by_anyone(fd: int) -> bool:
+    """Whether a running gateway writes to this file."""
+    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+    return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)
+
+
+def _lock(fd: int) -> None:
+    """It ends with the process, so readers see whether the gateway runs, and two never write to one file."""
+    try:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
+    except OSError as error:
+        raise OSError(error.errno, "another gateway writes to it") from error
+
+
+def _check_owner(fd: int, path: Path) -> None:
+    """A folder such as /dev/shm is everybody's: nobody else may have put the file there."""
+    found = os.fstat(fd)
+    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
+        raise PermissionError(f"{path} belongs to somebody else")

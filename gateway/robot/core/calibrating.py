@@ -1,0 +1,139 @@
+"""How the calibration in force is changed: checked, kept on the disk, and only then in force. Pure.
+
+A change takes two steps, since no Stop may wait for a disk. `Calibrate` is checked, and the new calibration goes to the
+disk (`Keep`) while the old one stays in force; `Kept` says how that went, and puts it in force or leaves the old one.
+
+What a frame says of a servo must never change while the servo runs: it would jump at the next frame, and nobody asked
+for that. So no servo that is changed may run or wait to be started when the change comes, and until it is in force none
+of them can be started.
+
+Where the file that kept the calibration cannot be read (`fault`), nothing moves at all until a person takes the default
+calibration as this robot's: with a wrong trim or direction, a leg goes where nobody sent it.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Final, NamedTuple
+
+from gateway.robot.core.calibration import Calibration, CalibrationError, changed_servos
+from gateway.robot.core.events import Announce, Calibrate, Completed, Effect, Keep, Kept, Rejected
+from gateway.robot.core.leg import Servo
+from gateway.robot.core.reach import Reach
+from gateway.robot.protocol.frames import ServoOp
+from schemas.telemetry import Kind, Reason
+
+ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate --accept-default"
+"""What a person does where the calibration cannot be trusted."""
+
+
+class _OnItsWay(NamedTuple):
+    """A change that is accepted, and not yet on the disk."""
+
+    calibration: Calibration
+    servos: frozenset[int]
+    """Those whose frames or limits it changes."""
+    event: Calibrate
+
+
+class Calibrating:
+    """One robot's calibration, and the change of it that is on its way to the disk. One owner, one thread."""
+
+    def __init__(self, reach: Reach) -> None:
+        self._reach = reach
+        self.fault: str | None = None
+        """Why the calibration cannot be trusted; None: it can."""
+        self.guards = False
+        """Whether `rejection` may have anything against a start; while it is false, nothing is asked."""
+        self._on_its_way: _OnItsWay | None = None
+        self._delay = ""
+        """Why the change that is on its way takes so long; "": it does not."""
+
+    @property
+    def in_force(self) -> Calibration:
+        """By which frames are written now."""
+        return self._reach.calibration
+
+    def load(self, calibration: Calibration, fault: str | None = None) -> None:
+        """What was kept, and why it cannot be trusted, if so. To be called once, before the bus is opened."""
+        self._reach.use(calibration)
+        self.fault = fault
+        self.guards = fault is not None
+
+    def awaits(self, number: int) -> bool:
+        """Whether the change with this number is on its way."""
+        return self._on_its_way is not None and self._on_its_way.event.number == number
+
+    def note_delay(self, why: str) -> None:
+        """The disk takes long, for this reason: whoever is rejected because of that learns it."""
+        if self._on_its_way is not None:
+            self._delay = f"; {why}"
+
+    def rejection(self, moves: Iterable[tuple[int, ServoOp]]) -> tuple[Reason, str] | None:
+        """Why these starts and sets take no effect; None: they may."""
+        if self.fault is not None:
+            return Reason.SERVO_STOPPED, self._untrusted()
+        changing = frozenset() if self._on_its_way is None else self._on_its_way.servos
+        for servo_id, _ in moves:
+            if servo_id in changing:
+                detail = f"servo {servo_id} is being calibrated; start it once that is kept{self._delay}"
+                return Reason.SERVO_STOPPED, detail
+        return None
+
+    def change(self, event: Calibrate, servos: Mapping[int, Servo]) -> list[Effect]:
+        """Check a change against everything but mode, lease and landing, which are the supervisor's."""
+        rejection = self._why_not_now(event)
+        if rejection is not None:
+            return [Rejected(event.number, *rejection)]
+        before = Calibration(self.in_force.revision) if event.accept_default else self.in_force
+        try:
+            calibration = event.change.applied_to(before)
+        except CalibrationError as error:
+            return [Rejected(event.number, Reason.INVALID, str(error))]
+        for servo_id, angle_cdeg in calibration.landing_cdeg.items():
+            why_not = self._reach.why_avoided(calibration, servo_id, angle_cdeg)
+            if why_not is not None:
+                return [Rejected(event.number, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
+        changed = changed_servos(self.in_force, calibration)
+        for servo_id in sorted(changed):
+            if servos[servo_id].will_run:
+                detail = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
+                return [Rejected(event.number, Reason.INVALID, detail)]
+        self._on_its_way = _OnItsWay(calibration, changed, event)
+        self.guards = True
+        return [Keep(event.number, calibration)]
+
+    def _why_not_now(self, event: Calibrate) -> tuple[Reason, str] | None:
+        if self._on_its_way is not None:
+            hint = self._delay or "; look at it, then change it again"
+            return Reason.STALE, f"another change of the calibration is being kept{hint}"
+        revision = self.in_force.revision
+        if event.revision not in (None, revision):
+            return Reason.STALE, f"revision {event.revision} is changed, and {revision} is in force; look at it first"
+        if self.fault is not None and not event.accept_default:
+            return Reason.SERVO_STOPPED, self._untrusted()
+        if self.fault is None and event.accept_default:
+            return Reason.INVALID, "accept_default is for a calibration that cannot be read; this one can"
+        return None
+
+    def _untrusted(self) -> str:
+        return (
+            f"{self.fault}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
+        )
+
+    def kept(self, event: Kept) -> list[Effect]:
+        """The change that is on its way is kept, and from now on in force; or it is not, and the old one stays."""
+        if self._on_its_way is None:
+            return []
+        calibration, servos, asked = self._on_its_way
+        self._on_its_way, self._delay = None, ""
+        landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
+        if event.fault is None:
+            self._reach.use(calibration)
+            self.fault = None
+        self.guards = self.fault is not None
+        if event.fault is not None:
+            return [Rejected(event.number, Reason.INVALID, event.fault)]
+        changed = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
+        detail = f"calibration {calibration.revision} is in force; it changes {', '.join(changed) or 'nothing'}"
+        if asked.accept_default:
+            detail = f"the default calibration is taken as this robot's; {detail}"
+        return [Announce(Kind.CALIBRATED, detail, asked.source, asked.key), Completed(event.number)]

@@ -1,0 +1,156 @@
+"""Between what users mean and what the wire carries: trim, direction and limits of each servo. Pure.
+
+    wire = (180 - user if inverted else user) + trim
+
+in hundredths of a degree, so that nothing is rounded and an angle that went to the wire comes back as it was. Users'
+angles stand in commands, limits, state and events; only frames carry the servo's own. This module is the one place
+where one becomes the other.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple
+
+from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, OP_STOP, STOP, Frame, OneLeg, OneServo, ServoOp
+from schemas.robot import SERVO_IDS
+
+MAX_TRIM_CDEG: Final = 90_00
+
+
+class CalibrationError(ValueError):
+    """No calibration: the message names the servo and what is wrong with it."""
+
+
+class ServoCalibration(NamedTuple):
+    """One servo. The limits are users' angles, both ends included."""
+
+    trim_cdeg: int = 0
+    inverted: bool = False
+    min_cdeg: int = 0
+    max_cdeg: int = MAX_ANGLE_CDEG
+
+    def wire_cdeg(self, user_cdeg: int) -> int:
+        """The servo's own angle; it may lie outside 0 to 18000."""
+        return (MAX_ANGLE_CDEG - user_cdeg if self.inverted else user_cdeg) + self.trim_cdeg
+
+    def user_cdeg(self, wire_cdeg: int) -> int:
+        """The angle as users count it."""
+        untrimmed = wire_cdeg - self.trim_cdeg
+        return MAX_ANGLE_CDEG - untrimmed if self.inverted else untrimmed
+
+
+AS_DRAWN: Final = ServoCalibration()
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """All servos, and the landing pose in users' angles. `revision` counts the changes; 0 is the default's.
+
+    Raises CalibrationError for an unknown servo, a trim beyond 90 degrees, and limits the wrong way round. Servos that
+    are as drawn are left out of `servos`, so the default has none and costs nothing.
+    """
+
+    revision: int = 0
+    servos: Mapping[int, ServoCalibration] = field(default_factory=dict)
+    landing_cdeg: Mapping[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for servo_id in (*self.servos, *self.landing_cdeg):
+            if servo_id not in SERVO_IDS:
+                raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
+        for servo_id, servo in self.servos.items():
+            _check(servo_id, servo)
+        for servo_id, angle_cdeg in self.landing_cdeg.items():
+            why_not = self.why_not(servo_id, angle_cdeg)
+            if why_not is not None:
+                raise CalibrationError(f"the landing pose cannot be reached: {why_not}")
+        object.__setattr__(self, "servos", {name: servo for name, servo in self.servos.items() if servo != AS_DRAWN})
+
+    def of(self, servo_id: int) -> ServoCalibration:
+        """One servo's."""
+        return self.servos.get(servo_id, AS_DRAWN)
+
+    def why_not(self, servo_id: int, user_cdeg: int) -> str | None:
+        """Why the servo must not go to this angle, naming both the user's and the servo's own; None: it may."""
+        servo = self.servos.get(servo_id)
+        if servo is None:
+            return None
+        if not servo.min_cdeg <= user_cdeg <= servo.max_cdeg:
+            low, high, angle = (cdeg / 100 for cdeg in (servo.min_cdeg, servo.max_cdeg, user_cdeg))
+            return f"servo {servo_id} is calibrated to go from {low:g} to {high:g} degrees; {angle:g} is outside"
+        wire_cdeg = servo.wire_cdeg(user_cdeg)
+        if not 0 <= wire_cdeg <= MAX_ANGLE_CDEG:
+            angle, own = user_cdeg / 100, wire_cdeg / 100
+            return f"{angle:g} degrees of servo {servo_id} are its own {own:g}, with its trim; a servo has 0 to 180"
+        return None
+
+    def frame(self, frame: Frame) -> Frame:
+        """The frame that goes on the wire for one in users' angles, whose angles `why_not` has nothing against."""
+        if not self.servos:
+            return frame
+        if isinstance(frame, OneServo):
+            return OneServo(frame.servo_id, self._wire_op(frame.servo_id, frame.command))
+        first, second, third = (self._wire_op(servo_id, op) for servo_id, op in frame.servos)
+        return OneLeg(frame.leg, (first, second, third))
+
+    def _wire_op(self, servo_id: int, op: ServoOp) -> ServoOp:
+        servo = self.servos.get(servo_id)
+        if servo is None or op.op is OP_STOP:
+            return op
+        return ServoOp(op.op, servo.wire_cdeg(op.angle_cdeg))
+
+    def user_frame(self, frame: Frame) -> Frame:
+        """A frame of the wire in users' angles: the way back. Raises FrameError where no user could have meant it."""
+        if isinstance(frame, OneServo):
+            return OneServo(frame.servo_id, self._user_op(frame.servo_id, frame.command))
+        first, second, third = (self._user_op(servo_id, op) for servo_id, op in frame.servos)
+        return OneLeg(frame.leg, (first, second, third))
+
+    def _user_op(self, servo_id: int, op: ServoOp) -> ServoOp:
+        return STOP if op.op is OP_STOP else ServoOp(op.op, self.of(servo_id).user_cdeg(op.angle_cdeg))
+
+
+class ServoChange(NamedTuple):
+    """What changes of one servo; None: it stays as it is."""
+
+    trim_cdeg: int | None = None
+    inverted: bool | None = None
+    min_cdeg: int | None = None
+    max_cdeg: int | None = None
+
+
+class Change(NamedTuple):
+    """What changes of a calibration. `landing_cdeg` of None takes a servo out of the landing pose."""
+
+    servos: Mapping[int, ServoChange]
+    landing_cdeg: Mapping[int, int | None]
+
+    def applied_to(self, before: Calibration) -> Calibration:
+        """The calibration after it, with the next revision. Raises CalibrationError: all of it, or nothing."""
+        servos = dict(before.servos)
+        for servo_id, change in self.servos.items():
+            named = {name: value for name, value in change._asdict().items() if value is not None}
+            servos[servo_id] = before.of(servo_id)._replace(**named)
+        landing = {**before.landing_cdeg, **self.landing_cdeg}
+        return replace(
+            before,
+            revision=before.revision + 1,
+            servos=servos,
+            landing_cdeg={servo_id: angle for servo_id, angle in landing.items() if angle is not None},
+        )
+
+
+def changed_servos(before: Calibration, after: Calibration) -> frozenset[int]:
+    """The servos whose frames or limits differ; the landing pose alone changes none."""
+    return frozenset(servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id))
+
+
+def _check(servo_id: int, servo: ServoCalibration) -> None:
+    if abs(servo.trim_cdeg) > MAX_TRIM_CDEG:
+        raise CalibrationError(f"servo {servo_id}: trim_deg is {servo.trim_cdeg / 100:g}; it is -90 to 90")
+    for name, angle_cdeg in (("min_deg", servo.min_cdeg), ("max_deg", servo.max_cdeg)):
+        if not 0 <= angle_cdeg <= MAX_ANGLE_CDEG:
+            raise CalibrationError(f"servo {servo_id}: {name} is {angle_cdeg / 100:g}; it is 0 to 180")
+    if servo.min_cdeg > servo.max_cdeg:
+        low, high = servo.min_cdeg / 100, servo.max_cdeg / 100
+        raise CalibrationError(f"servo {servo_id}: min_deg is {low:g} and max_deg {high:g}; min_deg must not be larger")

@@ -1,0 +1,338 @@
+"""Reads a command's bytes: an Intent, or a Rejection with its reason. Only this module knows the commands' JSON."""
+
+import json
+import math
+import re
+from typing import Any, Final
+
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from gateway.robot.core.value import value
+from gateway.robot.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
+from schemas.calibration import MAX_TRIM_DEG
+from schemas.command import (
+    MAX_ESTOP,
+    MAX_PAYLOAD_BYTES,
+    MAX_SENT_MS,
+    SENDER,
+    SERVO_COMMAND,
+    LegCommand,
+    LegsCommand,
+    Move,
+    ResetCommand,
+    Stop,
+)
+from schemas.keys import CommandKey, Target
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.telemetry import Reason
+
+ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
+"""JSON, and what Zenoh reports when the publisher gave no encoding."""
+
+Targets = tuple[tuple[int, ServoOp], ...]
+_OPS: Final = {"start": OP_START, "set": OP_SET}
+_IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
+_LEG_COMMAND: Final = LegCommand.__pydantic_validator__
+"""Called at once, without the wrapper around it: it reads each setpoint of a gait."""
+_ESTOP, _LEG, _LEGS = Target.ESTOP, Target.LEG, Target.LEGS  # see `frames.OP_STOP`
+_SERVO_OPS: Final = ("start", "set", "stop")
+
+
+@value
+class Intent:
+    """What a valid command asks for: an operation for each servo that it names (none for a reset)."""
+
+    targets: Targets = ()
+    source: str | None = None
+    sent_ms: float | None = None
+    estop: int | None = None
+    """Of a reset: the number of the emergency stop that it leaves."""
+    lease: str | None = None
+    """The token of the sender's lease."""
+
+    def __repr__(self) -> str:
+        return f"Intent({self.targets}, source={self.source!r})"  # the token is a secret
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether it stops servos and does nothing else. A reset stops none."""
+        return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
+
+
+@value
+class Rejection:
+    """Why a command is rejected, and a sentence that helps whoever sent it."""
+
+    reason: Reason
+    detail: str
+
+
+def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
+    """Read the payload that came on `key`. Never raises: a payload that is wrong returns a Rejection."""
+    if key.target is _ESTOP:
+        return Intent()  # any payload engages it (docs/interface.md, Behaviour 5)
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return too_large(len(payload))
+    if encoding not in ENCODINGS:
+        return Rejection(
+            Reason.BAD_ENCODING, f"the encoding is {_name(encoding)}; it must be application/json, or left out"
+        )
+    colons = payload.count(b":")
+    if colons > _MAX_COLONS:
+        return too_many_fields(payload)
+    try:
+        intent = _READERS[key.target](key.number, payload)
+    except ValidationError as error:
+        return explain(error)
+    # Each field takes a colon. A payload with no more colons than fields repeats no name and needs no second reading.
+    twice = name_given_twice(payload) if colons > _fields(key.target, intent) else None
+    if twice is not None:
+        return given_twice(twice)
+    return intent
+
+
+def named_source(payload: bytes) -> str | None:
+    """Who an emergency stop's payload says has sent it. It may be anything, and stops whatever it is."""
+    try:
+        return SENDER.validate_json(payload).source
+    except ValidationError:
+        return None
+
+
+def stop_all_of(key: CommandKey) -> Intent | Rejection:
+    """What a `delete` on `key` asks for: Stops for the servos that the key names."""
+    match key.target:
+        case Target.SERVO:
+            return Intent(((key.number, STOP),))
+        case Target.LEG:
+            return Intent(tuple((servo_id, STOP) for servo_id in servo_ids_of(key.number)))
+        case Target.LEGS:
+            return Intent(tuple((servo_id, STOP) for servo_id in SERVO_IDS))
+        case _:
+            # Leaving the emergency stop must be deliberate; a delete, perhaps by a wildcard, may not be.
+            return Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
+
+
+def too_large(size: int) -> Rejection:
+    """The rejection of a payload that is not read."""
+    return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {MAX_PAYLOAD_BYTES} are read")
+
+
+def _read_servo(servo_id: int, payload: bytes) -> Intent:
+    command = SERVO_COMMAND.validate_json(payload)
+    return Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)
+
+
+def _read_leg(leg: int, payload: bytes) -> Intent:
+    command: LegCommand = _LEG_COMMAND.validate_json(payload)
+    return Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source, command.sent_ms, None, command.lease)
+
+
+def _read_legs(_: int, payload: bytes) -> Intent:
+    command = LegsCommand.model_validate_json(payload)
+    targets: Targets = ()
+    for leg, servo_ids in _IDS_OF_LEG.items():
+        if str(leg) in command.legs:
+            targets += _targets(servo_ids, command.legs[str(leg)].servos)  # type: ignore[index]
+    return Intent(targets, command.source, command.sent_ms, None, command.lease)
+
+
+def _read_reset(_: int, payload: bytes) -> Intent:
+    command = ResetCommand.model_validate_json(payload or b"{}")
+    return Intent((), command.source, command.sent_ms, command.estop, command.lease)
+
+
+_READERS: Final = {
+    Target.SERVO: _read_servo,
+    Target.LEG: _read_leg,
+    Target.LEGS: _read_legs,
+    Target.RESET: _read_reset,
+}
+
+
+def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
+    """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
+    targets: Targets = ()
+    for place, servo_id in enumerate(servo_ids):
+        setpoint = setpoints[place]
+        op = STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))
+        targets += ((servo_id, op),)
+    return targets
+
+
+_MAX_COLONS: Final = 4 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
+"""A LegsCommand with all its fields (legs, source, sent_ms, lease; for a leg its number, servos and three times op and
+angle_deg), and a source that is nothing but colons.
+
+A payload with more is rejected before pydantic reads it: pydantic lists every wrong field, and a payload full of them
+would block the loop for 1.4 ms.
+"""
+
+
+def too_many_fields(payload: bytes) -> Rejection:
+    """The rejection of a payload that has too many colons to be a command."""
+    try:
+        from_json(payload)
+    except ValueError as error:
+        return _malformed(str(error))
+    return Rejection(Reason.INVALID, "the payload has more fields than any command has")
+
+
+def _fields(target: Target, intent: Intent) -> int:
+    """How many fields a payload with this content has at least."""
+    fields = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
+    fields += intent.lease is not None
+    for _, op in intent.targets:
+        fields += 1 if op is STOP else 2
+    if target is _LEG:
+        fields += 1
+    elif target is _LEGS:
+        fields += 1 + 2 * len(intent.targets) // len(JOINTS)
+    return fields
+
+
+class _GivenTwiceError(Exception):
+    """Carries the name that one of a payload's objects has twice."""
+
+
+def name_given_twice(payload: bytes) -> str | None:
+    """The first name that an object of this (valid) payload has twice, or None.
+
+    pydantic silently keeps the last value; which one the sender meant must not be guessed.
+    """
+    if payload:
+        try:
+            json.loads(payload, object_pairs_hook=_reject_doubles)
+        except _GivenTwiceError as error:
+            return str(error)
+    return None
+
+
+def _reject_doubles(pairs: list[tuple[str, object]]) -> None:
+    seen = set()
+    for name, _ in pairs:
+        if name in seen:
+            raise _GivenTwiceError(name)
+        seen.add(name)
+
+
+# ---- rejections in words
+
+_MAX_ECHO: Final = 40
+"""Characters of the sender's own value, or name, that a rejection repeats."""
+_MAX_ECHO_BITS: Final = 128
+_SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
+"""What may be a lease's token, in a field where it does not belong."""
+_PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
+
+
+def given_twice(name: str) -> Rejection:
+    """The rejection of a payload in which an object has this name twice."""
+    return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; which one counts is not clear")
+
+
+def explain(error: ValidationError) -> Rejection:
+    """What is wrong with a payload, in a sentence that names the field and what it must be."""
+    faults = error.errors(include_url=False)
+    first = faults[0]
+    if first["type"] == "json_invalid":
+        return _malformed(first["ctx"]["error"])
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return Rejection(Reason.INVALID, f"{_sentence(dict(first))}{more}")
+
+
+def _malformed(why: str) -> Rejection:
+    return Rejection(Reason.MALFORMED, f"the payload is not JSON: {why}")
+
+
+def _sentence(fault: dict[str, Any]) -> str:
+    """One sentence of bounded length that names the field and what it must be."""
+    loc = fault["loc"]
+    where = _path(loc)
+    field = loc[-1] if loc else None
+    if where == "lease" and fault["type"] != "missing":
+        return "lease must be 32 hex digits, a to f in lower case"  # what was sent may be most of a secret
+    match fault["type"]:
+        case "missing":
+            return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if isinstance(field, int) else "")
+        case "extra_forbidden":
+            return f"{where} is not known here" + ("; stop takes no angle" if loc[-2:] == ("stop", "angle_deg") else "")
+        case "string_too_short" | "string_too_long":
+            return f"{where} must have 1 to 64 characters"
+        case "union_tag_invalid":
+            return f'{_join(where, "op")} is {_echo(fault["input"]["op"])}; it must be "start", "set" or "stop"'
+        case "union_tag_not_found":
+            return f'{_join(where, "op")} is missing; it must be "start", "set" or "stop"'
+        case "literal_error" if field == "[key]":
+            may = '"1" to "6"' if loc[0] == "legs" else '"11" to "63": the leg (1 to 6), then the joint (1 to 3)'
+            return f"{loc[0]} has {_echo(fault['input'])}; it may have {may}"
+        case "too_long" if field == "servos":
+            return f"{where} has {fault['ctx']['actual_length']} entries; a leg has {len(JOINTS)} servos"
+        case "too_short" if loc == ("legs",):
+            return "legs is empty; name at least one leg"
+        case kind:
+            must = _MUST.get(kind) or _RANGES.get(field) or "what the schema says"
+            return f"{where or 'the payload'} is {_echo(fault['input'])}; it must be {must}"
+
+
+_MUST: Final = {
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "string_type": "a string",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "tuple_type": "an array",
+    "model_type": "an object",
+    "dict_type": "an object",
+    "model_attributes_type": "an object",
+    "bool_type": "true or false",
+    "literal_error": "true, or left out",  # accept_default
+}
+_RANGES: Final[dict[object, str]] = {
+    "angle_deg": "between 0 and 180",
+    "sent_ms": f"between 0 and {MAX_SENT_MS}",
+    "estop": f"between 0 and {MAX_ESTOP}",
+    "revision": "0 or more",
+    "trim_deg": f"between {-MAX_TRIM_DEG:g} and {MAX_TRIM_DEG:g}",
+    **dict.fromkeys(("min_deg", "max_deg", *map(str, SERVO_IDS)), "between 0 and 180"),  # a landing angle is a servo's
+}
+
+
+def _path(loc: tuple[int | str, ...]) -> str:
+    """`servos[2].angle_deg`: the place in the JSON, without the names of union members, which pydantic adds.
+
+    The last part is the field, whatever the sender calls it; all others are our own names.
+    """
+    path = ""
+    for index, part in enumerate(loc):
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif index < len(loc) - 1 and part in _SERVO_OPS and (index == 0 or isinstance(loc[index - 1], int)):
+            continue
+        else:
+            path = _join(path, _name(part))
+    return path
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
+def without_secrets(text: str) -> str:
+    """The sender's own text without what may be the token of a lease."""
+    return _SECRET.sub("(hex digits)", text)
+
+
+def _name(name: str) -> str:
+    """A short, plain name as it is; any other quoted."""
+    return name if _PLAIN_NAME.fullmatch(name) and not _SECRET.search(name) else _echo(name)
+
+
+def _echo(value: object) -> str:
+    """The value as JSON in ASCII, on one line, without tokens, and cut to `_MAX_ECHO` characters."""
+    if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
+        # Thousands of digits take long to write out.
+        return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
+    text = without_secrets(json.dumps(value))
+    return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

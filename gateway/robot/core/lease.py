@@ -1,0 +1,248 @@
+"""Who is driving: one lease for the whole robot. Pure: the time, and the randomness of tokens, are arguments.
+
+The rules (docs/interface.md, *Behaviour 9*), by state:
+
+- Free: anybody acquires it. Commands need no token, unless the lease is required.
+- Held: what moves, and a reset, needs the holder's token. The lease expires `ttl_ns` after the holder's last renewal or
+  accepted command; deadlines come before a command of the same step.
+- Asked: held, and others have asked for it. The latest `MOST_ASKERS` are known: the holder may hand over to each.
+- Handed over: for `ttl_ns` it waits for one of them. Nobody else acquires it, and no token is good.
+
+Whoever takes the lease gets it in any state, if takeovers are allowed; the supervisor stops all legs before. A token is
+good as long as its lease lasts. After that it is rejected in every state, for commands of its holder may still be on
+their way. Stops, deletes and emergency stops are not asked for a token.
+"""
+
+import hmac
+from collections import Counter
+from enum import StrEnum
+from typing import Final
+
+from gateway.robot.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS
+from schemas import keys
+from schemas.telemetry import Kind, Reason
+
+MOST_ASKERS: Final = 8
+"""More people than one robot has around it; the one who asked first is forgotten for a ninth."""
+
+
+class LeaseState(StrEnum):
+    """Where the lease is."""
+
+    FREE = "free"
+    HELD = "held"
+    ASKED = "asked"
+    HANDED_OVER = "handed over"
+
+
+_FREE, _HELD, _ASKED, _HANDED_OVER = LeaseState
+
+TRANSITIONS: Final[dict[LeaseState, dict[Do, frozenset[LeaseState]]]] = {
+    _FREE: {
+        Do.ACQUIRE: frozenset({_HELD}),
+        Do.ASK: frozenset({_FREE}),
+        Do.TAKE: frozenset({_HELD}),
+        Do.RENEW: frozenset({_FREE}),
+        Do.RELEASE: frozenset({_FREE}),
+    },
+    _HELD: {
+        Do.ACQUIRE: frozenset({_HELD}),
+        Do.ASK: frozenset({_ASKED}),
+        Do.TAKE: frozenset({_HELD}),
+        Do.RENEW: frozenset({_HELD}),
+        Do.RELEASE: frozenset({_HELD, _FREE}),
+    },
+    _ASKED: {
+        Do.ACQUIRE: frozenset({_ASKED}),
+        Do.ASK: frozenset({_ASKED}),
+        Do.TAKE: frozenset({_ASKED, _HELD}),
+        Do.RENEW: frozenset({_ASKED}),
+        Do.RELEASE: frozenset({_ASKED, _FREE, _HANDED_OVER}),
+    },
+    _HANDED_OVER: {
+        Do.ACQUIRE: frozenset({_HANDED_OVER, _HELD}),
+        Do.ASK: frozenset({_HANDED_OVER}),
+        Do.TAKE: frozenset({_HANDED_OVER, _HELD}),
+        Do.RENEW: frozenset({_HANDED_OVER}),
+        Do.RELEASE: frozenset({_HANDED_OVER}),
+    },
+}
+"""Where each request leads; where it may also leave the lease as it is, it may be rejected. Time leads to FREE."""
+
+
+class Lease:
+    """The lease of one robot. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.holder: str | None = None
+        """Who holds it, or to whom it is handed over."""
+        self.verified = False
+        self.since_ns: int | None = None
+        """When its holder acquired it; None while it is handed over."""
+        self.due_ns: int | None = None
+        """When it expires."""
+        self.guards = rules.lease_required
+        """Whether commands need a token. While it is false, only those that carry one are looked at."""
+        self._token: str | None = None
+        self._askers: dict[str, bool] = {}
+        """Who has asked, in this order, and whether the name is verified."""
+        self.changes: Counter[Kind] = Counter()
+        """How often what has happened to it."""
+
+    @property
+    def state(self) -> LeaseState:
+        """Where it is."""
+        if self.holder is None:
+            return LeaseState.FREE
+        if self._token is None:
+            return LeaseState.HANDED_OVER
+        return LeaseState.ASKED if self._askers else LeaseState.HELD
+
+    @property
+    def asked_by(self) -> str | None:
+        """The latest who has asked for it."""
+        return next(reversed(self._askers), None)
+
+    # ---- commands
+
+    def rejection(self, token: str | None, *, reset: bool = False) -> tuple[Reason, str] | None:
+        """Why a command that moves (or a `reset`) with this token takes no effect; None: it may."""
+        if self._token is not None:
+            if token is not None and hmac.compare_digest(token, self._token):
+                return None
+            lost = "" if token is None else "the command's own lease has ended, and "
+            return Reason.NOT_HOLDER, f"{lost}{self.holder} holds the lease"
+        if self.holder is not None:
+            return Reason.NOT_HOLDER, f"the lease is handed over to {self.holder}, who has not acquired it yet"
+        if token is not None:
+            return Reason.NOT_HOLDER, "the command's own lease has ended; acquire it again"
+        if self._rules.lease_required and not reset:
+            return Reason.NO_LEASE, "nobody holds the lease, and lease.required is set; acquire it first"
+        return None
+
+    def heard(self, token: str, now_ns: int) -> None:
+        """An accepted command carried this token; the holder's own renews the lease."""
+        if self._holds(token):
+            self.due_ns = now_ns + self._rules.lease_ttl_ns
+
+    # ---- time
+
+    def expire(self, now_ns: int) -> list[Effect]:
+        """End it, if its time has come."""
+        if self.due_ns is None or now_ns < self.due_ns:
+            return []
+        ttl = f"{self._rules.lease_ttl_ns / NS_PER_MS:g} ms"
+        if self.state is LeaseState.HANDED_OVER:
+            detail = f"{self.holder} did not acquire the lease within {ttl} of its handover; it is free"
+        else:
+            detail = f"{self.holder} was silent for {ttl} and has lost the lease"
+        self.changes[Kind.LEASE_EXPIRED] += 1
+        effects: list[Effect] = [Announce(Kind.LEASE_EXPIRED, detail, self.holder)]
+        self.end()
+        return effects
+
+    def end(self) -> None:
+        """It is free."""
+        self._give(None, None, None, verified=False)
+
+    # ---- requests
+
+    def is_takeover(self, request: LeaseRequest) -> bool:
+        """Whether all legs have to be stopped before this request is granted."""
+        return request.do is Do.TAKE and (self._rules.lease_takeover or self.holder is None)
+
+    def grant(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+        """Answer one request; what is told of it, and the answer."""
+        match request.do:
+            case Do.ACQUIRE:
+                return self._acquire(request, now_ns)
+            case Do.TAKE:
+                return self._take(request, now_ns)
+            case Do.ASK:
+                return self._ask(request)
+            case Do.RENEW:
+                return self._renew(request, now_ns)
+            case Do.RELEASE:
+                return self._release(request, now_ns)
+
+    def _acquire(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+        handed_over = self.state is LeaseState.HANDED_OVER
+        if self.holder is not None and not (handed_over and request.source == self.holder):
+            where = "handed over to" if handed_over else "held by"
+            return self._rejected(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
+        self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
+        return self._told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request)
+
+    def _take(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+        name, before = request.source, self.holder
+        if not self.is_takeover(request):
+            detail = f"{before} holds the lease, and lease.takeover lets nobody take it"
+            return self._rejected(Reason.LEASE_DENIED, detail)
+        self._give(name, request.fresh_token, now_ns, verified=request.verified)
+        if before is None:
+            return self._told(Kind.LEASE_ACQUIRED, f"{name} has stopped all legs and acquired the lease", request)
+        detail = f"{name} has stopped all legs and taken the lease from {before}"
+        return self._told(Kind.LEASE_TAKEN, detail, request)
+
+    def _ask(self, request: LeaseRequest) -> tuple[list[Effect], LeaseAnswer]:
+        if self.holder is None:
+            return self._rejected(Reason.NO_LEASE, "nobody holds the lease; acquire it")
+        if self.state is LeaseState.HANDED_OVER:
+            return self._rejected(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
+        name = request.source or ""
+        self._askers.pop(name, None)
+        if len(self._askers) == MOST_ASKERS:
+            del self._askers[next(iter(self._askers))]
+        self._askers[name] = request.verified
+        return self._told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", request)
+
+    def _renew(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+        if not self._holds(request.token):
+            return self._rejected(Reason.NOT_HOLDER, _ENDED)
+        self.due_ns = now_ns + self._rules.lease_ttl_ns
+        return [], self._accepted(request)
+
+    def _release(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+        name, to = self.holder, request.to
+        if not self._holds(request.token):
+            return self._rejected(Reason.NOT_HOLDER, _ENDED)
+        if to is None:
+            self.end()
+            return self._told(Kind.LEASE_RELEASED, f"{name} has released the lease", request, name)
+        if to not in self._askers:
+            return self._rejected(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
+        self._give(to, None, now_ns, verified=self._askers[to])
+        return self._told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", request, name)
+
+    # ----
+
+    def _holds(self, token: str | None) -> bool:
+        return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
+
+    def _give(self, holder: str | None, token: str | None, now_ns: int | None, *, verified: bool) -> None:
+        """To a holder, to one who may acquire it (no token), or to nobody."""
+        self.holder, self._token, self.verified = holder, token, verified
+        self.since_ns = None if token is None else now_ns
+        self.due_ns = None if now_ns is None else now_ns + self._rules.lease_ttl_ns
+        self._askers = {}
+        self.guards = holder is not None or self._rules.lease_required
+
+    def _told(
+        self, kind: Kind, detail: str, request: LeaseRequest, source: str | None = None
+    ) -> tuple[list[Effect], LeaseAnswer]:
+        self.changes[kind] += 1
+        return [Announce(kind, detail, source or request.source, keys.LEASE)], self._accepted(request)
+
+    def _accepted(self, request: LeaseRequest) -> LeaseAnswer:
+        gives = request.do in (Do.ACQUIRE, Do.TAKE)
+        token = self._token if gives else None
+        return LeaseAnswer(None, None, self.holder, token, verified=self.verified)
+
+    def _rejected(self, reason: Reason, detail: str) -> tuple[list[Effect], LeaseAnswer]:
+        return [], LeaseAnswer(reason, detail, self.holder, verified=self.verified)
+
+
+_ENDED: Final = "this is not the token of the lease as it is now"

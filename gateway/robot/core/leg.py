@@ -1,0 +1,136 @@
+"""The supervisor's settings, and what it keeps of each leg and servo. Pure."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from gateway.robot.core.pacing import NEVER, NS_PER_MS, NS_PER_S, RateSlots
+from gateway.robot.protocol.frames import OP_START, ServoOp, servo_ids_of
+from schemas.telemetry import WatchdogState
+
+NO_COMMAND: Final = 0
+"""Commands are numbered from 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """The settings that the supervisor needs, in nanoseconds and hundredths of a degree."""
+
+    timeout_ns: int = 250 * NS_PER_MS
+    whole_robot: bool = False
+    repeats: int = 3
+    repeat_interval_ns: int = 20 * NS_PER_MS
+    period_ns: int = NS_PER_S // 50
+    start_pause_ns: int = 0
+    unnumbered_reset_ns: int = 2 * NS_PER_S
+    """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
+    joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
+    avoid_cdeg: tuple[int, int] | None = None
+    """Wire angles that are never sent: from the first up to, not including, the second."""
+    max_speed_cdeg_s: dict[int, int] = field(default_factory=dict)
+    """Servos that go no faster than this from one frame to the next (Behaviour 11)."""
+    landing_ns: int = 0
+    """How long a landing takes (Behaviour 12); 0: a silent leg is stopped at once."""
+    landing_cdeg: dict[int, int] = field(default_factory=dict)
+    """The landing pose; a servo that is not named holds its angle."""
+    lease_required: bool = False
+    lease_ttl_ns: int = NS_PER_S
+    lease_takeover: bool = True
+    """Whether the lease may be taken from its holder, with a Stop of all legs."""
+
+
+@dataclass(slots=True)
+class Servo:
+    """One servo as last written; `angle_cdeg` is None while it does not run, for then nobody knows where it hangs."""
+
+    servo_id: int
+    leg: int
+    angle_cdeg: int | None = None
+    waiting: ServoOp | None = None
+    """Its newest target, until that is sent."""
+    waiting_number: int = 0
+    """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
+    target_cdeg: int | None = None
+    """Where it is bound for, while its speed is limited and it is not there yet."""
+    since_ns: int = 0
+    """From when the time for its next step counts."""
+    passing_cdeg: int | None = None
+    """Where it would be on its way through angles that are not sent, and at whose near end it waits."""
+    repeats_left: int = 0
+    repeat_ns: int = 0
+    stopped_ns: int | None = None
+    stopped_by: frozenset[str] = frozenset()
+    """All who stopped it at `stopped_ns`: the channels of commands, or the gateway's own causes."""
+
+    @property
+    def running(self) -> bool:
+        return self.angle_cdeg is not None
+
+    @property
+    def will_run(self) -> bool:
+        """Whether a `set` has something to set: the servo runs, or waits to be started."""
+        return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)
+
+    def note_stop(self, by: str, instant_ns: int) -> None:
+        """Remember who stopped it in this instant."""
+        earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()
+        self.stopped_by = earlier | {by}
+        self.stopped_ns = instant_ns
+
+
+@dataclass(slots=True)
+class Leg:
+    """One leg: its servos, its rate slots, and when an accepted command last started or set one of its servos."""
+
+    number: int
+    servos: tuple[Servo, Servo, Servo]
+    slots: RateSlots
+    heard_ns: int | None = None
+    expired: bool = False
+    source: str | None = None
+    """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
+    landed_ns: int = 0
+    """Which part of the way down its frames have said."""
+    due_ns: int = NEVER
+    """When its deadline, its rate slot or a repeated Stop comes; like the next two as of the last `Legs.look`."""
+    repeat_ns: int = NEVER
+    """When its next repeated Stop comes."""
+    runs: bool = False
+    """Whether one of its servos runs."""
+
+    @property
+    def waits_to_start(self) -> bool:
+        """Whether its next frame would energise a servo."""
+        first, second, third = self.servos
+        return (
+            (first.angle_cdeg is None and first.will_run)
+            or (second.angle_cdeg is None and second.will_run)
+            or (third.angle_cdeg is None and third.will_run)
+        )
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether a servo of it is on its way to a target."""
+        first, second, third = self.servos
+        return not (first.target_cdeg is second.target_cdeg is third.target_cdeg is None)
+
+    @property
+    def armed(self) -> bool:
+        """Whether one of its servos runs, or waits to be started."""
+        first, second, third = self.servos
+        return first.will_run or second.will_run or third.will_run
+
+    def deadline_ns(self, timeout_ns: int) -> int | None:
+        """When the watchdog stops this leg; None while there is nothing to stop."""
+        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed else None
+
+    @property
+    def watchdog(self) -> WatchdogState:
+        if self.expired:
+            return WatchdogState.EXPIRED
+        return WatchdogState.ARMED if self.armed else WatchdogState.IDLE
+
+
+def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
+    """A leg's three servos, at rest."""
+    first, second, third = servo_ids_of(leg)
+    return Servo(first, leg), Servo(second, leg), Servo(third, leg)

@@ -1,0 +1,415 @@
+"""How the legs' commands become frames: pure, time as an argument.
+
+The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
+for their leg's rate slot, what one frame says for three servos, which Stops are still to be repeated, and which
+commands are thereby done.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
+from gateway.robot.core.landing import Landing, landing
+from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
+from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
+from gateway.robot.core.reach import Reach
+from gateway.robot.core.speed import step
+from gateway.robot.protocol.frames import OP_SET, OP_STOP, STOP, OneLeg, OneServo, ServoOp, stop_leg
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Kind, Reason
+
+_LOST: Final = "messages of the same key were lost, and a stop may be among them"
+
+
+@dataclass(slots=True)
+class _PendingCommand:
+    """A command under way: how many of its targets still wait, and whether a newer command replaced one."""
+
+    targets: int
+    coalesced: bool = False
+
+
+def _whole_leg(leg: Leg) -> OneLeg:
+    """All three servos in one frame; one that nothing waits for is told what it does already."""
+    first, second, third = leg.servos
+    return OneLeg(
+        leg.number,
+        (first.waiting or _as_it_is(first), second.waiting or _as_it_is(second), third.waiting or _as_it_is(third)),
+    )
+
+
+def _as_it_is(servo: Servo) -> ServoOp:
+    """What tells a servo to go on as it is."""
+    return STOP if servo.angle_cdeg is None else ServoOp(OP_SET, servo.angle_cdeg)
+
+
+def _stops(leg: Leg, servos: list[Servo], cause: Cause, numbers: tuple[int, ...] = ()) -> list[Effect]:
+    """Stops for these servos of a leg, in one frame where they are all of it."""
+    if len(servos) == len(leg.servos):
+        return [Transmit(stop_leg(leg.number), cause, None, numbers)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, numbers) for servo in servos]
+
+
+def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
+    """Another source's command is in force from now on. A leg that nothing runs on is taken from nobody.
+
+    A Stop without a name (a delete has none) may well be that of whoever moved the leg.
+    """
+    before, leg.source = leg.source, source
+    if not leg.armed or (source is None and not moves):
+        return []
+    new, old = ("somebody without a name" if name is None else name for name in (source, before))
+    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
+    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
+
+
+class Legs:
+    """The six legs, and the commands under way on them."""
+
+    def __init__(self, rules: Rules, reach: Reach) -> None:
+        self._rules = rules
+        self._reach = reach
+        self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
+        self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
+        self._pending: dict[int, _PendingCommand] = {}
+        self.instant_ns = 0
+        """When the present instant began; see `Supervisor.step`."""
+        self.due_ns: int | None = None
+        """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `look`."""
+        self.repeat_ns: int | None = None
+        """When the next repeated Stop comes."""
+        self.at_rest = True
+        """Whether no servo of any leg runs."""
+        self._moved: list[Leg] | None = None
+        """The only legs that this step has changed; None: any may have changed."""
+        self.stops = False
+        """Whether a Stop is among what this step wants sent."""
+        self._queue = StartQueue(rules.start_pause_ns)
+        self.landing: Landing | None = None
+        """The landing that is under way."""
+        self.land_ns = 0
+        """When its next frames are due: each leg gets one in a period, however slowly it goes."""
+
+    def __iter__(self) -> Iterator[Leg]:
+        return iter(self.by_number.values())
+
+    # ---- time
+
+    def begin(self, instant_ns: int) -> None:
+        """A step begins."""
+        self.instant_ns = instant_ns
+        self.stops = False
+
+    def look(self) -> None:
+        """A step ends: see what is due next, and whether anything runs.
+
+        A command that only moves its own legs has changed nothing of the others, so these are not looked at.
+        """
+        legs = self.by_number.values()
+        for leg in legs if self._moved is None else self._moved:
+            self._look_at(leg)
+        self._moved = None
+        due_ns = repeat_ns = NEVER
+        at_rest = True
+        for leg in legs:
+            due_ns = leg.due_ns if leg.due_ns < due_ns else due_ns
+            repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
+            at_rest = at_rest and not leg.runs
+        self.due_ns = None if due_ns == NEVER else due_ns
+        self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
+        self.at_rest = at_rest
+
+    def _look_at(self, leg: Leg) -> None:
+        deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
+        due_ns = NEVER if deadline_ns is None else deadline_ns
+        repeat_ns = NEVER
+        runs = waits = False
+        for servo in leg.servos:
+            if servo.angle_cdeg is not None:
+                runs = True
+            if servo.waiting is not None or servo.target_cdeg is not None:
+                waits = True
+            if servo.repeats_left and servo.repeat_ns < repeat_ns:
+                repeat_ns = servo.repeat_ns
+        if self.landing is not None and runs:
+            due_ns = self.landing.ends_ns
+            if self.landing.moves(leg.servos):
+                due_ns = min(due_ns, max(self.land_ns, leg.slots.next_ns))
+        if waits:
+            slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
+            if slot_ns is not None and slot_ns < due_ns:
+                due_ns = slot_ns
+        leg.due_ns, leg.repeat_ns, leg.runs = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns, runs
+
+    def repeat_stops(self, now_ns: int) -> list[Effect]:
+        """The repeated Stops that are due."""
+        return [effect for leg in self for effect in self._repeat(leg, now_ns)]
+
+    def take_slots(self, now_ns: int) -> list[Effect]:
+        """The frames of the legs whose rate slot has come."""
+        self._moved = None
+        return [effect for leg in self for effect in self._send(leg, now_ns)]
+
+    # ---- commands
+
+    def apply(self, command: Command, now_ns: int) -> list[Effect]:
+        """Carry out an accepted command."""
+        by_leg: dict[int, list[tuple[Servo, ServoOp]]] = {}
+        moved: list[Leg] = []
+        for servo_id, op in command.targets:
+            servo = self.servos[servo_id]
+            if servo.leg in by_leg:
+                by_leg[servo.leg].append((servo, op))
+            else:
+                by_leg[servo.leg] = [(servo, op)]
+        self._pending[command.number] = _PendingCommand(len(command.targets))
+        effects: list[Effect] = []
+        stops: list[tuple[Leg, list[Servo]]] = []
+        taken: list[Effect] = []
+        for number, targets in by_leg.items():
+            leg = self.by_number[number]
+            moves = False
+            for _, op in targets:
+                moves = moves or op.op is not OP_STOP
+            if command.lost:
+                leg.source = None
+            elif leg.source != command.source:
+                taken += _taken_over(leg, command.source, moves)
+            if moves:
+                # A Stop does not count: it does not say that the leg's other servos shall go on running.
+                leg.heard_ns = now_ns
+                effects += self._move(leg, targets, command, now_ns)
+                moved.append(leg)
+            else:
+                stops.append((leg, [servo for servo, _ in targets]))
+        for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
+            effects += self._stop_on_command(leg, servos, command, now_ns)
+        if stops:  # they may have ended what its own starts queued behind
+            effects += self.take_slots(now_ns)
+        elif not self._rules.start_pause_ns:  # else a leg that starts delays others
+            self._moved = moved
+        return effects + taken if taken else effects
+
+    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
+        """A command that only stops: its frames go out now, whatever waits."""
+        effects = _stops(leg, servos, Cause.COMMAND, (command.number,))
+        if command.lost:
+            effects += self.drop(servos, Reason.OVERFLOW, _LOST)
+        for servo in servos:
+            effects += self._replaced(servo)
+            servo.note_stop(command.channel, self.instant_ns)
+            self._stopped(servo, now_ns)
+            effects += self._target_done(command.number)
+        leg.expired = leg.expired and len(servos) < len(leg.servos)
+        return effects + self._empty_start_queue(command.number)
+
+    def _move(self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int) -> list[Effect]:
+        """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
+        effects: list[Effect] = []
+        for servo, op in targets:
+            newest = op
+            if servo.waiting is not None:
+                newest = merged(servo.waiting, op)
+                effects += self._replaced(servo)
+            servo.waiting, servo.waiting_number, servo.target_cdeg = newest, command.number, None
+            if op.op is OP_STOP:
+                servo.note_stop(command.channel, self.instant_ns)
+        effects += self._send(leg, now_ns)
+        for servo, _ in targets:
+            # The leg's rate slot has not come. Its moves wait; its Stops do not.
+            if servo.waiting is not None and servo.waiting.op is OP_STOP:
+                servo.waiting = None
+                # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
+                if servo.running or not servo.repeats_left:
+                    stop = OneServo(servo.servo_id, STOP)
+                    effects.append(Transmit(stop, Cause.COMMAND, None, (command.number,)))
+                    self._stopped(servo, now_ns)
+                effects += self._target_done(command.number)
+        return effects
+
+    def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
+        """Send what waits for this leg, if it may go now."""
+        waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
+        limited = self._rules.max_speed_cdeg_s
+        energises = leg.waits_to_start
+        if energises:
+            self._queue.join(leg.number)
+        elif self._queue.legs:
+            self._queue.leave(leg.number)
+        if not (waiting or (limited and leg.is_bound)) or not leg.slots.is_open(now_ns):
+            return []
+        if energises:
+            if not self._queue.admits(leg.number, now_ns):
+                return []
+            self._queue.started(leg.number, now_ns)
+        leg.slots.take(now_ns)
+        if limited:
+            waiting = self._in_steps(leg, now_ns)
+        frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
+        wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
+        numbers = tuple({servo.waiting_number for servo, _ in waiting if servo.waiting_number != NO_COMMAND})
+        effects: list[Effect] = [Transmit(frame if wire is None else wire.frame(frame), cause, None, numbers)]
+        for servo, target in waiting:
+            servo.waiting = None
+            if target.op is OP_STOP:
+                self._stopped(servo, now_ns)
+            else:
+                servo.angle_cdeg = target.angle_cdeg
+                servo.repeats_left = 0  # started again: a repeated Stop would undo it
+                leg.expired = False
+            if servo.waiting_number != NO_COMMAND:
+                pending = self._pending[servo.waiting_number]
+                pending.targets -= 1
+                if not pending.targets:
+                    effects.append(self._completed(servo.waiting_number))
+        return effects
+
+    def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
+        """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
+        said: list[tuple[Servo, ServoOp]] = []
+        for servo in leg.servos:
+            if servo.waiting is None and servo.target_cdeg is not None:
+                servo.waiting, servo.waiting_number = ServoOp(OP_SET, servo.target_cdeg), NO_COMMAND
+            if servo.waiting is None:
+                continue
+            speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
+            if servo.waiting.op is not OP_STOP:
+                target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
+                if speed_cdeg_s is None or servo.angle_cdeg is None:
+                    servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
+                else:
+                    angle_cdeg = self._step(servo, servo.angle_cdeg, target_cdeg, speed_cdeg_s, now_ns)
+                    servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
+                    servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
+            said.append((servo, servo.waiting))
+        if len(said) > 1:
+            for servo in leg.servos:
+                if servo.waiting is None:
+                    servo.since_ns = now_ns  # the frame tells it its angle again, and the next step counts from here
+        return said
+
+    def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
+        """Where the next frame takes a running servo whose speed is limited."""
+        crosses = self._reach.crosses(servo.servo_id, stands_cdeg, target_cdeg)
+        from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
+        at_cdeg, servo.since_ns = step(
+            from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
+        )
+        sent_cdeg = self._reach.near_side(servo.servo_id, stands_cdeg, at_cdeg)
+        servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
+        return sent_cdeg
+
+    # ---- landing
+
+    def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
+        """From now on each running servo goes to its angle of the pose; all that waits is rejected, starts too."""
+        ways = {
+            servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
+            for servo in self.servos.values()
+            if servo.angle_cdeg is not None
+        }
+        self.landing = landing(now_ns, ends_ns, self._rules.landing_ns, self._rules.period_ns, ways)
+        self.land_ns = now_ns + self._rules.period_ns
+        for leg in self:
+            leg.source, leg.landed_ns = None, 0
+        return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg fell silent")
+
+    def land(self, now_ns: int) -> list[Effect]:
+        """The frames of a landing that are due: only for servos that run, so nothing is started."""
+        effects: list[Effect] = []
+        if self.landing is None or now_ns < self.land_ns:
+            return effects
+        self.land_ns += self._rules.period_ns  # not from now on: what a timer is late would add up
+        if self.land_ns <= now_ns:
+            self.land_ns = now_ns + self._rules.period_ns
+        for leg in self:
+            if not leg.slots.is_open(now_ns):
+                continue
+            leg.landed_ns = self.landing.next_part_ns(leg.landed_ns, now_ns)
+            for servo in leg.servos:
+                if servo.angle_cdeg is not None:
+                    angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
+                    angle_cdeg = self._reach.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
+                    if angle_cdeg != servo.angle_cdeg:
+                        servo.waiting, servo.waiting_number = ServoOp(OP_SET, angle_cdeg), NO_COMMAND
+            effects += self._send(leg, now_ns, Cause.WATCHDOG)
+            for servo in leg.servos:
+                servo.target_cdeg = None  # one whose speed is limited follows the line, and not where the line was
+        return effects
+
+    def stop(
+        self, deadlines_ns: Mapping[int, int | None], cause: Cause, now_ns: int, reason: Reason, detail: str
+    ) -> list[Effect]:
+        """Stop legs for the gateway's own reasons; `deadlines_ns` names them, and since when a Stop was due.
+
+        What waited for them is rejected with `reason`.
+        """
+        transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
+        servos = [servo for number in deadlines_ns for servo in self.by_number[number].servos]
+        for servo in servos:
+            servo.note_stop(cause, self.instant_ns)
+            self._stopped(servo, now_ns)
+        for number in deadlines_ns:
+            self.by_number[number].expired = False
+            self.by_number[number].source = None
+        return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
+
+    def _stopped(self, servo: Servo, now_ns: int) -> None:
+        self.stops = True
+        servo.angle_cdeg = servo.target_cdeg = None
+        servo.repeats_left = self._rules.repeats
+        servo.passing_cdeg = None
+        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
+
+    def _empty_start_queue(self, own: int | None = None) -> list[Effect]:
+        """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now.
+
+        Unless the Stop's own command wants it.
+        """
+        servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
+        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_number != own]
+        return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
+
+    # ---- commands under way
+
+    def _replaced(self, servo: Servo) -> list[Effect]:
+        """Something newer comes for a servo: the command whose target waited until now will not see it sent."""
+        if servo.waiting is None:
+            return []
+        servo.waiting = None
+        self._pending[servo.waiting_number].coalesced = True
+        return self._target_done(servo.waiting_number)
+
+    def _target_done(self, number: int) -> list[Effect]:
+        pending = self._pending[number]
+        pending.targets -= 1
+        return [] if pending.targets else [self._completed(number)]
+
+    def _completed(self, number: int) -> Completed:
+        """All its targets are sent, or replaced."""
+        return Completed(number, self._pending.pop(number).coalesced)
+
+    def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
+        """Forget what waits for these servos, and reject the commands that it came from, as a whole."""
+        rejected = dict.fromkeys(servo.waiting_number for servo in servos if servo.waiting is not None)
+        for servo in servos:
+            servo.target_cdeg = None  # nor does it go on to where an earlier command sent it
+            servo.passing_cdeg = None
+        for servo in self.servos.values():  # what is rejected here must not take effect on another leg
+            if servo.waiting is not None and servo.waiting_number in rejected:
+                servo.waiting = None
+        for number in rejected:
+            del self._pending[number]
+        for leg in self:
+            if not leg.waits_to_start:
+                self._queue.leave(leg.number)
+        return [Rejected(number, reason, detail) for number in rejected]
+
+    def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
+        due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
+        for servo in due:
+            self.stops = True
+            servo.repeats_left -= 1
+            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
+        return _stops(leg, due, Cause.REPEAT)

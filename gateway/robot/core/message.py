@@ -1,0 +1,60 @@
+"""What the middle and the edges share: a message as it came in, how it is answered, and where reports go.
+
+No Zenoh here, so that whatever carries messages can be exchanged, and a second edge can stand beside the first.
+"""
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Final, Protocol
+
+from pydantic import BaseModel
+
+from gateway.robot.core.value import value
+from schemas.keys import CommandKey
+
+Reply = Callable[[bytes], None]
+"""Sends the answer to one query. Never waits."""
+
+
+class Verb(StrEnum):
+    """How a message came."""
+
+    PUT = "put"
+    DELETE = "delete"
+    GET = "get"
+    LOST = "lost"
+    """It stands for puts that were lost before those that follow, at least `size` of them: a Stop may be among them."""
+
+
+_GET: Final = Verb.GET
+
+
+@value
+class Received:
+    """One message as it came. `size` is the payload's; a payload that is too large is not copied out of Zenoh.
+
+    `key` is the command key that it is for, `expression` what the sender wrote (a wildcard, or an unknown key).
+    """
+
+    key: str
+    expression: str
+    target: CommandKey | None
+    verb: Verb
+    payload: bytes
+    size: int
+    encoding: str
+    source: str | None
+    received_ns: int
+    reply: Reply | None = None
+
+    @property
+    def channel(self) -> str:
+        """Messages of one channel came in this order; between channels the order is unknown."""
+        return f"{'get' if self.verb is _GET else 'put'} {self.key}"
+
+
+class Outbox(Protocol):
+    """What the conductor needs of the right edge."""
+
+    def publish(self, key: str, report: BaseModel) -> None:
+        """Send a report to whoever listens. Never raises, never waits."""

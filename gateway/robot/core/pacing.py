@@ -1,0 +1,94 @@
+"""When a leg may send next, and what it will send then: pure, in integer nanoseconds of the monotonic clock.
+
+A leg gets one rate slot per period. A command that finds a slot goes out at once and uses it up; one that comes sooner
+is pending until there is a slot, and only the newest target of each servo is kept. A slot that nobody used is kept for
+later, but never more than `BUCKET` of them (a token bucket): a stream at just the limit's rate comes now early, now
+late, and with spare slots it passes as it is. Older slots are skipped.
+
+Kept slots are no burst: two frames of a leg are never less than a quarter of its period apart. So at most rate + 3
+frames go out in any second, and exactly the rate in the long run.
+
+Stop frames need no slot and never pass through here.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from gateway.robot.protocol.frames import OP_SET, OP_START, ServoOp
+
+NS_PER_S: Final = 1_000_000_000
+NS_PER_MS: Final = 1_000_000
+NEVER: Final = 2**63
+"""Later than any time."""
+
+BUCKET: Final = 3
+"""At 50 Hz, Wi-Fi delivers a setpoint up to 15 ms early or late: 30 ms from one to the next, which is one and a half
+periods. Three slots take up two periods, since the frame itself uses one."""
+SPACING_SHARE: Final = 4
+"""Two frames of a leg are at least a period, divided by this, apart."""
+
+
+def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
+    """The newest target; a start that waits keeps being a start when only its angle changes."""
+    if older.op is OP_START and newer.op is OP_SET:
+        return ServoOp(OP_START, newer.angle_cdeg)
+    return newer
+
+
+@dataclass(slots=True)
+class RateSlots:
+    """The rate slots of one leg. Before the first frame, the bucket is full."""
+
+    period_ns: int
+    oldest_ns: int = -BUCKET * NS_PER_S  # the longest period is 1 s, and the clock begins at 0
+    """Since when there is the oldest slot that is kept, or from when there will be one."""
+    next_ns: int = 0
+    """When the next frame may go out."""
+
+    def is_open(self, now_ns: int) -> bool:
+        """Whether a frame may go out now."""
+        return now_ns >= self.next_ns
+
+    def take(self, now_ns: int) -> None:
+        """A frame goes out now and uses up the oldest slot that the bucket still holds."""
+        kept_ns = now_ns - (BUCKET - 1) * self.period_ns
+        self.oldest_ns = (self.oldest_ns if self.oldest_ns > kept_ns else kept_ns) + self.period_ns
+        soonest_ns = now_ns - (-self.period_ns // SPACING_SHARE)  # rounded up: never closer
+        self.next_ns = self.oldest_ns if self.oldest_ns > soonest_ns else soonest_ns
+
+
+@dataclass(slots=True)
+class StartQueue:
+    """Legs that wait to be energised, in order, at least `pause_ns` apart; 0 lets all go at once.
+
+    Eighteen servos that draw their starting current in one instant can pull the supply down.
+    """
+
+    pause_ns: int
+    next_ns: int = 0
+    legs: list[int] = field(default_factory=list)
+
+    def join(self, leg: int) -> None:
+        """`leg` wants to be energised; a leg that waits already keeps its place."""
+        if self.pause_ns and leg not in self.legs:
+            self.legs.append(leg)
+
+    def admits(self, leg: int, now_ns: int) -> bool:
+        """Whether `leg`, which has joined, may be energised now."""
+        return self.pause_ns == 0 or (self.legs[0] == leg and now_ns >= self.next_ns)
+
+    def started(self, leg: int, now_ns: int) -> None:
+        """`leg` is being energised now."""
+        self.leave(leg)
+        self.next_ns = now_ns + self.pause_ns
+
+    def leave(self, leg: int) -> None:
+        """`leg` waits no more to be energised."""
+        if leg in self.legs:
+            self.legs.remove(leg)
+
+    def due_ns(self, leg: int, slot_ns: int) -> int | None:
+        """When to look again at a leg whose slot comes at `slot_ns`; None: another leg is before it in the queue."""
+        if leg not in self.legs:
+            return slot_ns
+        return max(slot_ns, self.next_ns) if self.legs[0] == leg else None

@@ -1,0 +1,78 @@
+"""Where servos may go, and what the wire then carries: the settings' joint limits and the calibration in force. Pure.
+
+Both must allow an angle. Each allows one range without gaps, so whatever lies between two angles that were accepted
+(a step of a limited speed, a landing's straight line) may be sent as well. There is one gap, of wire angles that are
+never sent (`spi.avoid_deg`): a way that leads across it waits at its near end until it would be beyond.
+"""
+
+from typing import Final
+
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.leg import Rules
+
+_WHY_AVOIDED: Final = (
+    "are never sent (spi.avoid_deg): where one byte is lost, the published firmware dies of whole degrees 1 to 3, with "
+    "its servos on"
+)
+
+
+class Reach:
+    """What every servo may do. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._limits_cdeg = rules.joint_limits_cdeg
+        self._landing_cdeg = rules.landing_cdeg
+        self._avoid_cdeg = rules.avoid_cdeg
+        self.use(Calibration())
+
+    def use(self, calibration: Calibration) -> None:
+        """From now on this calibration is in force. No servo may run whose frames it changes."""
+        self.calibration = calibration
+        self.wire = calibration if calibration.servos else None
+        """What translates frames; None: they go on the wire as they are, and nothing is spent on it."""
+        self.limited = bool(self._limits_cdeg or calibration.servos or self._avoid_cdeg)
+        """Whether `why_not` may have anything against any angle."""
+
+    def why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
+        """Why the servo must not go to this angle, as users count it; None: it may."""
+        limits = self._limits_cdeg.get(servo_id)
+        if limits is not None and not limits[0] <= angle_cdeg <= limits[1]:
+            low, high, angle = (cdeg / 100 for cdeg in (*limits, angle_cdeg))
+            return f"servo {servo_id} may go from {low:g} to {high:g} degrees; {angle:g} is outside"
+        calibration = self.calibration
+        return calibration.why_not(servo_id, angle_cdeg) or self.why_avoided(calibration, servo_id, angle_cdeg)
+
+    def why_avoided(self, calibration: Calibration, servo_id: int, angle_cdeg: int) -> str | None:
+        """Why this angle is not sent with that calibration; None: it may be."""
+        if self._avoid_cdeg is None:
+            return None
+        wire_cdeg = calibration.of(servo_id).wire_cdeg(angle_cdeg)
+        low, high = self._avoid_cdeg
+        if not low <= wire_cdeg < high:
+            return None
+        angle = f"{angle_cdeg / 100:g} degrees of servo {servo_id}"
+        if wire_cdeg != angle_cdeg:
+            angle += f" are its own {wire_cdeg / 100:g}, with its calibration"
+        return f"{angle}; angles on the wire from {low / 100:g} up to {high / 100:g} {_WHY_AVOIDED}"
+
+    def crosses(self, servo_id: int, from_cdeg: int, to_cdeg: int) -> bool:
+        """Whether angles that are never sent lie between these two, which may be."""
+        if self._avoid_cdeg is None:
+            return False
+        servo, low_cdeg = self.calibration.of(servo_id), self._avoid_cdeg[0]
+        return (servo.wire_cdeg(from_cdeg) < low_cdeg) is not (servo.wire_cdeg(to_cdeg) < low_cdeg)
+
+    def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
+        """What is sent on a way that began at `from_cdeg` and is at `angle_cdeg` now: that, if it may be, else the last
+        angle before those that are not."""
+        if self._avoid_cdeg is None:
+            return angle_cdeg
+        servo, (low_cdeg, high_cdeg) = self.calibration.of(servo_id), self._avoid_cdeg
+        if not low_cdeg <= servo.wire_cdeg(angle_cdeg) < high_cdeg:
+            return angle_cdeg
+        return servo.user_cdeg(low_cdeg - 1 if servo.wire_cdeg(from_cdeg) < low_cdeg else high_cdeg)
+
+    def landing_cdeg(self) -> dict[int, int]:
+        """The landing pose: the settings', where the calibration has no other; angles that may be gone to, only."""
+        pose = {**self._landing_cdeg, **self.calibration.landing_cdeg}
+        return {servo_id: angle for servo_id, angle in pose.items() if self.why_not(servo_id, angle) is None}

@@ -1,0 +1,402 @@
+"""The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and say.
+
+No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
+are carried out by the service in their order. If writing a frame fails, the service says so with `BusFailed`.
+
+The rules, by their numbers in docs/interface.md, *Behaviour*:
+
+ 1. `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
+ 2. Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be started is
+    rejected, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
+ 3. Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for nothing, and
+    in what one step wants sent, all Stops come first.
+ 4. A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for
+    the timeout. A Stop for one servo does not keep the others of its leg running.
+    Deadlines come before a command of the same step: a command that was late does not save its leg.
+    Every Stop is repeated, until its servo is started again.
+ 5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
+    and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
+ 6. After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped.
+    The latch of an emergency stop stays through it.
+ 7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
+    only then gets its Stops too.
+
+ 9. While somebody holds the lease, what moves and resets needs its token (`lease`). Whoever takes the lease from its
+    holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
+10. Angles here are users'; only a frame that goes out has the servo's own (`Legs`, by the calibration in force). The
+    calibration changes for no servo that runs or waits to be started, and nothing starts one meanwhile (`calibrating`).
+
+`StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
+too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
+Set is taken: one of its Stops may still come, and would undo it unseen.
+
+Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start
+or Set that came by another channel, and the emergency stop wins over a reset.
+"""
+
+from typing import Final
+
+from gateway.robot.core.calibrating import Calibrating
+from gateway.robot.core.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Calibrate,
+    Command,
+    Completed,
+    Effect,
+    EmergencyStop,
+    Event,
+    Kept,
+    LeaseAnswer,
+    LeaseRequest,
+    Rejected,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.robot.core.lease import Lease
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
+from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.robot.core.reach import Reach
+from gateway.robot.core.transitions import TRANSITIONS, IllegalEvent
+from gateway.robot.protocol.frames import OP_SET, OP_STOP
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Kind, Mode, Reason
+
+_ALL: Final = tuple(LEGS)
+_ESTOPPED: Final = "the emergency stop is engaged; reset it first"
+_BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
+_STOPPING: Final = "the gateway is ending"
+_OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
+_LANDING: Final = "the robot lands, since a leg fell silent; start it once all legs are stopped"
+_REJECTING: Final = {
+    Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
+    Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
+    Mode.STOPPING: (Reason.STOPPING, _STOPPING),
+}
+"""The modes in which every command that comes is rejected, and why."""
+
+
+class Supervisor:
+    """Decides what reaches the robot. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self._reach = Reach(rules)
+        self.calibrating = Calibrating(self._reach)
+        self.legs = Legs(rules, self._reach)
+        self.lease = Lease(rules)
+        self._opened = False  # ever
+        self._bus_ok = False
+        self._latched_ns: int | None = None
+        self._ended = False
+        self.stopped_outside = False
+        """Whether `stop-servos` is known to be at work on the same device."""
+        self.estops = 0
+        """The number of the latest emergency stop; 0 before the first.
+
+        Each run of the gateway counts from 1, so a reset that was sent to an earlier run may name a number of this one.
+        A client that is connected to the gateway cannot send one: what was on its way to the earlier run was lost with
+        that run's sockets. A router can, for as long as it keeps a silent link (10 s), and only once this run has come
+        to the same number. The latch is then left, and nothing moves until somebody starts it.
+        """
+        self.expirations = 0
+        self.mode = Mode.STARTING
+        """What the gateway as a whole is doing."""
+        self.due_ns: int | None = None
+        """When `TimePassed` is next needed; None: not before something else happens."""
+
+    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
+        """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it.
+
+        Events with the same `instant_ns` (their own time, if not given) were collected together, and nobody knows in
+        which order they were sent; to deal with them takes time, and deadlines do not wait for that.
+        """
+        if type(event) not in TRANSITIONS[self.mode]:
+            raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
+        if type(event) is Kept and not self.calibrating.awaits(event.number):
+            raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
+        self.legs.begin(now_ns if instant_ns is None else instant_ns)
+        lease_due_ns = self.lease.due_ns
+        ended = self.lease.expire(now_ns) if lease_due_ns is not None and now_ns >= lease_due_ns else []
+        match event:
+            case Command() | Reset() | TimePassed() | StoppedOutside(at_work=False):
+                effects = self._in_time(event, now_ns)
+            case LeaseRequest():
+                effects = self._lease_request(event, now_ns)
+            # These stop everything, or find a bus that sends nothing: what was due has no meaning any more.
+            case EmergencyStop():
+                effects = self._emergency_stop(event, now_ns)
+            case StoppedOutside():
+                effects = self._stop_with_outside(now_ns)
+            case BusOpened():
+                effects = self._bus_opened(now_ns)
+            case BusFailed():
+                effects = self._bus_failed(event)
+            case ShutDown():
+                effects = self._shut_down(now_ns)
+            case Calibrate() | Kept():
+                effects = self._in_time(event, now_ns)
+        self.legs.look()
+        if self.legs.landing is not None and self.legs.at_rest:
+            self.legs.landing = None  # people have stopped all that was on its way down
+        self.mode = self._mode_now()
+        self.due_ns = self.legs.due_ns if self._bus_ok else None
+        if self.lease.due_ns is not None:
+            self.due_ns = self.lease.due_ns if self.due_ns is None else min(self.due_ns, self.lease.due_ns)
+        effects = ended + effects if ended else effects
+        return sorted(effects, key=_after_stops) if self.legs.stops else effects
+
+    def _mode_now(self) -> Mode:
+        """The first that applies."""
+        if self._ended:
+            return Mode.STOPPING
+        if not self._bus_ok:
+            return Mode.BUS_FAULT if self._opened else Mode.STARTING
+        if self._latched_ns is not None:
+            return Mode.ESTOPPED
+        return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
+
+    def _in_time(self, event: Event, now_ns: int) -> list[Effect]:
+        """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
+        due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
+        effects = self._expire(now_ns) if due else []
+        match event:
+            case Command():
+                effects += self._command(event, now_ns)
+            case Reset():
+                effects += self._reset(event, now_ns)
+            case LeaseRequest():
+                effects += self._without_takeover(event, now_ns)
+            case StoppedOutside():
+                self.stopped_outside = False
+            case Calibrate():
+                effects += self._calibrate(event, now_ns)
+            case Kept():
+                effects += self.calibrating.kept(event)
+        if due:
+            effects += self.legs.repeat_stops(now_ns)
+            effects += self.legs.take_slots(now_ns)
+            effects += self.legs.land(now_ns)
+        return effects
+
+    # ---- events
+
+    def _command(self, command: Command, now_ns: int) -> list[Effect]:
+        rejection = self._rejection(command)
+        if rejection is not None:
+            return [Rejected(command.number, *rejection)]
+        if command.lease is not None:
+            self.lease.heard(command.lease, now_ns)
+        return self.legs.apply(command, now_ns)
+
+    def _rejection(self, command: Command) -> tuple[Reason, str] | None:
+        """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
+        if self.mode in _REJECTING:
+            return _REJECTING[self.mode]
+        moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not OP_STOP]
+        guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
+        if moves and (guarded or command.lease is not None):
+            rejection = self._why_closed(command.lease) or self.calibrating.rejection(moves)
+            if rejection is not None:
+                return rejection
+        for servo_id, op in moves if self._reach.limited else ():
+            why_not = self._reach.why_not(servo_id, op.angle_cdeg)
+            if why_not is not None:
+                return Reason.JOINT_LIMIT, why_not
+        for servo_id, op in moves:
+            servo = self.legs.servos[servo_id]
+            if servo.stopped_ns == self.legs.instant_ns and not servo.stopped_by <= {command.channel}:
+                # Which of the two is older is not known, and an older Start must not overtake a Stop.
+                by = ", ".join(sorted(servo.stopped_by))
+                return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
+            if op.op is OP_SET and not servo.will_run:
+                return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
+        return None
+
+    def _why_closed(self, lease: str | None) -> tuple[Reason, str] | None:
+        """Why nothing may move now, whatever it is; None: it may."""
+        if self.stopped_outside:
+            return Reason.SERVO_STOPPED, _OUTSIDE
+        rejection = self.lease.rejection(lease)
+        if rejection is not None:
+            return rejection
+        return None if self.legs.landing is None else (Reason.LANDING, _LANDING)
+
+    def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
+        rejection = _REJECTING.get(self.mode) or self._why_closed(event.lease)
+        if rejection is not None:
+            return [Rejected(event.number, *rejection)]
+        effects = self.calibrating.change(event, self.legs.servos)
+        if event.lease is not None and self.calibrating.awaits(event.number):
+            self.lease.heard(event.lease, now_ns)
+        return effects
+
+    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
+        first = self._latched_ns is None
+        self.estops += 1
+        self._latched_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
+        effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
+        if first:
+            detail = "emergency stop; all commands are rejected until a reset"
+            if not self._bus_ok:
+                detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
+            effects.append(Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key))
+        return effects
+
+    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
+        if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:
+            return [Rejected(event.number, *_REJECTING[self.mode])]
+        no_lease = self.lease.rejection(event.lease, reset=True)
+        if no_lease is not None:
+            return [Rejected(event.number, *no_lease)]
+        older = None if self._latched_ns is None else self._may_be_older(event, self._latched_ns)
+        if older is not None:
+            return [Rejected(event.number, Reason.ESTOPPED, older)]
+        if event.lease is not None:
+            self.lease.heard(event.lease, now_ns)
+        if self._latched_ns is None:
+            return [Completed(event.number)]
+        self._latched_ns = None
+        detail = "emergency stop left; nothing moves until it is started again"
+        return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event.number)]
+
+    def _may_be_older(self, reset: Reset, latched_ns: int) -> str | None:
+        """Why this reset may have been sent before the latest emergency stop; None: it was sent after it."""
+        age_ns = self.legs.instant_ns - latched_ns
+        if age_ns == 0:
+            return "the emergency stop was engaged in the same instant"
+        if reset.estop is None:
+            if age_ns >= self._rules.unnumbered_reset_ns:
+                return None
+            return (
+                f"the emergency stop was requested {age_ns / NS_PER_S:.1f} s ago; a reset without its number (estop) "
+                f"is accepted after {self._rules.unnumbered_reset_ns / NS_PER_S:g} s"
+            )
+        if reset.estop < self.estops:
+            return f"a newer emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
+        if reset.estop > self.estops:
+            return f"no such emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
+        return None
+
+    def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
+        if self._ended or not self.lease.is_takeover(request):
+            return self._in_time(request, now_ns)
+        taken = f"{request.source} has taken the lease"
+        stops = self._stop_all(Cause.COMMAND, now_ns, Reason.NOT_HOLDER, taken)
+        told, answer = self.lease.grant(request, now_ns)
+        return [*stops, *told, answer]
+
+    def _without_takeover(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
+        if self._ended:
+            return [LeaseAnswer(Reason.STOPPING, _STOPPING)]
+        told, answer = self.lease.grant(request, now_ns)
+        dropped: list[Effect] = []
+        if answer.token is not None:
+            # What others had waiting would move under the new holder.
+            detail = f"{answer.holder} has acquired the lease"
+            dropped = self.legs.drop(self.legs.servos.values(), Reason.NOT_HOLDER, detail)
+        return [*dropped, *told, answer]
+
+    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
+        first, self.stopped_outside = not self.stopped_outside, True
+        effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)
+        if first:
+            detail = "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
+            effects.append(Announce(Kind.STOPPED_OUTSIDE, detail))
+        return effects
+
+    def _bus_opened(self, now_ns: int) -> list[Effect]:
+        recovered, self._opened, self._bus_ok = self._opened, True, True
+        effects = self._stop_all(Cause.STARTUP, now_ns, Reason.BUS_FAULT, _BUS_FAULT)
+        if recovered:
+            effects.append(Announce(Kind.BUS_RECOVERED, "the SPI bus answers again; all servos are stopped"))
+        return effects
+
+    def _bus_failed(self, event: BusFailed) -> list[Effect]:
+        first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
+        self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
+        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
+        if first:
+            effects.append(Announce(Kind.BUS_FAULT, event.detail))
+        return effects
+
+    def _shut_down(self, now_ns: int) -> list[Effect]:
+        self._ended = True
+        self.lease.end()
+        stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
+        announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
+        return [*self._stop_all(Cause.SHUTDOWN, now_ns, Reason.STOPPING, _STOPPING), announcement]
+
+    # ---- Stops for the gateway's own reasons
+
+    def _expire(self, now_ns: int) -> list[Effect]:
+        if self.legs.landing is not None:
+            return self._touch_down(self.legs.landing.ends_ns, now_ns)
+        deadlines = {
+            leg.number: deadline
+            for leg in self.legs
+            if (deadline := leg.deadline_ns(self._rules.timeout_ns)) is not None
+        }
+        silent = {number: deadline for number, deadline in deadlines.items() if now_ns >= deadline}
+        if not silent:
+            return []
+        self.expirations += len(silent)
+        timeout_ms = self._rules.timeout_ns / NS_PER_MS
+        first = min(silent.values())
+        ends_ns = first + self._rules.landing_ns
+        if now_ns < ends_ns and not self.legs.at_rest:
+            return self._begin_landing(min(silent), ends_ns, now_ns)
+        due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
+        expired = [leg for leg in self.legs if leg.number in due and leg.armed]
+        detail = "the command was pending longer than the watchdog allows"
+        effects = self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
+        for leg in expired:
+            leg.expired = True
+        whole = "; all six legs are stopped" if self._rules.whole_robot else "; it is stopped"
+        for number in silent:
+            detail = f"leg {number} was not heard for {timeout_ms:g} ms{whole}"
+            stopped = _ALL if self._rules.whole_robot else (number,)
+            effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
+        return effects
+
+    def _begin_landing(self, silent: int, ends_ns: int, now_ns: int) -> list[Effect]:
+        """A leg fell silent: the whole robot goes down, also legs that are still commanded.
+
+        On five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what
+        comes is rejected) nor a second leg's silence (whose own Stop would come later than this one).
+        """
+        dropped = self.legs.begin_landing(now_ns, ends_ns, self._reach.landing_cdeg())
+        timeout_ms, landing_ms = self._rules.timeout_ns / NS_PER_MS, self._rules.landing_ns / NS_PER_MS
+        detail = (
+            f"leg {silent} was not heard for {timeout_ms:g} ms; the robot lands, and is stopped {landing_ms:g} ms later"
+        )
+        return [*dropped, Announce(Kind.LANDING, detail, legs=_ALL)]
+
+    def _touch_down(self, ends_ns: int, now_ns: int) -> list[Effect]:
+        if now_ns < ends_ns:
+            return []
+        moved = [leg for leg in self.legs if leg.armed]
+        self.legs.landing = None
+        effects = self.legs.stop(
+            dict.fromkeys(self.legs.by_number, ends_ns), Cause.WATCHDOG, now_ns, Reason.LANDING, _LANDING
+        )
+        for leg in moved:
+            leg.expired = True
+        detail = "the robot has landed; all six legs are stopped"
+        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]
+
+    def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs
+        if not self._bus_ok:
+            return self.legs.drop(self.legs.servos.values(), reason, detail)
+        return self.legs.stop({leg.number: None for leg in self.legs}, cause, now_ns, reason, detail)
+
+
+def _after_stops(effect: Effect) -> bool:
+    """Sorts Stops to the front: no frame that moves, and no answer to anyone, stands before one."""
+    return not (isinstance(effect, Transmit) and effect.frame.is_stop)

@@ -1,0 +1,30 @@
+"""What the keys that take `get` only have in common: who may be read at all, before anybody owns the robot's state."""
+
+from collections.abc import Callable
+from typing import Final
+
+import zenoh
+
+from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
+from gateway.robot.core.message import Reply
+from gateway.robot.edge.receiver import Deal
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.telemetry import Reason
+
+Reader = Callable[[zenoh.Query, int, Reply], Deal]
+"""Reads one question, which came at this time (ns), on a thread that owns nothing."""
+
+BY_WILDCARD: Final = Rejection(Reason.INVALID, "this key is not asked by wildcard: name it")
+BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
+
+
+def payload_of(query: zenoh.Query) -> bytes | Rejection:
+    """The payload, or why it is not read."""
+    payload = query.payload
+    if "*" in str(query.key_expr):  # whoever lists what there is wants to see, and asks for nothing
+        return BY_WILDCARD
+    if payload is not None and len(payload) > MAX_PAYLOAD_BYTES:
+        return too_large(len(payload))
+    if query.encoding is not None and str(query.encoding) not in ENCODINGS:
+        return BAD_ENCODING
+    return b"" if payload is None else payload.to_bytes()

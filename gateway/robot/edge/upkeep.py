@@ -1,0 +1,144 @@
+"""What goes wrong slowly or out of sight: certificates that expire, and routers that the gateway does not reach.
+
+Neither stops the service, and Zenoh is silent about both. A thread of its own looks, and tells the log and systemd.
+"""
+
+import datetime as dt
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+
+import zenoh
+
+from gateway import certs
+from gateway.certs import expiry
+from gateway.errors import ConfigError
+from gateway.robot.edge.exposure import connect_endpoints, listen_endpoints
+from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.zenoh_config import Expiry, first_expiry
+from schemas.telemetry import CertificateReport
+
+LOOK_S: Final = 1.0
+GRACE_S: Final = 3.0
+"""How long a router may take at the start before it counts as not reached; Zenoh tries again every second at least."""
+CLOCK_S: Final = 3600.0
+"""How often the certificates' time is compared with the clock, which may be set after the start."""
+
+_PORT: Final = re.compile(r":(\d+)(?:[?#].*)?$")
+
+logger = logging.getLogger(__name__)
+
+
+class Upkeep:
+    """Looks from the constructor on until `close`."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        config: zenoh.Config,
+        status: Callable[[str], None],
+        wall_clock: Callable[[], dt.datetime],
+    ) -> None:
+        """`status` shows people a sentence, which replaces the one before."""
+        self._session = session
+        self._dials = connect_endpoints(config)
+        self._dialled_ports = _ports(self._dials) - _ports(listen_endpoints(config))
+        self._config = config
+        self._status = status
+        self._wall_clock = wall_clock
+        self._begun_s = time.monotonic()
+        self._clock_due_s = self._begun_s
+        self._reached: bool | None = None if self._dials else True
+        self._fault: str | None = None
+        self.first_expiry = first_expiry(config)
+        """Of the certificates in use: those of the start. A renewed one is used from the next start on."""
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="upkeep", daemon=True)
+        self._thread.start()
+
+    @property
+    def certificate(self) -> CertificateReport | None:
+        """The same as the state has it."""
+        first = self.first_expiry
+        return None if first is None else CertificateReport(file=first.file.name, expires=first.end)
+
+    def close(self) -> None:
+        """End the thread. Blocks; not for the loop's thread."""
+        self._closed.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        prefer_thread(PAGE_PRIORITY)
+        with suppress(zenoh.ZError):  # the session is closed
+            while True:
+                self._look(time.monotonic())
+                if self._closed.wait(LOOK_S if self._dials else max(LOOK_S, self._clock_due_s - time.monotonic())):
+                    return
+
+    def _look(self, now_s: float) -> None:
+        changed = self._look_at_links(now_s)
+        if now_s >= self._clock_due_s:
+            self._clock_due_s = now_s + CLOCK_S
+            changed |= self._look_at_clock()
+        if changed:
+            unreached = "" if self._reached is not False else f"; {', '.join(self._dials)} is not reached"
+            self._status(f"takes commands{unreached}{f'; {self._fault}' if self._fault else ''}")
+
+    def _look_at_links(self, now_s: float) -> bool:
+        """Whether it has changed that a program that is dialled is reached."""
+        if not self._dials:
+            return False
+        reached = any(_ports([str(link.dst)]) & self._dialled_ports for link in self._session.info.links())
+        if reached is self._reached or (not reached and now_s - self._begun_s < GRACE_S):
+            return False
+        self._reached = reached
+        where = ", ".join(self._dials)
+        if reached:
+            logger.info("%s is reached", where)
+        else:
+            logger.warning(
+                "%s is not reached: until it is, nobody behind it can command this robot or watch it. It is tried "
+                "again and again; `hexapod-gateway check` says what is wrong",
+                where,
+            )
+        return True
+
+    def _look_at_clock(self) -> bool:
+        """Whether what is to be said about the certificates has changed: once a day, from WARN_DAYS before on."""
+        fault = self._expiry_fault()
+        if fault == self._fault:
+            return False
+        self._fault = fault
+        if fault is not None:
+            logger.warning(fault)
+        return True
+
+    def _expiry_fault(self) -> str | None:
+        first = self.first_expiry
+        if first is None:
+            return None
+        now = self._wall_clock()
+        soon = expiry.soon(first.file.name, first.end, now)
+        if soon is None:
+            return None
+        result = "then nobody can connect" if now < first.end else "nobody can connect (is this clock right?)"
+        return f"{soon}: {result}; {self._remedy(first)}"
+
+    def _remedy(self, first: Expiry) -> str:
+        restart = "restart the service"
+        try:
+            now_there = first_expiry(self._config)
+            if now_there is not None and now_there.end > first.end:
+                return f"a newer one is there: {restart}, which then uses it"
+            found = certs.describe(first.file)
+        except ConfigError as error:
+            return str(error)
+        return f"{expiry.remedy(first.file.name, found.role, found.name)}, and {restart}"
+
+
+def _ports(endpoints: list[str]) -> set[str]:
+    return {found[1] for each in endpoints if (found := _PORT.search(each)) is not None}

@@ -1,0 +1,246 @@
+"""The calibration on disk: TOML that a person can read, written whole or not at all, with the ten before it.
+
+A file that is broken, cut off or of another version is an error and not a default: with the wrong direction or trim a
+servo would go where nobody sent it.
+"""
+
+import glob
+import math
+import os
+import stat
+import tomllib
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from gateway.errors import ConfigError
+from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration
+from gateway.robot.host.systemd import SERVICE_STATE, state_directory
+from gateway.robot.protocol.frames import centidegrees
+from gateway.robot.settings import Settings
+from schemas.robot import SERVO_IDS
+
+NAME: Final = "calibration.toml"
+"""In the service's state directory."""
+VERSION: Final = 1
+KEPT: Final = 10
+"""How many earlier calibrations are kept beside the file."""
+MAX_BYTES: Final = 64 * 1024
+"""A whole calibration takes 2 kB; what is larger is no calibration, and is not read."""
+
+SLOW_S: Final = 5.0
+"""A write takes some milliseconds, on a worn card a second: one that takes longer hangs, and people are told."""
+
+MOST_DIGITS: Final = 18
+"""Of a revision: more is none of ours, and takes long to read."""
+
+_HEAD: Final = """\
+# How this robot's servos differ from the drawing. Written by `hexapod-gateway calibrate`; whoever changes it by hand
+# restarts the service. On the wire a servo gets (180 - angle if inverted else angle) + trim_deg; min_deg, max_deg and
+# the landing pose are angles as commands name them.
+"""
+
+
+def path_of(settings: Settings) -> Path | None:
+    """Where the gateway itself keeps its calibration; None: in memory only."""
+    if settings.calibration.path:
+        return Path(settings.calibration.path)
+    folder = state_directory()
+    return None if folder is None else folder / NAME
+
+
+def path_to_read(settings: Settings) -> Path | None:
+    """The same for whoever looks at it: also the service's, where systemd did not start the looker."""
+    path = path_of(settings)
+    return path if path is not None else SERVICE_STATE / NAME if SERVICE_STATE.is_dir() else None
+
+
+def load(path: Path) -> tuple[Calibration, str | None]:
+    """What a gateway starts with, and why nothing may be started with it, if so.
+
+    Where the file cannot be used, that is the default with a revision which none of those beside the file has, so that
+    what is kept next is newer than them.
+    """
+    earlier: list[Path] = []
+    with suppress(OSError):
+        earlier = previous(path)
+    try:
+        found = read(path)
+    except ConfigError as error:
+        fault = str(error)
+    else:
+        if found is not None:  # one of the earlier, put back by hand, is newer than all of them
+            newest = 1 + _number(path, earlier[0]) if earlier else 0
+            return replace(found, revision=max(found.revision, newest)), None
+        if not earlier:
+            return Calibration(), None
+        fault = f"{path}: is missing, and {earlier[0].name} stands beside it"
+    return Calibration(1 + _number(path, earlier[0]) if earlier else 0), fault
+
+
+def read(path: Path) -> Calibration | None:
+    """The calibration kept there; None: there is none yet. Raises ConfigError with one sentence.
+
+    It waits for the disk, and for nothing else: not for somebody who writes into a pipe of that name.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise ConfigError(f"{path}: is no file")
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(data) > MAX_BYTES:
+        raise ConfigError(f"{path}: is larger than {MAX_BYTES} bytes; that is no calibration")
+    try:
+        return from_toml(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def write(path: Path, calibration: Calibration) -> None:
+    """Keep it: on disk when this returns, or the old one stays. Raises ConfigError. Takes as long as the disk does."""
+    staged = staged_for(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with staged.open("wb") as file:
+            file.write(to_toml(calibration).encode())
+            file.flush()
+            os.fsync(file.fileno())
+        _keep_previous(path)
+        staged.replace(path)
+        _sync(path.parent)
+    except OSError as error:
+        with suppress(OSError):
+            staged.unlink()
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the old calibration stays") from error
+
+
+def staged_for(path: Path) -> Path:
+    """The file that is written, and then takes the other's place. It stays only while, or where, that did not end."""
+    return path.with_name(f".{path.name}.new")
+
+
+def previous(path: Path) -> list[Path]:
+    """The earlier calibrations beside it, newest first."""
+    beside = path.parent.glob(f"{glob.escape(path.stem)}.*{glob.escape(path.suffix)}")
+    numbered = [(number, found) for found in beside if (number := _number(path, found)) >= 0]
+    return [found for _, found in sorted(numbered, reverse=True)]
+
+
+def _number(path: Path, found: Path) -> int:
+    """The revision in an earlier calibration's name; -1: it has none."""
+    text = found.name[len(path.stem) + 1 : len(found.name) - len(path.suffix)]
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS else -1
+
+
+def _keep_previous(path: Path) -> None:
+    """A second name for the file as it is; only then is it replaced, so that there is a whole one at any time."""
+    try:
+        before = read(path)
+    except ConfigError:
+        name = "broken"
+    else:
+        if before is None:
+            return
+        name = str(before.revision)
+    copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
+    copy.unlink(missing_ok=True)
+    os.link(path, copy)
+    for old in previous(path)[KEPT:]:
+        old.unlink()
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+# ---- as text
+
+
+def to_toml(calibration: Calibration) -> str:
+    """The file's text. Its last line names the revision again, so that a file that was cut off can be told."""
+    lines = [f"{_HEAD}version = {VERSION}", f"revision = {calibration.revision}", "", "[landing]"]
+    lines += [f"{servo_id} = {angle / 100!r}" for servo_id, angle in sorted(calibration.landing_cdeg.items())]
+    for servo_id in SERVO_IDS:
+        servo = calibration.of(servo_id)
+        lines += [
+            "",
+            f"[servos.{servo_id}]",
+            f"trim_deg = {servo.trim_cdeg / 100!r}",
+            f"inverted = {str(servo.inverted).lower()}",
+            f"min_deg = {servo.min_cdeg / 100!r}",
+            f"max_deg = {servo.max_cdeg / 100!r}",
+        ]
+    return "\n".join([*lines, "", "[end]", f"of_revision = {calibration.revision}", ""])
+
+
+def from_toml(text: str) -> Calibration:
+    """The calibration in a file's text. Raises ValueError with one sentence."""
+    try:
+        values = tomllib.loads(text)
+    except ValueError as error:
+        raise ValueError(f"is not TOML: {error}") from error
+    version = values.get("version")
+    if version != VERSION:
+        raise ValueError(f"version is {version!r}; this gateway reads {VERSION}")
+    _names(values, {"version", "revision", "landing", "servos", "end"}, "the file")
+    revision = values["revision"]
+    if type(revision) is not int or not 0 <= revision < 10**MOST_DIGITS:
+        raise ValueError(f"revision is {revision!r}; it is a whole number")
+    if values["end"] != {"of_revision": revision}:
+        raise ValueError(f"the last line is not of_revision = {revision}; the file was cut off, or half of it changed")
+    servos = _table(values["servos"], "servos")
+    _names(servos, set(map(str, SERVO_IDS)), "servos")
+    landing = _table(values["landing"], "landing")
+    return Calibration(
+        revision,
+        {int(name): _servo(f"servos.{name}", servo) for name, servo in servos.items()},
+        {_servo_id(name): _cdeg(f"landing.{name}", angle) for name, angle in landing.items()},
+    )
+
+
+def _servo(place: str, value: object) -> ServoCalibration:
+    table = _table(value, place)
+    _names(table, {"trim_deg", "inverted", "min_deg", "max_deg"}, place)
+    if type(table["inverted"]) is not bool:
+        raise ValueError(f"{place}.inverted is {table['inverted']!r}; it is true or false")
+    trim, low, high = (_cdeg(f"{place}.{name}", table[name]) for name in ("trim_deg", "min_deg", "max_deg"))
+    return ServoCalibration(trim, table["inverted"], low, high)
+
+
+def _servo_id(name: str) -> int:
+    if name not in map(str, SERVO_IDS):
+        raise CalibrationError(f"servo {name} does not exist; an id is the leg and the joint, such as 32")
+    return int(name)
+
+
+def _cdeg(place: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{place} is {value!r}; it is a number of degrees")
+    if abs(value) > 360:
+        raise ValueError(f"{place} is {value!r}; that is more than a turn")
+    return centidegrees(value)
+
+
+def _table(value: object, place: str) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{place} is {value!r}; it is a table")
+    return value
+
+
+def _names(table: Mapping[str, object], wanted: set[str], place: str) -> None:
+    missing, unknown = sorted(wanted - table.keys()), sorted(table.keys() - wanted)
+    if missing:
+        raise ValueError(f"{place} has no {missing[0]}; a whole calibration names every servo and all of its numbers")
+    if unknown:
+        raise ValueError(f"{place} has {unknown[0]!r}, which is not known here")

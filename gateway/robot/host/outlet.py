@@ -1,0 +1,121 @@
+"""Writes to stdout or stderr from a thread of its own, so that nobody else waits.
+
+Whatever reads stdout or stderr may stop reading: a full pipe, a paused terminal, a stuck journal. Then the writer
+blocks, and on the loop every Stop would wait with it.
+"""
+
+import io
+import logging
+import os
+import select
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Final
+
+from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+
+KEPT: Final = 1000
+"""Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""
+
+
+class Outlet:
+    """One descriptor, its queue and its thread.
+
+    `put` never waits: `SimpleQueue` has no lock that a thread could hold while it waits for a processor. When several
+    threads put lines at the same moment, a few more than `KEPT` may wait.
+    """
+
+    def __init__(self, descriptor: int, render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage):
+        self.descriptor = descriptor
+        self.dropped = 0
+        """Lines that were not written: nobody read what came before them, or writing failed."""
+        self._render = render
+        self._waiting: SimpleQueue[logging.LogRecord | str | None] = SimpleQueue()
+        self._full = False
+        self._thread = threading.Thread(target=self._run, name=f"outlet-{descriptor}", daemon=True)
+        self._thread.start()
+
+    def put(self, item: logging.LogRecord | str) -> None:
+        """Queue this to be written: a record as one line, a text as it is."""
+        waiting = self._waiting.qsize()
+        if waiting >= KEPT or (self._full and waiting > KEPT // 2):
+            self._full = True
+            self.dropped += 1
+            return
+        self._full = False
+        self._waiting.put(item)
+
+    def close(self, timeout_s: float) -> None:
+        """Write the lines that wait, for at most this long."""
+        self._waiting.put(None)
+        self._thread.join(timeout_s)
+
+    # ---- on the thread
+
+    def _run(self) -> None:
+        # Rendering holds the interpreter's lock, so this thread must not be preempted meanwhile: see realtime.py.
+        prefer_thread(PAGE_PRIORITY)
+        told = 0
+        while (item := self._waiting.get()) is not None:
+            written = self._write(item)
+            dropped = self.dropped
+            if written and dropped != told and self._waiting.qsize() <= KEPT // 2:
+                self._write(_left_out(dropped - told))
+                told = dropped
+
+    def _write(self, item: logging.LogRecord | str) -> bool:
+        try:
+            text = item if isinstance(item, str) else f"{self._render(item)}\n"
+            self._write_bytes(text.encode(errors="backslashreplace"))
+        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: go on with the next
+            self.dropped += 1
+            return False
+        return True
+
+    def _write_bytes(self, data: bytes) -> None:
+        # Not through Python's buffers: if a blocked thread held their lock, the interpreter would abort at its end.
+        while data:
+            try:
+                data = data[os.write(self.descriptor, data) :]
+            except BlockingIOError:  # somebody who shares the terminal has made it non-blocking
+                select.select([], [self.descriptor], [])
+
+
+def _left_out(lines: int) -> logging.LogRecord:
+    detail = f"{lines} lines were left out here, since nobody read them in time"
+    return logging.LogRecord(__name__, logging.WARNING, __file__, 0, detail, None, None)
+
+
+class _Line(threading.local):
+    text = ""
+
+
+class Stream(io.TextIOBase):
+    """Replaces `sys.stdout` or `sys.stderr`, for results, what libraries print, and tracebacks of threads."""
+
+    def __init__(self, outlet: Outlet) -> None:
+        self._outlet = outlet
+        self._unfinished = _Line()
+
+    def write(self, text: str) -> int:
+        lines, end, rest = (self._unfinished.text + text).rpartition("\n")
+        self._unfinished.text = rest
+        if end:
+            self._outlet.put(lines + end)
+        return len(text)
+
+    def flush(self) -> None:
+        """Queue the unfinished line. Never waits."""
+        rest, self._unfinished.text = self._unfinished.text, ""
+        if rest:
+            self._outlet.put(rest)
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._outlet.descriptor
+
+    def isatty(self) -> bool:
+        return os.isatty(self._outlet.descriptor)

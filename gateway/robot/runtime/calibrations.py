@@ -1,0 +1,105 @@
+"""The calibration's two keys: what is in force is told, and a change is decided, kept, and only then acknowledged."""
+
+import asyncio
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.calibration_intake import CalibrationIntent
+from gateway.robot.core.calibration_report import report_of
+from gateway.robot.core.events import Announce, Calibrate, Keep, Kept
+from gateway.robot.core.intake import Rejection
+from gateway.robot.core.message import Reply
+from gateway.robot.host.calibration_file import SLOW_S
+from gateway.robot.host.ownership import OwnersTimer
+from gateway.robot.runtime.conductor import Conductor
+from schemas import keys
+from schemas.telemetry import Kind, Reason
+
+WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
+"""Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
+
+
+HANGS: Final = (
+    f"the disk has not answered for {SLOW_S:g} s; if it does not come back, restart the gateway, and look at the "
+    "calibration that is then in force"
+)
+
+logger = logging.getLogger(__name__)
+
+
+class Calibrations:
+    """Asks the conductor. Everything here is called by the owner of the robot's state."""
+
+    def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
+        """Without `keep`, a calibration lives as long as the process."""
+        self._loop = loop
+        self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
+        self._conductor = conductor
+        self._keep = keep
+        conductor.calibration_kept = keep is not None
+        self._written = b""
+        self._written_of: Calibration | None = None
+
+    def announce_start(self) -> None:
+        """Publish what is in force from the start on, and log that it will be forgotten, if so."""
+        if self._keep is None:
+            logger.info("the calibration is kept in memory only, until this process ends (calibration.path)")
+        self.tell()
+
+    def tell(self) -> None:
+        """Publish what is in force, and have the black box know it."""
+        self._conductor.recorder.calibration(self._in_force)
+        self._conductor.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
+
+    def answer(self, reply: Reply) -> None:
+        """Answer a `get` on what is in force."""
+        if self._written_of is not self._in_force:  # anybody may ask as often as they like
+            self._written_of = self._in_force
+            self._written = report_of(self._in_force).model_dump_json().encode()
+        reply(self._written)
+
+    def change(self, intent: CalibrationIntent, source: str | None, reply: Reply) -> None:
+        """Decide about a change, and answer once it is on the disk, or rejected."""
+        conductor, answers, key = self._conductor, self._conductor.answers, keys.CALIBRATION_CMD
+        now_ns = conductor.turned()
+        servos = (*intent.change.servos.items(), *intent.change.landing_cdeg.items())
+        too_old = conductor.too_old(intent, source, now_ns, now_ns)
+        if too_old is not None:
+            answers.reject(key, source, reply, Reason.STALE, too_old, servos=servos)
+            return
+        number = answers.expect(key, source, reply, servos)
+        event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, key, intent.lease)
+        for effect in conductor.ask(event):
+            if isinstance(effect, Keep):
+                self._hand_on(effect)
+
+    def reject(self, source: str | None, rejection: Rejection, reply: Reply) -> None:
+        """Answer a message that is no change, and tell of it."""
+        self._conductor.answers.reject(keys.CALIBRATION_CMD, source, reply, rejection.reason, rejection.detail)
+
+    def _hand_on(self, keep: Keep) -> None:
+        kept = partial(self._kept, keep.number)
+        if self._keep is None:
+            kept(None)
+        else:
+            self._slow.set(self._loop.time() + SLOW_S)
+            self._keep(keep.calibration, kept)
+
+    def _note_delay(self) -> None:
+        """Not answered yet: nobody knows whether it is kept, and until that is known nothing else can be."""
+        self._conductor.supervisor.calibrating.note_delay(HANGS)
+        logger.warning("a change of the calibration is not kept yet: %s; what runs goes on", HANGS)
+
+    def _kept(self, number: int, fault: str | None) -> None:
+        self._slow.cancel()
+        effects = self._conductor.ask(Kept(number, fault))
+        if any(isinstance(effect, Announce) and effect.kind is Kind.CALIBRATED for effect in effects):
+            self.tell()
+            self._conductor.outbox.publish(keys.STATE, self._conductor.state())
+
+    @property
+    def _in_force(self) -> Calibration:
+        return self._conductor.supervisor.calibrating.in_force

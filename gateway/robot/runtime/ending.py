@@ -1,0 +1,148 @@
+"""The end of the service: what asks for it, the last Stops, and a process that goes in time."""
+
+import asyncio
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NoReturn
+
+import zenoh
+
+from gateway.errors import GatewayError
+from gateway.robot.blackbox.recorder import Recorder
+from gateway.robot.host import logs
+from gateway.robot.host.ownership import Ownership
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.settings import WatchdogSettings
+from gateway.robot.spi.bus import Bus
+from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
+from schemas.robot import LEGS
+
+END_S = 0.8
+"""What the end may take: the second of docs/interface.md, Behaviour 7, less what the process needs to go."""
+REPEATS_S = 0.3
+"""Of that, what the repeats of the last Stops may take."""
+
+LAST_WORDS_S = 0.1
+"""Beyond that, what the log may take where nothing else waits for the end."""
+
+logger = logging.getLogger(__name__)
+
+
+class End:
+    """What ends the service: a signal, or a mistake of our own.
+
+    After an exception that nobody expected, nobody knows what state is left; so the robot is stopped and the service
+    ends, to be started afresh by systemd.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
+        self.failure: str | None = None
+        self._owner = owner
+        self._recorder = recorder
+        self._event = asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+                continue  # nohup
+            loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal, or the link to it, is gone
+        for number in (signal.SIGTSTP, signal.SIGTTOU):
+            signal.signal(number, signal.SIG_IGN)  # a gateway that its terminal suspends would stop no leg
+        loop.set_exception_handler(self._failed)
+
+    async def wait(self) -> None:
+        """Until something ends it."""
+        await self._event.wait()
+
+    @property
+    def exit_code(self) -> int:
+        """The process's."""
+        return 0 if self.failure is None else GatewayError.exit_code
+
+    def because(self, failure: str) -> None:
+        """End, and report `failure`."""
+        with self._owner:
+            self._recorder.mistake(failure)
+        self.failure = self.failure or failure
+        self._event.set()
+
+    def task_done(self, task: "asyncio.Task[None]") -> None:
+        """A task of the service may be cancelled, but must not fail."""
+        if not task.cancelled() and task.exception() is not None:
+            self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
+
+    def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        logger.critical("%s; stopping the robot", context["message"], exc_info=error)
+        self.because(f"a mistake in the gateway ended it: {error or context['message']}")
+
+
+async def stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSettings) -> None:
+    """Stop all six legs and repeat it for REPEATS_S at most; past the conductor where that did not write all six."""
+    deadline = asyncio.get_running_loop().time() + REPEATS_S
+    with conductor.owner:
+        try:
+            stopped = conductor.shut_down()
+        except Exception:
+            logger.exception("the orderly end failed; writing the Stops past it")
+            stopped = False
+        if not stopped:
+            _last_attempt(bus, watchdog, deadline)
+    if stopped:
+        with suppress(TimeoutError):
+            await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
+    with conductor.owner:
+        how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
+        conductor.recorder.ended(how)
+
+
+def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
+    """All six legs again and again: a fault of a moment, or of one leg's frame, must not leave the others moving.
+
+    It keeps the state, and the loop: nobody knows what else would be done, and these Stops are the last to be written.
+    """
+    unstopped, rounds_left, opened = set(LEGS), 1 + watchdog.repeats, True
+    while True:
+        stopped, fault = stop_once(bus, opened=opened)
+        unstopped -= stopped
+        opened = fault is None
+        rounds_left -= opened
+        if not rounds_left or time.monotonic() > deadline:
+            break
+        time.sleep(min(watchdog.repeat_interval_ms, MOST_PAUSE_MS) / 1000)
+    if unstopped:
+        logger.critical("no Stop could be written to legs %s: %s", ", ".join(map(str, sorted(unstopped))), fault)
+    else:
+        logger.warning("all six legs got their Stop at the last attempt")
+
+
+async def close_within(timeout_s: float, exit_code: int, *closes: Callable[[], object]) -> None:
+    """Close in a thread that nobody has to wait for: a frozen peer can hold Zenoh's close for ten seconds.
+
+    The servos are safe by then, so after `timeout_s` the process goes without it.
+    """
+    closed = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    def run_close() -> None:
+        for close in closes:
+            with suppress(zenoh.ZError):
+                close()
+        with suppress(RuntimeError):
+            loop.call_soon_threadsafe(closed.set)
+
+    threading.Thread(target=run_close, name="close", daemon=True).start()
+    try:
+        await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
+    except TimeoutError:
+        logger.warning("a peer does not let go of its connection; ending without waiting for it")
+        leave(exit_code)
+
+
+def leave(exit_code: int) -> NoReturn:
+    """End at once: a thread inside Zenoh would keep the interpreter from ending."""
+    logs.close(LAST_WORDS_S)
+    os._exit(exit_code)

@@ -1,0 +1,151 @@
+"""What the gateway knows, as `hexapod/state` tells it."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from gateway import __version__
+from gateway.robot.core.lease import Lease
+from gateway.robot.core.leg import Leg, Servo
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol import VERSION
+from gateway.robot.protocol.frames import Op
+from gateway.robot.runtime.metrics import Metrics
+from gateway.robot.settings import Settings
+from gateway.robot.spi.bus import Bus
+from schemas.telemetry import (
+    CalibrationReport,
+    CertificateReport,
+    CommandCounts,
+    GatewayState,
+    Kind,
+    LeaseReport,
+    LegReport,
+    LimitsReport,
+    LoopLag,
+    ServoLimitsReport,
+    ServoReport,
+    SpiReport,
+    StopLatency,
+    TelemetryReport,
+    WatchdogReport,
+)
+
+WARNINGS: Final = frozenset(
+    {
+        Kind.COMMAND_REJECTED,
+        Kind.WATCHDOG_EXPIRED,
+        Kind.LANDING,
+        Kind.ESTOP_ENGAGED,
+        Kind.BUS_FAULT,
+        Kind.BUS_UNBATCHED,
+        Kind.STOPPED_OUTSIDE,
+        Kind.OVERFLOW,
+    }
+)
+"""Events that somebody should look at; the others are the normal course."""
+
+
+def wall_clock() -> datetime:
+    """The time that people read; no decision depends on it."""
+    return datetime.now(UTC)
+
+
+def report(
+    settings: Settings,
+    supervisor: Supervisor,
+    bus: Bus,
+    metrics: Metrics,
+    *,
+    started_ns: int,
+    now_ns: int,
+    simulated: bool,
+    estop_source: str | None = None,
+    incident: str | None = None,
+    calibration_kept: bool = False,
+    certificate: CertificateReport | None = None,
+    limits: LimitsReport,
+) -> GatewayState:
+    """The state at `now_ns`."""
+    p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
+    return GatewayState(
+        mode=supervisor.mode,
+        time=wall_clock(),
+        uptime_s=(now_ns - started_ns) / 1e9,
+        version=__version__,
+        protocol=VERSION,
+        simulated=simulated,
+        legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
+        commands=CommandCounts(
+            accepted=metrics.accepted,
+            rejected=metrics.rejected.total(),
+            coalesced=metrics.coalesced,
+            overflows=metrics.overflows,
+            lost=metrics.lost,
+        ),
+        spi=SpiReport(
+            device="simulated controller" if simulated else settings.spi.device,
+            framing=settings.spi.framing,
+            frames=bus.frames,
+            errors=bus.errors,
+        ),
+        watchdog=WatchdogReport(
+            timeout_ms=settings.watchdog.timeout_ms,
+            landing_ms=settings.watchdog.landing_ms,
+            expirations=supervisor.expirations,
+            stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
+        ),
+        estop=supervisor.estops,
+        estop_source=estop_source,
+        incident=incident,
+        loop_lag_us=LoopLag(
+            p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
+        ),
+        lease=_lease(supervisor.lease, now_ns),
+        calibration=CalibrationReport(
+            revision=supervisor.calibrating.in_force.revision,
+            fault=supervisor.calibrating.fault,
+            kept=calibration_kept,
+        ),
+        telemetry=TelemetryReport(frames=settings.telemetry.frames),
+        certificate=certificate,
+        limits=limits,
+    )
+
+
+def limits_of(settings: Settings) -> LimitsReport:
+    """Made once: no report has to wait for it."""
+    servos = {name: ServoLimitsReport(**each.model_dump()) for name, each in settings.limits.servos.items()}
+    return LimitsReport(leg_rate_hz=settings.limits.leg_rate_hz, servos=servos)
+
+
+def _lease(lease: Lease, now_ns: int) -> LeaseReport:
+    return LeaseReport(
+        holder=lease.holder,
+        verified=lease.verified,
+        held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
+        expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
+        asked_by=lease.asked_by,
+    )
+
+
+def _leg(leg: Leg, now_ns: int) -> LegReport:
+    first, second, third = map(_servo, leg.servos)
+    return LegReport(
+        leg=leg.number,
+        watchdog=leg.watchdog,
+        age_ms=None if leg.heard_ns is None else (now_ns - leg.heard_ns) / 1e6,
+        servos=(first, second, third),
+        source=leg.source,
+    )
+
+
+def _servo(servo: Servo) -> ServoReport:
+    target_cdeg = servo.angle_cdeg if servo.target_cdeg is None else servo.target_cdeg
+    if servo.waiting is not None and servo.waiting.op is not Op.STOP:
+        target_cdeg = servo.waiting.angle_cdeg
+    return ServoReport(
+        id=servo.servo_id,
+        running=servo.running,
+        angle_deg=None if servo.angle_cdeg is None else servo.angle_cdeg / 100,
+        target_deg=None if target_cdeg is None else target_cdeg / 100,
+    )

@@ -1,0 +1,338 @@
+"""The one place that wires the parts: start and end, in order."""
+
+import asyncio
+import logging
+import selectors
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from math import ceil
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import zenoh
+
+from gateway import __version__
+from gateway.errors import GatewayError
+from gateway.robot.blackbox.format import STOP_FACTS
+from gateway.robot.blackbox.place import folder_of
+from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder, RingRecorder
+from gateway.robot.core.calibrating import ACCEPT_DEFAULT
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge.calibration_desk import CalibrationDesk
+from gateway.robot.edge.doorkeeper import Doorkeeper
+from gateway.robot.edge.inbox import Inbox
+from gateway.robot.edge.lease_desk import LeaseDesk, checker_of
+from gateway.robot.edge.outbox import ZenohOutbox
+from gateway.robot.edge.rings import put_depth
+from gateway.robot.edge.session import service_config
+from gateway.robot.edge.strangers import Strangers
+from gateway.robot.edge.upkeep import Upkeep
+from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
+from gateway.robot.host.calibration_keeper import CalibrationKeeper
+from gateway.robot.host.descriptors import Spare
+from gateway.robot.host.ownership import Ownership
+from gateway.robot.host.servos_file import ServosFile
+from gateway.robot.host.systemd import SystemdNotifier
+from gateway.robot.protocol.frames import centidegrees
+from gateway.robot.runtime import prometheus as exposition
+from gateway.robot.runtime.calibrations import Calibrations
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.ending import END_S, End, close_within, leave, stop_the_robot
+from gateway.robot.runtime.lease_answers import LeaseAnswers
+from gateway.robot.runtime.report import wall_clock
+from gateway.robot.settings import Settings, ZenohSettings
+from gateway.robot.spi import SpiDevice
+from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.simulator import SimulatedController
+from gateway.zenoh_config import open_session
+from schemas.keys import CALIBRATION, CALIBRATION_CMD, LEASE, STATE
+
+if TYPE_CHECKING:
+    from gateway.certs import ProofChecker
+
+BEAT_S = 0.1
+"""How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""
+
+T = TypeVar("T")
+
+logger = logging.getLogger(__name__)
+
+
+def rules(settings: Settings) -> Rules:
+    """The supervisor's rules, in its units."""
+    return Rules(
+        timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
+        whole_robot=settings.watchdog.scope == "robot",
+        repeats=settings.watchdog.repeats,
+        repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
+        period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
+        start_pause_ns=round(settings.limits.start_stagger_ms * NS_PER_MS),
+        joint_limits_cdeg={
+            int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))
+            for servo, limits in settings.limits.servos.items()
+        },
+        avoid_cdeg=settings.spi.avoid_cdeg,
+        max_speed_cdeg_s={
+            int(servo): max(1, centidegrees(limits.max_speed_deg_s))
+            for servo, limits in settings.limits.servos.items()
+            if limits.max_speed_deg_s
+        },
+        landing_ns=round(settings.watchdog.landing_ms * NS_PER_MS),
+        landing_cdeg={int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()},
+        lease_required=settings.lease.required,
+        lease_ttl_ns=round(settings.lease.ttl_ms * NS_PER_MS),
+        lease_takeover=settings.lease.takeover == "stop",
+    )
+
+
+def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDevice]:
+    """How the bus opens its device; a simulated controller lives on while the bus opens and closes it."""
+    if not simulated:
+        spare = Spare()
+        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
+    controller = SimulatedController(
+        settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug
+    )
+    return lambda: controller
+
+
+def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
+    """The black box, if it has a folder."""
+    if folder_of(settings) is None:
+        return NO_RECORDER
+    facts: dict[str, Any] = {
+        "version": __version__,
+        "simulated": simulated,
+        "framing": settings.spi.framing,
+        "timeout_ms": settings.watchdog.timeout_ms,
+    }
+    stops = stop_note.take()
+    if stops is not None:
+        facts |= dict(zip(STOP_FACTS, stops, strict=True))
+    return RingRecorder(settings, facts, time.monotonic_ns, time.time_ns)
+
+
+def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None] = lambda _: None) -> None:
+    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
+    descriptors.ensure()
+    realtime.prefer_process()
+    realtime.limit_malloc_arenas()
+    logs.set_up(settings.log)
+    logs.keep_stacks()
+    # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
+    with (
+        _recorder(settings, simulated=simulated) as recorder,
+        asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
+    ):
+        runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
+    leave(0)  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
+
+
+def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None"]:
+    """Zenoh's configuration, and what checks who asks for the lease, where it names a CA. Raises ConfigError."""
+    config = service_config(settings)
+    checker = checker_of(config)
+    fault = None if checker is None else checker.clock_fault(wall_clock())
+    if fault is not None:
+        logger.warning(fault)
+    return config, checker
+
+
+async def _run(
+    settings: Settings, recorder: Recorder, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]
+) -> None:
+    loop, owner = asyncio.get_running_loop(), Ownership()
+    end = End(loop, owner, recorder)
+    notifier = SystemdNotifier()
+    config, checker = _configured(settings.zenoh)
+    bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
+    outbox = ZenohOutbox()
+    conductor = Conductor(
+        settings,
+        Supervisor(rules(settings)),
+        bus,
+        outbox,
+        loop,
+        clock=time.monotonic_ns,
+        simulated=simulated,
+        recorder=recorder,
+        owner=owner,
+    )
+    calibrations = _calibrations(settings, conductor, loop)
+    try:
+        # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
+        with owner:
+            conductor.start()
+            recorder.open()
+        opening = _in_thread(partial(_open, settings, config, conductor))
+        ended = asyncio.ensure_future(end.wait())
+        first: tuple[asyncio.Future[Any], ...] = (opening, ended)
+        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+        if not opening.done():
+            notifier.stopping()
+            await stop_the_robot(conductor, bus, settings.watchdog)
+            leave(end.exit_code)
+        ended.cancel()
+        session = opening.result()
+        outbox.open(session)
+        with owner:  # its threads hear at once, and have to wait until it is connected
+            inbox = _inbox(session, loop, conductor, checker, settings, calibrations)
+        realtime.freeze_gc()
+        # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
+        logger.info(
+            "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
+        )
+        with owner:
+            conductor.announce_start()
+            calibrations.announce_start()
+        notifier.ready("takes commands")
+        doorkeeper, upkeep = _attendants(session, config, conductor, notifier)
+        on_ready(config)
+        tasks = [
+            asyncio.create_task(_report_state(settings, conductor, outbox)),
+            asyncio.create_task(_beat(notifier, conductor, inbox, Strangers(session), end)),
+        ]
+        for task in tasks:
+            task.add_done_callback(end.task_done)
+        await end.wait()
+        notifier.stopping()
+        for task in tasks:
+            task.cancel()
+        deadline = loop.time() + END_S
+        await stop_the_robot(conductor, bus, settings.watchdog)
+        with owner:
+            conductor.close()
+        await close_within(
+            deadline - loop.time(),
+            end.exit_code,
+            outbox.close,
+            doorkeeper.close,
+            upkeep.close,
+            inbox.close,
+            session.close,
+        )
+    finally:
+        with owner:
+            conductor.close()
+        notifier.close()
+    if end.failure is not None:
+        raise GatewayError(end.failure)
+
+
+def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
+    """The calibration as it was kept. One that cannot be trusted keeps the service from starting anything, not itself:
+    the Stops at the start, and those that follow, need none."""
+    path = calibration_file.path_of(settings)
+    if path is None:
+        return Calibrations(conductor, None, loop)
+    calibration, fault = calibration_file.load(path)
+    conductor.supervisor.calibrating.load(calibration, fault)
+    if fault is not None:
+        logger.warning("%s; nothing is started until `%s`", fault, ACCEPT_DEFAULT)
+    return Calibrations(conductor, CalibrationKeeper(path, loop, conductor.owner).keep, loop)
+
+
+def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
+    """All that is opened on the network. Waits for name servers, and for routers where the Zenoh file says so."""
+    if settings.telemetry.metrics:
+        exposition.serve(settings.telemetry.metrics, conductor)
+    return open_session(config)
+
+
+def _inbox(
+    session: zenoh.Session,
+    loop: asyncio.AbstractEventLoop,
+    conductor: Conductor,
+    checker: "ProofChecker | None",
+    settings: Settings,
+    calibrations: Calibrations,
+) -> Inbox:
+    """What comes in, connected with the conductor."""
+    desk = LeaseDesk(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
+    inbox = Inbox(
+        session,
+        loop,
+        conductor.owner,
+        on_wakeup=conductor.tick,
+        on_estop=lambda received: conductor.tick((received,)),
+        on_state_query=conductor.answer_state,
+        readers={
+            LEASE: desk.note,
+            CALIBRATION_CMD: CalibrationDesk(calibrations).note,
+            CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
+        },
+        depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
+    )
+    conductor.take = inbox.take
+    conductor.instant_open = lambda: inbox.instant_open
+    return inbox
+
+
+def _attendants(
+    session: zenoh.Session, config: zenoh.Config, conductor: Conductor, notifier: SystemdNotifier
+) -> tuple[Doorkeeper, Upkeep]:
+    """The threads that look after the session."""
+    upkeep = Upkeep(session, config, notifier.status, wall_clock)
+    conductor.certificate = upkeep.certificate
+    return Doorkeeper(session, conductor.metrics.count_sessions), upkeep
+
+
+async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
+    """Publish the state `telemetry.state_hz` times a second (changes of mode are published as they happen)."""
+    while settings.telemetry.state_hz:
+        await asyncio.sleep(1 / settings.telemetry.state_hz)
+        if outbox.anyone_listens(STATE):
+            with conductor.owner:  # also for the order of reports: an older state must not follow a newer one
+                outbox.publish(STATE, conductor.state())
+
+
+async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: End) -> None:
+    """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
+
+    While somebody keeps the state, this waits, so that systemd hears nothing either.
+    """
+    loop = asyncio.get_running_loop()
+    servos = ServosFile()
+    period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
+    while inbox.hears:
+        with conductor.owner:
+            now_ns = conductor.turned()
+            conductor.look_outside()
+            at_rest = conductor.supervisor.legs.at_rest
+        servos.write(now_ns, any_runs=not at_rest)
+        if not inbox.goes_on():
+            end.because("a thread that takes commands does not go on")
+            return
+        notifier.alive()
+        due_s = loop.time() + period_s
+        await asyncio.sleep(period_s)
+        lag_ns = round((loop.time() - due_s) * 1e9)
+        stranger = strangers.look()
+        with conductor.owner:
+            conductor.metrics.loop_lag.record(lag_ns)
+            conductor.recorder.beat(lag_ns)
+            if stranger is not None:
+                conductor.answers.reject_unread(*stranger)
+    end.because("a thread that waits for commands has ended")
+
+
+def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
+    """Call it in a thread that does not keep the process from ending, unlike those of `asyncio.to_thread`."""
+    loop = asyncio.get_running_loop()
+    result: asyncio.Future[T] = loop.create_future()
+
+    def run_call() -> None:
+        try:
+            tell = partial(result.set_result, call())
+        except Exception as error:
+            tell = partial(result.set_exception, error)
+        with suppress(RuntimeError):  # the loop is closed, and nobody asks any more
+            loop.call_soon_threadsafe(tell)
+
+    threading.Thread(target=run_call, name="open", daemon=True).start()
+    return result

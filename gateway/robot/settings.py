@@ -1,0 +1,417 @@
+"""The service's settings: frozen, checked, with units in their names; each fault is one line that names the place.
+
+A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVICE`). docs/interface.md lists them.
+"""
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
+
+from gateway.errors import ConfigError
+from gateway.robot.protocol.frames import centidegrees
+from gateway.robot.protocol.framing import Framing
+from schemas.robot import SERVO_IDS
+
+DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
+ENV_PREFIX: Final = "HEXAPOD_"
+_SERVOS: Final = frozenset(map(str, SERVO_IDS))
+
+
+class Section(BaseModel):
+    """One table of the file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+Finite = Field(allow_inf_nan=False)
+AngleDeg = Annotated[float, Finite, Field(ge=0, le=180)]
+
+
+class ZenohSettings(Section):
+    """Where clients reach the gateway, and what it dials."""
+
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    connect: tuple[str, ...] = ()
+    config: str = ""
+    allow_insecure: bool = False
+
+
+class SpiSettings(Section):
+    """The device. The clock was measured to be clean at 2.5 MHz; the controller takes at most 20 MHz."""
+
+    device: str = "/dev/spidev0.0"
+    speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
+    # The default is for --sim only: `load` demands the framing of a real device.
+    framing: Framing = Framing.PLAIN
+    batch: bool = True
+    # The published firmware needed 6 (measured), and 20 if its loop costs twice the estimate. At most a millisecond:
+    # the loop waits for the pause, six times for six legs.
+    frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 50.0
+    # At most ten seconds: until then a controller that is out of sync hears no Set and no first Stop.
+    resync_ms: Annotated[float, Finite, Field(ge=0, le=10_000)] = 1000.0
+    # None: what the framing says.
+    avoid_deg: tuple[AngleDeg, ...] | None = None
+
+    @property
+    def avoid_cdeg(self) -> tuple[int, int] | None:
+        """Wire angles that are never sent, in hundredths of a degree: from the first up to, without, the second."""
+        if self.avoid_deg is None:
+            return self.framing.avoid_cdeg
+        return (centidegrees(self.avoid_deg[0]), centidegrees(self.avoid_deg[1])) if self.avoid_deg else None
+
+    @field_validator("avoid_deg")
+    @classmethod
+    def _interval(cls, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if angles and (len(angles) != 2 or angles[0] >= angles[1]):
+            raise ValueError("write where it begins and where it ends, such as [1.0, 4.0], or [] for none")
+        return angles
+
+    @field_validator("device")
+    @classmethod
+    def _path(cls, device: str) -> str:
+        if not device.startswith("/") or "\0" in device:
+            raise ValueError("write the path of a device, such as /dev/spidev0.0")
+        return device
+
+
+class ServoLimits(Section):
+    """How far one servo may go, in degrees, both ends included."""
+
+    min_deg: AngleDeg = 0.0
+    max_deg: AngleDeg = 180.0
+    # The slowest is a hundredth of a degree a second, since frames carry hundredths.
+    max_speed_deg_s: Annotated[float, Finite, Field(ge=0, le=1000)] = 0.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.min_deg > self.max_deg:
+            raise ValueError(f"min_deg is {self.min_deg:g} and max_deg {self.max_deg:g}; min_deg must not be larger")
+        return self
+
+
+class LimitSettings(Section):
+    """What a publisher may ask of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
+
+    leg_rate_hz: Annotated[float, Finite, Field(ge=1, le=1000)] = 50.0
+    max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 500.0
+    start_stagger_ms: Annotated[float, Finite, Field(ge=0, le=2000)] = 0.0
+    servos: dict[str, ServoLimits] = {}
+
+    @field_validator("servos")
+    @classmethod
+    def _servos_exist(cls, servos: dict[str, ServoLimits]) -> dict[str, ServoLimits]:
+        return _known_servos(servos)
+
+
+class WatchdogSettings(Section):
+    """Silence stops a leg. It cannot be switched off."""
+
+    timeout_ms: Annotated[float, Finite, Field(ge=20, le=10_000)] = 250.0
+    scope: Literal["leg", "robot"] = "leg"
+    repeats: Annotated[int, Field(ge=0, le=100)] = 3
+    repeat_interval_ms: Annotated[float, Finite, Field(ge=1, le=1000)] = 20.0
+    landing_ms: Annotated[float, Finite, Field(ge=0, le=5000)] = 0.0
+    landing: dict[str, AngleDeg] = {}
+
+    @field_validator("landing")
+    @classmethod
+    def _servos_exist(cls, landing: dict[str, float]) -> dict[str, float]:
+        return _known_servos(landing)
+
+
+class LeaseSettings(Section):
+    """Who is driving: whether anybody must hold the lease, how long it lasts unrenewed, and whether it can be taken."""
+
+    required: bool = False
+    # Clients renew at a third of it; less than 200 would not outlast a hiccup of a wireless network.
+    ttl_ms: Annotated[float, Finite, Field(ge=200, le=10_000)] = 1000.0
+    takeover: Literal["stop", "never"] = "stop"
+
+
+def _absolute(path: str) -> str:
+    if (path and not path.startswith("/")) or "\0" in path:
+        raise ValueError('write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none')
+    return path
+
+
+AbsolutePath = Annotated[str, AfterValidator(_absolute)]
+
+
+class CalibrationSettings(Section):
+    """The file in which the calibration is kept."""
+
+    path: AbsolutePath = ""
+
+
+class RecorderSettings(Section):
+    """The black box. At least the ten seconds before an incident; more than ten minutes is for recordings."""
+
+    path: AbsolutePath = ""
+    seconds: Annotated[float, Finite, Field(ge=10, le=600)] = 60.0
+
+
+class TelemetrySettings(Section):
+    """What the gateway publishes."""
+
+    state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
+    frames: bool = False
+    metrics: str = ""
+
+    @field_validator("metrics")
+    @classmethod
+    def _host_and_port(cls, value: str) -> str:
+        host, _, port = value.rpartition(":")
+        if value and not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
+            raise ValueError('write a host and a port, such as "127.0.0.1:9464", or "" for none')
+        return value
+
+
+class LogSettings(Section):
+    """How much is logged, and how it looks."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+    format: Literal["auto", "console", "json"] = "auto"
+
+
+class Settings(Section):
+    """All settings of one service."""
+
+    zenoh: ZenohSettings = ZenohSettings()
+    spi: SpiSettings = SpiSettings()
+    limits: LimitSettings = LimitSettings()
+    watchdog: WatchdogSettings = WatchdogSettings()
+    lease: LeaseSettings = LeaseSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
+    recorder: RecorderSettings = RecorderSettings()
+    telemetry: TelemetrySettings = TelemetrySettings()
+    log: LogSettings = LogSettings()
+
+    @model_validator(mode="after")
+    def _pose_within_limits(self) -> Self:
+        for servo, angle_deg in self.watchdog.landing.items():
+            limits = self.limits.servos.get(servo, ServoLimits())
+            if not limits.min_deg <= angle_deg <= limits.max_deg:
+                raise ValueError(
+                    f"watchdog.landing.{servo} is {angle_deg:g}, and limits.servos.{servo} allows "
+                    f"{limits.min_deg:g} to {limits.max_deg:g}"
+                )
+        return self
+
+
+Named = TypeVar("Named")
+
+
+def _known_servos(servos: dict[str, Named]) -> dict[str, Named]:
+    for servo in servos:
+        if servo not in _SERVOS:
+            raise ValueError(
+                f"{_name(servo)} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+            )
+    return servos
+
+
+Place = tuple[int | str, ...]
+"""Where a value stands: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
+Fault = tuple[Place, str]
+
+
+@dataclass(slots=True)
+class _Environment:
+    """What the environment sets: values as in a file, the variable of each, and the faults of all other variables."""
+
+    values: dict[str, Any]
+    variables: dict[Place, str]
+    faults: list[str]
+
+
+class FramingNotSetError(ConfigError):
+    """spi.framing is not set; its text also names all other faults."""
+
+
+def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
+    """Settings from `path` (else the default file, if there is one) and the environment.
+
+    Raises ConfigError with one line per fault; each names the file's entry or the environment variable. Unless the
+    controller is `simulated`, spi.framing must be set: two plain frames overrun the published firmware's buffer, and
+    no Stop reaches its servos until somebody resets it.
+    """
+    from_file: dict[str, Any] = {}
+    lines: list[str] = []
+    unread = False
+    try:
+        from_file = _read(path)
+    except ConfigError as error:
+        lines.append(str(error))
+        unread = True
+    in_file = _faults_of_file(from_file)
+    environment = _environment()
+    merged = _overlay(from_file, environment.values)
+    lines += [f"{path or DEFAULT_PATH}: {_dotted(place)}: {sentence}" for place, sentence in in_file]
+    lines += environment.faults
+    lines += [
+        f"{' and '.join(variables)}: {sentence}"
+        for place, sentence in _faults(merged)
+        if (variables := _variables_at(place, environment)) and (place, sentence) not in in_file
+    ]
+    spi = merged.get("spi", {})
+    if not (simulated or unread) and isinstance(spi, Mapping) and "framing" not in spi:
+        lines += [f"{path or DEFAULT_PATH}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
+        raise FramingNotSetError("\n".join(lines))
+    if lines:
+        raise ConfigError("\n".join(lines))
+    return Settings.model_validate(merged)
+
+
+_WHICH_FRAMING: Final = (
+    'is not set; the published STM32 firmware needs "length-prefixed" (once it has heard "plain", it needs a reset)',
+    'a controller that reads frames as the protocol\'s document says needs "plain"; without a controller: run --sim',
+)
+
+
+# ---- the file
+
+
+def _read(path: Path | None) -> dict[str, Any]:
+    found = path or DEFAULT_PATH
+    try:
+        return tomllib.loads(found.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        if path is None:
+            return {}
+        raise ConfigError(f"{found}: there is no such file; name another with --config") from None
+    except OSError as error:
+        raise ConfigError(f"{found}: cannot be read ({error.strerror}); name another file with --config") from error
+    except (ValueError, RecursionError) as error:  # TOML's own errors, bytes that are no UTF-8, a thousand brackets
+        raise ConfigError(f"{found}: is not TOML: {error}") from error
+
+
+def _faults_of_file(values: dict[str, Any]) -> list[Fault]:
+    """A file says what type a value has, so nothing is converted: "50" is no number there."""
+    # Checked as JSON, because strict Python types reject TOML's arrays and strings for tuples and enumerations. Checked
+    # again as it is, because JSON turns TOML's dates into strings.
+    faults = _faults_in(lambda: Settings.model_validate_json(json.dumps(values, default=str), strict=True))
+    places = {place for place, _ in faults}
+    return faults + [(place, sentence) for place, sentence in _faults(values) if place not in places]
+
+
+# ---- the environment
+
+
+def _environment() -> _Environment:
+    """Variables that begin with ENV_PREFIX. One that names no setting is a fault: it was meant to set something."""
+    found = _Environment({}, {}, [])
+    for variable, text in sorted(os.environ.items()):
+        if not variable.upper().startswith(ENV_PREFIX):
+            continue
+        place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
+        if variable != variable.upper() or not _is_setting(place):
+            found.faults.append(f"{_name(variable)}: is no setting; {_NAMES}")
+            continue
+        value: Any = text
+        if place in _LISTS:
+            try:
+                value = json.loads(text)
+            except (ValueError, RecursionError):
+                found.faults.append(
+                    f"{variable}: {_echo(text)} will not do: write the list as JSON, such as '{_LISTS[place]}'"
+                )
+                continue
+        found.variables[place] = variable
+        table = found.values
+        for name in place[:-1]:
+            table = table.setdefault(name, {})
+        table[place[-1]] = value
+    return found
+
+
+_LISTS: Final = {
+    ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
+    ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
+    ("spi", "avoid_deg"): "[1.0, 4.0]",
+}
+_NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
+
+
+def _is_setting(place: tuple[str, ...]) -> bool:
+    match place:
+        case ("limits", "servos", servo, name):
+            return servo in _SERVOS and name in ServoLimits.model_fields
+        case ("watchdog", "landing", servo):
+            return servo in _SERVOS
+        case (section, name) if section in Settings.model_fields:
+            return place not in _TABLES and name in getattr(_DEFAULTS, section).__class__.model_fields
+        case _:
+            return False
+
+
+_DEFAULTS: Final = Settings()
+_TABLES: Final = (("limits", "servos"), ("watchdog", "landing"))
+
+
+def _variables_at(place: Place, environment: _Environment) -> list[str]:
+    """The variables that set the value at `place`, a part of it, or a table that holds it."""
+    return [
+        variable
+        for set_place, variable in environment.variables.items()
+        if place[: len(set_place)] == set_place or set_place[: len(place)] == place
+    ]
+
+
+# ---- both
+
+
+def _faults(values: dict[str, Any]) -> list[Fault]:
+    """Faults, with text converted to other types: the environment has only text."""
+    return _faults_in(lambda: Settings.model_validate(values))
+
+
+def _faults_in(validate: Callable[[], Settings]) -> list[Fault]:
+    try:
+        validate()
+    except ValidationError as error:
+        return [(fault["loc"], _sentence(fault)) for fault in error.errors(include_url=False)]
+    return []
+
+
+def _sentence(fault: ErrorDetails) -> str:
+    if fault["type"] == "extra_forbidden":
+        return "is no setting"
+    if fault["type"] == "value_error":  # a sentence of our own
+        return str(fault["ctx"]["error"])
+    return f"{_echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _dotted(place: Place) -> str:
+    """`spi.speed_hz`, `zenoh.listen[0]`; names that are no bare keys of TOML in quotes."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in place)
+    return text.removeprefix(".")
+
+
+def _name(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]{1,80}", name, re.ASCII) else _echo(name)
+
+
+def _echo(value: object) -> str:
+    """The value on one line, cut to `_MAX_ECHO` characters."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    text = text if text.isprintable() else json.dumps(value, default=str)
+    return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"
+
+
+_MAX_ECHO: Final = 80
+
+
+def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for name, value in above.items():
+        old = merged.get(name)
+        merged[name] = _overlay(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged

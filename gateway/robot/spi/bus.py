@@ -1,0 +1,339 @@
+"""The SPI bus as the service sees it: frames in, batches of transfers out, with framing, guard, pauses and counters.
+
+What leaves together leaves in one call of the device. Stops are one batch; what moves is split, so that a Stop waits
+for a call of 1 ms at most. A batch that failed counts as failed wholly, since nobody knows how far it came.
+
+In LENGTH_PREFIXED framing a frame is two transfers: its length (the announcement), then the frame (the body). A
+controller gets out of sync by one lost byte. It then takes bodies for lengths and receives nothing while traffic goes
+on, and the wire gives no sign of it. So the bus resynchronises it with the preamble's zeros (`Framing.preamble`):
+
+* after opening, and after a failed batch, when nobody knows what the controller received;
+* before each repeated run of Stops, so that a controller which missed the first run receives the repetition;
+* once in `resync_ns` of a stream without a pause. An idle second resynchronises the controller by itself.
+
+A first Stop waits for none of that, unless a batch has just failed.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Final, NamedTuple
+
+from gateway.errors import BatchRejectedError, SpiError
+from gateway.robot.core.latency import Latency
+from gateway.robot.protocol.frames import Frame
+from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.robot.spi import SpiDevice, Transfer
+from gateway.robot.spi.guard import GuardedDevice
+from gateway.robot.spi.one_by_one import OneByOne
+from gateway.robot.spi.plain_settings import SpiValues
+
+LONGEST_NS: Final = 1_000_000
+"""The longest call for frames that move, from its first bit to its last: a Stop may be waiting for its end."""
+ZERO_PAUSE_US: Final = 100
+"""Behind each zero of a preamble. Zeros that come faster than the firmware discards empty messages jam it."""
+ZEROS_AT_ONCE: Final = 8
+"""In one call: half a preamble, 0.8 ms."""
+CS_CHANGE_NS: Final = 10_000
+"""What Linux adds to each pause, while chip select is released."""
+LOST_BODY_NS: Final = 900_000_000
+"""If a call took longer than this, a body may have come later than the 1000 ms for which the controller awaits it."""
+IDLE_NS: Final = 1_100_000_000
+"""After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
+ZERO_NS: Final = 150_000
+"""What a zero takes in a loop's pause at most: its transfer, its share of the call, and a timer's lateness."""
+EARLY_SHARE: Final = 8
+"""In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
+ZEROS_ON_A_BAD_BUS: Final = 3
+"""In one call, where one in five transfers fails: more fail too often, and single ones take more calls."""
+TRIES: Final = 6
+"""After so many calls that failed in a row, the Stops are tried without a preamble, too."""
+GIVEN_UP: Final = 18
+"""After so many, the device is opened again. Until then each of six Stops was tried without a preamble."""
+MOST_CALLS: Final = 1000
+INSIST_NS: Final = 200_000_000
+"""How many calls, and how long, Stops that failed are tried one by one, while the device takes anything at all; nothing
+that waits meanwhile is more urgent."""
+
+
+class Sent(NamedTuple):
+    """A frame on the wire."""
+
+    place: int
+    """Which of the frames that were to be written."""
+    data: bytes
+    ns: int
+    """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
+    call_ns: int
+    """How long its call took."""
+    heard: bool = True
+    """False: it counts as failed, since the zeros before it did."""
+
+
+@dataclass(slots=True)
+class Report:
+    """What became of a batch."""
+
+    sent: list[Sent] = field(default_factory=list)
+    fault: SpiError | None = None
+    """The first failure."""
+    rejection: str | None = None
+    """Why from this batch on, each transfer is a call of its own."""
+
+
+class Bus:
+    """Opens the device, closes it after a fault, and writes batches of frames; blocks for the time of a call."""
+
+    def __init__(
+        self,
+        open_device: Callable[[], SpiDevice],
+        framing: Framing,
+        *,
+        frame_gap_us: float,
+        speed_hz: int = 2_500_000,
+        batch: bool = True,
+        resync_ns: int = 0,
+        avoid_cdeg: tuple[int, int] | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """`resync_ns` 0: a stream without a pause is not resynchronised. `pause` is for `batch=False`.
+
+        `avoid_cdeg`: angles that the guard rejects.
+        """
+        self._open_device = open_device
+        self._framing = framing
+        self.announces = framing is Framing.LENGTH_PREFIXED
+        """Whether a controller can be out of sync at all."""
+        self._gap_us = ceil(frame_gap_us)
+        self._gap_ns = self._gap_us * 1000 + CS_CHANGE_NS
+        self._zero = Transfer(ZERO, max(self._gap_us, ZERO_PAUSE_US))
+        self._zero_ns = self._zero.pause_us * 1000 + CS_CHANGE_NS + 8_000_000_000 // speed_hz
+        self._byte_ns = 8_000_000_000 // speed_hz
+        self._batch = batch
+        self._resync_ns = resync_ns
+        self._avoid_cdeg = avoid_cdeg
+        self._clock = clock
+        self._pause = pause
+        self._opened: SpiDevice | None = None
+        self._device: GuardedDevice | None = None
+        self.ended_ns = 0
+        """When the last call ended."""
+        self._synchronised = False  # as far as failed batches tell
+        self._synchronised_ns = 0  # when the last preamble ended
+        self._zeros = 0  # in a row, since anything else was written
+        self.resync_due = False
+        """Whether the stream has lasted so long that its next pause is to be filled with `write_zeros`."""
+        self._failures = 0  # of calls, in a row
+        self.frames = 0
+        self.errors = 0
+        self.transfer_latency = Latency()
+
+    def open(self) -> None:
+        """Open the device anew. Raises SpiError."""
+        self.close()
+        try:
+            self._opened = self._open_device()
+        except SpiError:
+            self.errors += 1
+            raise
+        self._device = self._guarded(self._opened if self._batch else self._one_by_one(self._opened))
+
+    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
+        """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
+
+        After a fault the device stays open. Stops that failed are then tried one by one, in this same call.
+        """
+        report, stops = Report(), frames[0].is_stop
+        data = [frame.to_bytes() for frame in frames]
+        try:
+            for zeros, part in self._calls(data, self._zeros_ahead(stops=stops, preamble=preamble), stops=stops):
+                report.sent += self._call(report, zeros, data, part)
+        except SpiError as fault:
+            report.fault = fault
+            self.errors += 1
+            if stops and self._device is not None:
+                self._insist(data, report)
+        self.frames += len(report.sent)
+        self.resync_due = (
+            self._resync_ns > 0
+            and self.announces
+            and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
+        )
+        return report
+
+    def stop_servos_at_work(self) -> bool:
+        """Whether `stop-servos` stops the servos through the same device now."""
+        return self._device is not None and self._device.stop_servos_at_work()
+
+    @property
+    def preamble_ns(self) -> int:
+        """How long a preamble takes at most, part by part in turns of a loop."""
+        return PREAMBLE_ZEROS * (self._zero.pause_us * 1000 + ZERO_NS)
+
+    def write_zeros(self) -> bool:
+        """Write a part of a preamble; returns whether more is to follow. Raises SpiError.
+
+        To be called in a pause of the stream, part by part, so that a Stop waits for one part at most.
+        """
+        if self._device is not None and self._zeros < PREAMBLE_ZEROS:
+            at_once = ZEROS_AT_ONCE if self._batch else 1
+            try:
+                self._call(Report(), min(at_once, PREAMBLE_ZEROS - self._zeros), (), range(0))
+            except SpiError:
+                self.errors += 1
+                raise
+        return self._device is not None and self._zeros < PREAMBLE_ZEROS
+
+    @property
+    def just_resynchronised(self) -> bool:
+        """Whether nothing was written since the last whole preamble."""
+        return self._zeros >= PREAMBLE_ZEROS
+
+    def close(self) -> None:
+        """Release the device, if it is open. Never raises."""
+        if self._device is not None:
+            with suppress(SpiError):
+                self._device.close()
+        self._device = self._opened = None
+        self._synchronised = self.resync_due = False
+        self._zeros = 0
+
+    # ---- what precedes a batch, and how it is split
+
+    def _zeros_ahead(self, *, stops: bool, preamble: bool) -> int:
+        """How many zeros have to come first."""
+        if not self.announces:
+            return 0
+        wanted = preamble or not self._synchronised
+        if not wanted:
+            now_ns = self._clock()
+            if now_ns - self.ended_ns >= IDLE_NS:
+                self._synchronised_ns = now_ns
+            overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
+            # A preamble that was begun is finished first; begun again after each frame, it would never end.
+            wanted = not stops and (overdue or 0 < self._zeros < PREAMBLE_ZEROS)
+        return max(0, PREAMBLE_ZEROS - self._zeros) if wanted else 0
+
+    def _calls(self, data: Sequence[bytes], zeros: int, *, stops: bool) -> Iterator[tuple[int, range]]:
+        """The calls that write these frames behind so many zeros: each as (zeros, which frames)."""
+        most = PREAMBLE_ZEROS if self._opened is None else self._opened.most_transfers
+        size = 2 if self.announces else 1
+        while zeros and (not stops or zeros + size * len(data) > most):
+            part = min(zeros, ZEROS_AT_ONCE, most)
+            yield part, range(0)
+            zeros -= part
+        if stops:
+            room = max(1, (most - zeros) // size)
+        else:
+            longest_ns = self._frame_ns(max(map(len, data)))
+            room = max(1, min(most // size, (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)))
+        for first in range(0, len(data), room):
+            yield zeros, range(first, min(first + room, len(data)))
+            zeros = 0
+
+    def _frame_ns(self, size: int) -> int:
+        """From a frame's first bit to its last."""
+        return self._byte_ns * (size + 1) + self._gap_ns if self.announces else self._byte_ns * size
+
+    # ---- one call
+
+    def _call(self, report: Report, zeros: int, data: Sequence[bytes], part: range) -> list[Sent]:
+        """Write zeros, then a part of the frames, in one call; these frames. Raises SpiError."""
+        batch = [self._zero] * zeros
+        for place in part:
+            if self.announces:
+                batch.append(Transfer(data[place][:1], self._gap_us))
+            batch.append(Transfer(data[place], self._gap_us))
+        zeros_before, synchronised = self._zeros + zeros, self._synchronised
+        self._synchronised = False  # until it has succeeded
+        self._zeros = self._zeros if not part else 0  # a zero that failed may have arrived: one more does no harm
+        self._failures += 1
+        begun_ns = self._clock()
+        try:
+            self._transfer(batch, report)
+        finally:
+            ended_ns = self.ended_ns = self._clock()
+            self.transfer_latency.record(ended_ns - begun_ns)
+        if part and self.announces and ended_ns - begun_ns > LOST_BODY_NS:
+            raise SpiError("the transfers took so long that the controller may have given a frame up")
+        self._failures = 0
+        self._synchronised = synchronised or zeros_before >= PREAMBLE_ZEROS
+        if zeros_before >= PREAMBLE_ZEROS and zeros:
+            self._synchronised_ns, self.resync_due = ended_ns, False
+        if not part:
+            self._zeros = zeros_before
+        sent, wire_ns = [], begun_ns + zeros * self._zero_ns
+        for place in part:
+            wire_ns += self._frame_ns(len(data[place]))
+            sent.append(Sent(place, data[place], min(wire_ns, ended_ns), ended_ns - begun_ns))
+            wire_ns += self._gap_ns
+        return sent
+
+    def _transfer(self, batch: list[Transfer], report: Report) -> None:
+        if self._device is None or self._opened is None:
+            raise SpiError("the SPI device is closed")
+        try:
+            self._device.transfer(batch)
+        except BatchRejectedError as rejection:
+            if not self._batch:
+                raise
+            # Nothing of it was written. If it can be written transfer by transfer, all that follows is.
+            device = self._guarded(self._one_by_one(self._opened))
+            device.transfer(batch)
+            self._device, self._batch, report.rejection = device, False, str(rejection)
+
+    def _guarded(self, device: SpiDevice) -> GuardedDevice:
+        return GuardedDevice(device, self._framing, self._avoid_cdeg)
+
+    def _one_by_one(self, device: SpiDevice) -> OneByOne:
+        return OneByOne(device, self._clock, self._pause)
+
+    # ---- Stops that failed
+
+    def _insist(self, data: Sequence[bytes], report: Report) -> None:
+        """Write each Stop in a call of its own, behind zeros of their own, as long as the device takes anything."""
+        give_up_ns = self._clock() + INSIST_NS
+        written = {sent.place for sent in report.sent}
+        # What precedes the transfer that failed has most likely arrived, so the last Stops come first.
+        left = deque(place for place in reversed(range(len(data))) if place not in written)
+        self._failures = 0
+        for _ in range(MOST_CALLS):
+            if not left or self._failures >= GIVEN_UP or self._clock() >= give_up_ns:
+                break
+            heard = self._synchronised or not self.announces
+            with suppress(SpiError):
+                # Without any zero, a Stop may be tried all the same: a synchronised controller receives it. Behind a
+                # part of the zeros another one could take a servo's id for a length, which no preamble completes.
+                if not heard and (self._zeros or self._failures < TRIES):
+                    self._call(Report(), ZEROS_ON_A_BAD_BUS if self._zeros else 1, (), range(0))
+                    continue
+                left.rotate(-1)  # one that fails is tried again after the others
+                (sent,) = self._call(report, 0, data, range(left[-1], left[-1] + 1))
+                report.sent.append(sent._replace(heard=heard))
+                if heard:
+                    left.pop()
+
+
+def bus_for(
+    settings: SpiValues,
+    open_device: Callable[[], SpiDevice],
+    *,
+    clock: Callable[[], int] = time.monotonic_ns,
+    pause: Callable[[float], None] = time.sleep,
+) -> Bus:
+    """A bus with the framing, the pauses and the way of writing that the settings contain."""
+    return Bus(
+        open_device,
+        settings.framing,
+        frame_gap_us=settings.frame_gap_us,
+        speed_hz=settings.speed_hz,
+        batch=settings.batch,
+        resync_ns=round(settings.resync_ms * 1e6),
+        avoid_cdeg=settings.avoid_cdeg,
+        clock=clock,
+        pause=pause,
+    )

@@ -1,0 +1,158 @@
+"""The real device: Linux's spidev, opened for HexapodProtocol v1.0.0 (mode 0, 8 bits, most significant bit first)."""
+
+import array
+import errno
+import fcntl
+import struct
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import BatchRejectedError, SpiError
+from gateway.robot.host.descriptors import Spare, ran_out
+from gateway.robot.spi import Batch
+from gateway.robot.spi.outside import Listener
+
+MOST_TRANSFERS: Final = 32
+"""The longest list: 1024 bytes, up to which Python lets other threads run during an `ioctl`."""
+BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
+DEFAULT_BUFSIZ: Final = 4096
+_ALIGNED: Final = 128
+"""What a transfer takes of spidev's buffer at least: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
+_LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
+_SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
+"""struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
+A speed and bits of 0 are the device's own."""
+_MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(MOST_TRANSFERS + 1))
+"""SPI_IOC_MESSAGE(count)."""
+_NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
+
+
+class KernelDevice:
+    """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus."""
+
+    def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
+        """Open and set up the device. Raises SpiError with one sentence that says what is missing.
+
+        `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.
+        `spare`: file descriptors that are kept for this device while it is closed.
+        """
+        try:
+            import spidev  # noqa: PLC0415  (a laptop has no spidev, and needs none)
+        except ImportError as error:
+            raise SpiError(
+                "the Python package spidev is missing; install hexapod-gateway[spi], "
+                "or try --sim for a simulated controller"
+            ) from error
+        self._path = path
+        self._spare = spare
+        self._spi = spidev.SpiDev()
+        self._listener: Listener | None = None
+        self.most_transfers = most_transfers()
+        self._data = array.array("B", bytes(MOST_TRANSFERS * _LONGEST))
+        self._data_at = self._data.buffer_info()[0]
+        self._bytes = memoryview(self._data)
+        self._list = bytearray(MOST_TRANSFERS * _SEGMENT.size)
+        # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
+        # behaved unexpectedly, and the gateway must go on to its Stops.
+        try:
+            self._open(path)
+            if exclusive:
+                fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._listener = Listener(self._spi.fileno())
+            self._spi.mode = 0
+            self._spi.bits_per_word = 8
+            self._spi.lsbfirst = False
+            self._spi.max_speed_hz = speed_hz
+        except Exception as error:
+            self.close()
+            raise SpiError(_why_not_opened(path, error)) from error
+
+    def _open(self, path: str) -> None:
+        """Open it. Clients may hold all other descriptors, so spare ones are closed just before."""
+        while True:
+            more = self._spare is not None and self._spare.give_up()
+            try:
+                self._spi.open_path(path)
+            except Exception as error:
+                if not (more and ran_out(error)):
+                    raise
+            else:
+                break
+        if self._spare is not None:
+            self._spare.fill()
+
+    def transfer(self, batch: Batch) -> None:
+        """Write the batch in one call; a single transfer without a pause is a plain write. Raises SpiError.
+
+        Raises BatchRejectedError where the kernel rejects the list: it looks at all of it before the first bit leaves.
+        """
+        try:
+            if len(batch) == 1 and not batch[0].pause_us:
+                self._spi.writebytes2(batch[0].data)
+                return
+            size = self._fill(batch)
+            sent = fcntl.ioctl(self._spi.fileno(), _MESSAGES[len(batch)], self._list)
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in _NO_LISTS:
+                raise BatchRejectedError(
+                    f"{self._path}: the kernel rejects a list of {len(batch)} transfers: {_cause_of(error)}"
+                ) from error
+            raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
+        if sent != size:
+            raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
+
+    def _fill(self, batch: Batch) -> int:
+        """Describe the batch to the kernel; its size in bytes."""
+        size, last = 0, len(batch) - 1
+        for place, (data, pause_us) in enumerate(batch):
+            end = size + len(data)
+            self._bytes[size:end] = data
+            # With cs_change chip select is released behind a transfer; behind the last it would be kept.
+            _SEGMENT.pack_into(
+                self._list, place * _SEGMENT.size,
+                self._data_at + size, 0, end - size, 0, pause_us, 0, place != last, 0, 0, 0, 0,
+            )  # fmt: skip
+            size = end
+        return size
+
+    def fileno(self) -> int | None:
+        """The device's file."""
+        return int(self._spi.fileno())
+
+    def stop_servos_at_work(self) -> bool:
+        """Whether `stop-servos` stops the servos through the same device now; False if not opened as `exclusive`."""
+        return self._listener is not None and self._listener.look()
+
+    def close(self) -> None:
+        """Release the device."""
+        self._listener = None
+        with suppress(Exception):
+            self._spi.close()
+        if self._spare is not None:
+            self._spare.fill()
+
+
+def most_transfers(bufsiz: Path = BUFSIZ) -> int:
+    """The longest batch that spidev's buffer holds."""
+    try:
+        size = int(bufsiz.read_text())
+    except (OSError, ValueError):
+        size = DEFAULT_BUFSIZ
+    return max(1, min(MOST_TRANSFERS, size // _ALIGNED))
+
+
+def _cause_of(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+def _why_not_opened(path: str, error: Exception) -> str:
+    if isinstance(error, BlockingIOError):
+        return f"{path} is held by another gateway; stop that one first"
+    if isinstance(error, PermissionError):
+        return f"{path} may not be opened by this user; add the user to the device's group (spi), or try --sim"
+    if not Path(path).exists():
+        return f"{path} does not exist; switch SPI on (dtparam=spi=on), or try --sim for a simulated controller"
+    return f"{path} cannot be opened: {_cause_of(error)}; --sim runs with a simulated controller"

@@ -1,0 +1,301 @@
+"""A simulated controller: it reads raw bytes as the published STM32F446 firmware does, and moves 18 simulated servos.
+
+What it takes from that firmware (docs/protocol.md):
+
+* `length-prefixed` is the firmware as it is: one byte is a length, then it awaits that many bytes, and only then reads
+  them. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
+* Chip select means nothing: bytes are one stream, so a lost byte misaligns everything after it, until a pause.
+* A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
+* A receive that takes 1000 ms is given up. The firmware counts ticks of a millisecond (HAL_GetTick), from the tick in
+  which the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` says how much of a tick was over
+  at time 0 of the clock. The published firmware then still executes what has arrived, with zeros for the rest, so half
+  of a ONE SERVO Start starts its servo. The controller that follows the document drops it.
+* A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
+* The firmware dies (`dead`) of a record with an id of 1 to 3, which is a null handle, and of a 65th byte in its receive
+  buffer, behind which its SPI handle lies (most builds do). It then receives nothing until somebody resets it, and its
+  servos stay as they are, energised. The controller that follows the document does not die.
+"""
+
+import collections
+import functools
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.errors import SpiError
+from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi import Batch
+from schemas.robot import SERVO_IDS
+
+TICK_NS: Final = 1_000_000
+RECEIVE_TIMEOUT_TICKS: Final = 1000  # HEXAPOD_RECEIVE_TIMEOUT
+MAX_SPEED_DEG_S: Final = 60 / 0.17  # MG996R at 4.8 V without load: 0.17 s for 60°
+KEPT_TRANSFERS: Final = 10_000  # the newest; 33 s of six legs at 50 Hz
+
+_RECEIVE_BUFFER_LEN: Final = 64  # MESSAGE_MAX_LEN
+_RECORDS_BY_LEN_AND_TYPE: Final = {  # where each servo's four bytes begin
+    (ONE_LEG_LEN, ONE_LEG_TYPE): (2, 6, 10),
+    (ONE_SERVO_LEN, ONE_SERVO_TYPE): (2,),
+}
+_NULL_HANDLES: Final = (1, 2, 3)
+"""Ids whose entry before the firmware's table of timers is 0. Other ids read something else past its ends."""
+_DONE: Final = {Op.START: "started at", Op.SET: "set to"}
+
+
+@dataclass(slots=True)
+class ServoState:
+    """One servo: PWM output on or off, pulse in µs (None before the first), and where its horn is, 0° to 180°."""
+
+    energised: bool = False
+    pulse_us: int | None = None
+    angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
+
+
+class SimulatedController:
+    """An SpiDevice with a controller and its servos behind it, and faults that tests can cause."""
+
+    def __init__(
+        self,
+        framing: Framing,
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+        on_change: Callable[[str], None] | None = None,
+        tick_phase_ns: int = 0,
+    ) -> None:
+        """`clock` gives nanoseconds. `on_change` is told in one line what each executed frame did."""
+        self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
+        self.executed = 0
+        self.corruptions: collections.Counter[str] = collections.Counter()
+        self.dead: str | None = None
+        """What it died of; it receives nothing until `reset`."""
+        self._announced = framing is Framing.LENGTH_PREFIXED
+        self._clock = clock
+        self._sleep = sleep
+        self._on_change = on_change
+        self._tick_phase_ns = tick_phase_ns
+
+        self._body = bytearray()
+        self._body_len = 0  # 0: the next byte is a length
+        self._give_up_ns = 0
+
+        self._servos = {servo_id: ServoState() for servo_id in SERVO_IDS}
+        self._moved_ns = clock()
+
+        self._failing_transfers = 0
+        self._failing_until_ns = self._moved_ns
+        self._silent_until_ns = self._moved_ns
+        self._bytes_to_lose = 0
+        self._stall_s = 0.0
+
+    # ---- the device
+
+    most_transfers = 64
+
+    def transfer(self, batch: Batch) -> None:
+        """Take the transfers one after the other. Raises SpiError only for a fault that was caused on purpose."""
+        for data, _ in batch:
+            self.take(data)
+
+    def take(self, data: bytes) -> None:
+        """Take the bytes of one transfer. Raises SpiError only for a fault that was caused on purpose."""
+        if self._stall_s > 0:
+            stall_s, self._stall_s = self._stall_s, 0.0
+            self._sleep(stall_s)
+        now_ns = self._clock()
+        if self._failing_transfers > 0:
+            self._failing_transfers -= 1
+            raise SpiError("the simulated SPI device failed a transfer")
+        if now_ns < self._failing_until_ns:
+            raise SpiError("the simulated SPI device fails for a while")
+        self.transfers.append((now_ns, data))
+        if now_ns < self._silent_until_ns:
+            return
+        if self._bytes_to_lose > 0:
+            lost = min(self._bytes_to_lose, len(data))
+            self._bytes_to_lose -= lost
+            data = data[lost:]
+        self._expire_receive(now_ns)
+        self._receive(data, now_ns)
+
+    def fileno(self) -> None:
+        """No other program can reach this controller."""
+
+    def stop_servos_at_work(self) -> bool:
+        """No other program can reach this controller."""
+        return False
+
+    def close(self) -> None:
+        """Releases nothing: the controller and its servos stay as they are, and may be opened again."""
+
+    # ---- what a person at the robot sees
+
+    @property
+    def servos(self) -> dict[int, ServoState]:
+        """The 18 servos by id, as they are now."""
+        now_ns = self._clock()
+        self._expire_receive(now_ns)
+        self._move(now_ns)
+        return self._servos
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The ids of the servos whose PWM output is on now."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
+
+    @property
+    def missing(self) -> int:
+        """Bytes of a body that it still awaits; 0 if it awaits a length."""
+        self._expire_receive(self._clock())
+        return self._body_len - len(self._body)
+
+    # ---- faults, caused on purpose
+
+    def fail_next(self, count: int) -> None:
+        """Let the next `count` transfers raise SpiError; the controller sees none of their bytes."""
+        self._failing_transfers = count
+
+    def fail_for_ms(self, duration_ms: float) -> None:
+        """Let every transfer raise SpiError for a while from now; the controller sees none of their bytes."""
+        self._failing_until_ns = self._clock() + round(duration_ms * 1e6)
+
+    def silent_for_ms(self, duration_ms: float) -> None:
+        """Let the controller hear nothing for a while from now, although transfers succeed."""
+        self._silent_until_ns = self._clock() + round(duration_ms * 1e6)
+
+    def lose_bytes(self, count: int) -> None:
+        """Lose the next `count` bytes on the wire."""
+        self._bytes_to_lose = count
+
+    def stall(self, duration_s: float) -> None:
+        """Let the next transfer take that long."""
+        self._stall_s = duration_s
+
+    def reset(self) -> None:
+        """Somebody presses its reset button: it awaits a length, and all servos are off."""
+        self.dead = None
+        self._body.clear()
+        self._body_len = 0
+        self._move(self._clock())
+        for servo in self._servos.values():
+            servo.energised, servo.pulse_us = False, None
+
+    def heal(self) -> None:
+        """End all faults."""
+        self._failing_transfers = 0
+        self._failing_until_ns = self._silent_until_ns = self._clock()
+        self._bytes_to_lose = 0
+        self._stall_s = 0.0
+
+    # ---- the firmware
+
+    def _receive(self, data: bytes, now_ns: int) -> None:
+        position = 0
+        while position < len(data) and self.dead is None:
+            if self._body_len == 0:
+                self._expect(data[position], now_ns)
+                position += 1
+            else:
+                missing = self._body_len - len(self._body)
+                self._body += data[position : position + missing]
+                position += missing
+                if self._announced and len(self._body) > _RECEIVE_BUFFER_LEN:
+                    self._die(f"{len(self._body)} bytes in a buffer of {_RECEIVE_BUFFER_LEN} overwrote its SPI handle")
+                    return
+            if 0 < self._body_len == len(self._body):
+                self._interpret(now_ns)
+
+    def _expect(self, length: int, now_ns: int) -> None:
+        if length > _RECEIVE_BUFFER_LEN:
+            self.corruptions[f"a length of {length} overran the receive buffer of {_RECEIVE_BUFFER_LEN} bytes"] += 1
+        self._body_len = length
+        if length > 0 and not self._announced:
+            self._body.append(length)
+        tick = (now_ns + self._tick_phase_ns) // TICK_NS
+        self._give_up_ns = (tick + RECEIVE_TIMEOUT_TICKS) * TICK_NS - self._tick_phase_ns
+
+    def _expire_receive(self, now_ns: int) -> None:
+        if self._body_len == 0 or now_ns < self._give_up_ns or self.dead is not None:
+            return
+        if self._announced:
+            self._body += bytes(self._body_len - len(self._body))
+            self._interpret(self._give_up_ns)
+        else:
+            self._body.clear()
+            self._body_len = 0
+
+    def _interpret(self, now_ns: int) -> None:
+        body = bytes(self._body)
+        self._body.clear()
+        self._body_len = 0
+        records = _RECORDS_BY_LEN_AND_TYPE.get((len(body), body[1])) if len(body) > 1 else None
+        if records is None:
+            return
+        self._move(now_ns)
+        changes = []
+        for start in records:
+            changes.append(self._drive(*body[start : start + 4]))
+            if self.dead is not None:
+                return
+        self.executed += 1
+        if self._on_change is not None:
+            self._on_change("; ".join(changes))
+
+    def _drive(self, servo_id: int, op: int, whole_deg: int, hundredths: int) -> str:
+        if op not in (Op.START, Op.STOP, Op.SET):
+            return f"operation {op} ignored"
+        index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) & 0xFF  # the firmware's arithmetic, in a uint8_t
+        if index >= len(SERVO_IDS):
+            what = f"servo id {servo_id} indexed entry {index} of a servo table of {len(SERVO_IDS)}"
+            self.corruptions[what] += 1
+            if self._announced and servo_id in _NULL_HANDLES:
+                self._die(f"servo id {servo_id} with operation {op} is a null handle")
+            return what
+        driven_id = SERVO_IDS[index]
+        if driven_id != servo_id:
+            self.corruptions[f"servo id {servo_id} drove servo {driven_id}"] += 1
+        servo = self._servos[driven_id]
+        if op == Op.STOP:
+            servo.energised = False
+            return f"servo {driven_id} stopped"
+        if op == Op.START:
+            servo.energised = True
+        servo.pulse_us = pulse_us(whole_deg, hundredths)
+        change = f"servo {driven_id} {_DONE[Op(op)]} {whole_deg + hundredths / 100:.2f}°, {servo.pulse_us} µs"
+        return change if servo.energised else f"{change}, and stays off"
+
+    def _die(self, why: str) -> None:
+        self.dead = why
+        if self._on_change is not None:
+            self._on_change(f"the controller is dead until it is reset: {why}")
+
+    def _move(self, now_ns: int) -> None:
+        reach_deg = MAX_SPEED_DEG_S * (now_ns - self._moved_ns) / 1e9
+        self._moved_ns = now_ns
+        for servo in self._servos.values():
+            if servo.energised and servo.pulse_us is not None:
+                target_deg = min((servo.pulse_us - 544) * 180 / (2550 - 544), 180.0)  # a horn ends at its stop
+                way_deg = target_deg - servo.angle_deg
+                servo.angle_deg = (
+                    target_deg
+                    if abs(way_deg) <= reach_deg
+                    else servo.angle_deg + max(-reach_deg, min(way_deg, reach_deg))
+                )
+
+
+def _float32(value: float) -> float:
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+@functools.cache
+def pulse_us(whole_deg: int, hundredths: int) -> int:
+    """The compare value, in µs, that the firmware sets for INT PART and FLOAT PART: 544 at 0°, 2550 at 180°.
+
+    Rounded to single precision after each operation, in the firmware's order, then truncated.
+    """
+    angle_deg = _float32(whole_deg + _float32(hundredths / _float32(100.0)))
+    scaled = _float32(_float32(angle_deg * (2550.0 - 544.0)) / 180.0)
+    return int(_float32(scaled + 544.0))

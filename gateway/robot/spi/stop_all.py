@@ -1,0 +1,81 @@
+"""Stops all six legs straight over SPI: no Zenoh, no running gateway, and little that could fail or be slow to load."""
+
+import time
+from typing import Final
+
+from gateway.robot.host import stop_note
+from gateway.robot.protocol.frames import stop_leg
+from gateway.robot.spi.bus import Bus, bus_for
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.outside import Notice
+from gateway.robot.spi.plain_settings import RepeatValues, SpiValues
+from schemas.robot import LEGS
+
+MORE_ROUNDS: Final = 10
+"""How often legs that got no Stop are tried again after the repeats. This outlasts a fault of a few hundred
+milliseconds, such as a device that comes back, and systemd still does not wait long."""
+MOST_PAUSE_MS: Final = 20.0
+"""Longest pause between these."""
+
+
+def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
+    """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
+
+    Returns whether a gateway on the same device has noticed; None: no gateway runs there.
+
+    It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. Each batch is
+    atomic on the bus, so none comes into a frame of the gateway's.
+    """
+
+    def open_device() -> KernelDevice:
+        return KernelDevice(spi.device, spi.speed_hz, exclusive=False)
+
+    bus = bus_for(spi, open_device)
+    notice = Notice(spi.device)
+    unstopped = set(LEGS)
+    fault: Exception | None = None
+    first_ns = 0
+    for repeat in range(1 + watchdog.repeats + MORE_ROUNDS):
+        if repeat > watchdog.repeats and not unstopped:
+            break
+        if repeat:
+            pause_ms = watchdog.repeat_interval_ms
+            time.sleep((pause_ms if repeat <= watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
+        stopped, fault_now = stop_once(bus)
+        first_ns = first_ns if unstopped < set(LEGS) else time.monotonic_ns()
+        notice.give()  # after the first Stops, which must not wait for it
+        unstopped -= stopped
+        fault = fault_now or fault
+    bus.close()
+    if not unstopped:
+        stop_note.leave(stop_note.StopNote(first_ns, time.monotonic_ns()))
+    noticed = notice.end()
+    if unstopped and fault is not None:
+        raise fault
+    return noticed if notice.gateway_runs else None
+
+
+def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:
+    """One Stop for each leg: the legs whose Stop was written, and what failed last.
+
+    Unless it is `opened` already, the device is opened first. All six are one batch. What of it failed, even from a bug
+    of ours, is tried leg by leg, with the device opened again where it was at fault: this is the last attempt to stop
+    the robot.
+    """
+    stopped: set[int] = set()
+    fault: Exception | None = None
+    for legs in (LEGS, *((leg,) for leg in LEGS)):
+        if not stopped.isdisjoint(legs):
+            continue
+        try:
+            if not opened:
+                bus.open()
+                opened = True
+            report = bus.write([stop_leg(leg) for leg in legs], preamble=True)
+        except Exception as error:
+            fault = error
+            continue
+        stopped |= {legs[sent.place] for sent in report.sent if sent.heard}
+        if report.fault is not None:
+            fault, opened = report.fault, False
+    return stopped, fault

@@ -1,0 +1,153 @@
+"""Zenoh configurations and sessions, for the service and for clients: read from a file, changed, opened.
+
+A file's paths are made absolute. Zenoh itself resolves them from the folder in which the program was started: `/` for
+a service, any folder on a laptop. Here they are relative to the file's own folder, so that folder can be unzipped,
+copied and mounted anywhere.
+"""
+
+import datetime as dt
+import json
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import zenoh
+
+from gateway import certs
+from gateway.errors import ConfigError, ZenohError
+
+_TLS = "transport/link/tls"
+_CA = f"{_TLS}/root_ca_certificate"
+_CERTIFICATES = (_CA, f"{_TLS}/listen_certificate", f"{_TLS}/connect_certificate")
+_FILES = (
+    *_CERTIFICATES,
+    f"{_TLS}/listen_private_key",
+    f"{_TLS}/connect_private_key",
+    "transport/auth/usrpwd/dictionary_file",
+    "transport/auth/pubkey/public_key_file",
+    "transport/auth/pubkey/private_key_file",
+    "transport/auth/pubkey/known_keys_file",
+)
+
+
+def load_config(path: Path) -> zenoh.Config:
+    """The configuration at `path` (.json5 .json .yaml .toml) with absolute paths, ready for `zenoh.open`.
+
+    Raises ConfigError, one line, for a typo, and a file it names that is missing or unreadable.
+    """
+    path = path.absolute()
+    certs.read_file(path, "Zenoh configuration")
+    try:
+        config = zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ConfigError(f"{path}: {one_line(error)}") from error
+    for setting, file in _named_files(config, path.parent).items():
+        try:
+            if setting in _CERTIFICATES:
+                certs.read_certificates(file)
+            else:
+                certs.read_file(file, setting.rpartition("/")[2])
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
+        config.insert_json5(setting, json.dumps(str(file)))
+    return config
+
+
+def load_client_config(path: Path) -> zenoh.Config:
+    """A laptop's configuration (`--zenoh-config`). Raises as `load_config`, for the gateway's own file, and for a
+    certificate that has expired: `zenoh.open` would only say that it cannot connect."""
+    config = load_config(path)
+    if config.get_json(f"{_TLS}/listen_private_key") != "null":
+        raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
+    first = first_expiry(config)
+    if first is not None and first.end <= dt.datetime.now(dt.UTC):
+        raise ConfigError(
+            f"{first.file} expired on {first.end:%Y-%m-%d}: get a new one from `hexapod-gateway certs renew` (is this "
+            "clock right?)"
+        )
+    return config
+
+
+def certificate_files(config: zenoh.Config) -> list[Path]:
+    """The certificates that a configuration of `load_config` names, the CA first."""
+    named = (get(config, setting) for setting in _CERTIFICATES)
+    return [Path(file) for file in dict.fromkeys(named) if isinstance(file, str)]
+
+
+class Expiry(NamedTuple):
+    """The end of a certificate's time."""
+
+    file: Path
+    end: dt.datetime
+
+
+def first_expiry(config: zenoh.Config) -> Expiry | None:
+    """Of the certificates that a configuration of `load_config` names, the first that expires; None: it names none.
+
+    In a chain the first certificate is the owner's; of several CAs, any may be the one in use. Raises ConfigError.
+    """
+    ca = get(config, _CA)
+    found = []
+    for file in certificate_files(config):
+        ends = [certificate.not_valid_after_utc for certificate in certs.read_certificates(file)]
+        found.append(Expiry(file, max(ends) if str(file) == ca else ends[0]))
+    return min(found, key=lambda expiry: expiry.end, default=None)
+
+
+def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
+    values = {setting: json.loads(config.get_json(setting)) for setting in _FILES}
+    return {setting: folder / value for setting, value in values.items() if isinstance(value, str)}
+
+
+def get(config: zenoh.Config, key: str) -> Any:
+    """One value of a configuration, None where it is unset."""
+    try:
+        return json.loads(config.get_json(key))
+    except zenoh.ZError:
+        return None
+
+
+def one_line(error: BaseException) -> str:
+    """Zenoh's reason without its source position."""
+    return " ".join(str(error).split()).partition(" at /")[0]
+
+
+def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
+    """Set one value; `setting` names it in the ConfigError."""
+    try:
+        config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        raise ConfigError(f"{setting}: {value} will not do: {one_line(error)}") from error
+
+
+_SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
+
+
+def scouting_off(config: zenoh.Config) -> None:
+    """Switch scouting off, unless the file turned it on: nobody finds the gateway by accident, and it finds nobody."""
+    for key in _SCOUTING:
+        if get(config, key) is not True:
+            config.insert_json5(key, "false")
+
+
+def open_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session. Raises ZenohError with one line."""
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        endpoints = get(config, "listen/endpoints") or get(config, "connect/endpoints")
+        raise ZenohError(why_not_opened(one_line(error), endpoints)) from error
+
+
+CANNOT_CONNECT: Final = "Unable to connect"
+
+
+def why_not_opened(text: str, endpoints: object) -> str:
+    """Zenoh's `text` as a sentence that says what to do."""
+    where = ", ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
+    if "Address already in use" in text:
+        return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"
+    if "Cannot assign requested address" in text:
+        return f"{where} is no address of this machine; set another zenoh.listen"
+    if CANNOT_CONNECT in text:
+        return f"no gateway answers on {where}; is it running, and does it know your certificate?"
+    return f"Zenoh cannot be opened on {where}: {text}"

@@ -1,0 +1,145 @@
+"""The guide of `calibrate`: what a person sees on the robot becomes trim, direction and limits."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.people.tools.calibrate.guide import COARSE_CDEG, FINE_CDEG, Guide
+from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration
+from schemas.robot import SERVO_IDS
+from tests.unit.robot.test_calibration import calibrations
+
+
+def guide(servo: ServoCalibration | None = None, start_deg: float = 90.0) -> Guide:
+    made = Guide(Calibration(servos={} if servo is None else {32: servo}))
+    made.choose(32)
+    if start_deg != 90:
+        made.jog(round(start_deg * 100) - 90_00)
+    return made
+
+
+@pytest.mark.parametrize(("trim_cdeg", "inverted"), [(0, False), (-2_00, False), (-2_00, True)])
+def test_keys_move_over_angles_that_are_never_sent(trim_cdeg: int, inverted: bool) -> None:
+    """It is the servo's own angle that is never sent; both ways, and by each key."""
+    made = Guide(Calibration(servos={32: ServoCalibration(trim_cdeg, inverted)}), (1_00, 4_00))
+    made.choose(32)
+    down = -1 if not inverted else 1
+    made.wire_cdeg = 5_50
+    for by_cdeg, wire_cdeg in (
+        (COARSE_CDEG, 4_50),
+        (COARSE_CDEG, 99),
+        (FINE_CDEG, 89),
+        (-FINE_CDEG, 99),
+        (-FINE_CDEG, 4_00),
+    ):
+        made.jog(down * by_cdeg)
+        assert made.wire_cdeg == wire_cdeg
+
+
+def test_a_horn_that_sits_seven_degrees_off() -> None:
+    made = guide()
+    for _ in range(7):
+        made.jog(COARSE_CDEG)
+    assert made.command_deg == 97.0
+    made.stands_at(90.0)
+    assert made.draft[32] == ServoCalibration(trim_cdeg=7_00)
+    assert (made.shown_deg, made.command_deg) == (90.0, 97.0)
+
+
+def test_a_servo_that_turns_the_other_way() -> None:
+    made = guide(start_deg=80.0)
+    made.highest_here()
+    made.wrong_way()
+    assert made.shown_deg == 100.0
+    made.jog(COARSE_CDEG)
+    assert made.shown_deg == 101.0
+    assert made.command_deg == 79.0
+    made.stands_at(100.0)
+    assert made.draft[32] == ServoCalibration(-1_00, inverted=True, min_cdeg=100_00, max_cdeg=180_00)
+
+
+def test_both_ends() -> None:
+    made = guide()
+    made.jog(FINE_CDEG)
+    made.highest_here()
+    made.jog(-40 * COARSE_CDEG)
+    made.lowest_here()
+    assert made.draft[32] == ServoCalibration(min_cdeg=50_10, max_cdeg=90_10)
+    made.jog(41 * COARSE_CDEG)
+    with pytest.raises(CalibrationError, match="min_deg must not be larger"):
+        made.lowest_here()
+    assert made.draft[32] == ServoCalibration(min_cdeg=50_10, max_cdeg=90_10)
+
+
+def test_undo_goes_back_to_the_beginning() -> None:
+    made = guide()
+    made.stands_at(95.0)
+    made.wrong_way()
+    assert made.changed == [32]
+    assert made.undo() == 32
+    assert made.draft[32] == ServoCalibration(trim_cdeg=-5_00)
+    assert made.undo() == 32
+    assert made.undo() is None
+    assert made.changed == []
+
+
+def test_as_drawn() -> None:
+    made = guide(ServoCalibration(7_00, inverted=True))
+    made.as_drawn()
+    assert made.draft[32] == ServoCalibration()
+    assert made.changed == [32]
+
+
+def test_it_never_leaves_what_the_gateway_accepts() -> None:
+    made = guide(ServoCalibration(max_cdeg=92_00))
+    made.jog(2 * COARSE_CDEG)
+    with pytest.raises(CalibrationError, match="calibrated to go from 0 to 92 degrees"):
+        made.jog(FINE_CDEG)
+    assert made.command_deg == 92.0
+    with pytest.raises(CalibrationError, match="has no command for it"):
+        guide(ServoCalibration(20_00), 0.0).jog(-COARSE_CDEG)
+    with pytest.raises(CalibrationError, match="no more way"):
+        guide(start_deg=180.0).jog(FINE_CDEG)
+
+
+def test_a_servo_that_is_none() -> None:
+    with pytest.raises(CalibrationError, match="servo 34 does not exist"):
+        guide().choose(34)
+    made = guide()
+    made.leave()
+    with pytest.raises(CalibrationError, match="choose a servo first"):
+        made.stands_at(90)
+
+
+@given(st.integers(0, 180_00), st.booleans(), st.lists(st.integers(-500, 500), max_size=20), st.floats(60, 120))
+def test_what_the_person_saw_is_what_the_draft_says(start: int, wrong: bool, jogs: list[int], seen_deg: float) -> None:
+    made = guide(start_deg=start / 100)
+    if wrong:
+        made.wrong_way()
+    for by in jogs:
+        try:
+            made.jog(by)
+        except CalibrationError:
+            continue
+    try:
+        made.stands_at(seen_deg)
+    except CalibrationError:
+        assert abs(made.shown_deg - seen_deg) > 89  # the trim would be larger than a quarter of a turn
+        return
+    assert made.shown_deg == pytest.approx(round(seen_deg, 2), abs=0.011)
+    assert made.draft[32].wire_cdeg(round(made.shown_deg * 100)) == made.wire_cdeg
+
+
+@given(calibrations, st.sampled_from(SERVO_IDS))
+def test_it_begins_as_near_to_the_middle_as_the_calibration_in_force_lets_it(
+    calibration: Calibration, servo_id: int
+) -> None:
+    made = Guide(calibration)
+    allowed = [angle for angle in range(0, 180_01, 25) if calibration.why_not(servo_id, angle) is None]
+    try:
+        made.choose(servo_id)
+    except CalibrationError:
+        assert not allowed
+        return
+    assert calibration.why_not(servo_id, round(made.command_deg * 100)) is None
+    assert all(abs(made.command_deg - 90) <= abs(angle / 100 - 90) for angle in allowed)

@@ -1,0 +1,292 @@
+"""Certificates: files, modes, contents, chains; and the commands that make them."""
+
+import ipaddress
+import json
+import os
+import re
+import zipfile
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from cryptography.x509.verification import PolicyBuilder, Store, VerificationError
+from typer.testing import CliRunner
+
+from gateway import certs
+from gateway.certs import authority
+from gateway.certs.zenoh_files import endpoint
+from gateway.errors import ConfigError
+from gateway.people.tools.certs import app
+from gateway.zenoh_config import certificate_files, load_client_config, load_config
+from schemas.command import MAX_PAYLOAD_BYTES
+from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
+
+__all__ = ["make_folder"]  # a fixture
+
+
+def test_init_makes_its_files_and_only_the_owner_reads_the_keys(folder: Path) -> None:
+    assert names(folder) == MADE_BY_INIT
+    assert mode(folder) == 0o700
+    assert {path.name: mode(path) for path in folder.iterdir()} == {
+        "ca.key": 0o600,
+        "gateway.key": 0o600,
+        "ca.pem": 0o644,
+        "gateway.pem": 0o644,
+        "gateway.json5": 0o644,
+    }
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o277])
+def test_modes_do_not_depend_on_the_umask(tmp_path: Path, mask: int) -> None:
+    (tmp_path / "D").mkdir()
+    before = os.umask(mask)
+    try:
+        certs.init(tmp_path / "D", HOSTS)
+    finally:
+        os.umask(before)
+    assert mode(tmp_path / "D" / "ca.key") == 0o600
+    assert mode(tmp_path / "D" / "gateway.pem") == 0o644
+
+
+def test_the_gateways_certificate_is_good_for_its_hosts_and_no_other(folder: Path) -> None:
+    ca, gateway = certs.read_certificate(folder / "ca.pem"), certs.read_certificate(folder / "gateway.pem")
+    trust = PolicyBuilder().store(Store([ca]))
+    policy = trust.time(NOW)
+    for host in HOSTS:
+        name = x509.DNSName(host) if host.endswith("local") else x509.IPAddress(ipaddress.ip_address(host))
+        assert policy.build_server_verifier(name).verify(gateway, [])[0] == gateway
+    with pytest.raises(VerificationError):
+        policy.build_server_verifier(x509.DNSName("other.local")).verify(gateway, [])
+    with pytest.raises(VerificationError):
+        trust.time(NOW + 731 * DAY).build_server_verifier(x509.DNSName("robot.local")).verify(gateway, [])
+
+
+def test_a_laptops_certificate_carries_role_and_name_and_cannot_serve(folder: Path) -> None:
+    certs.issue(folder, "alice", "operator", now=NOW)
+    ca, alice = certs.read_certificate(folder / "ca.pem"), certs.read_certificate(folder / "alice.pem")
+    alice.verify_directly_issued_by(ca)
+    # The first common name, the only one, is all that Zenoh looks at.
+    assert [a.value for a in alice.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] == ["operator"]
+    assert [a.value for a in alice.subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)] == ["alice"]
+    usage = alice.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH]
+    assert not alice.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    key = serialization.load_pem_private_key((folder / "alice.key").read_bytes(), None)
+    assert key.public_key() == alice.public_key()
+
+
+def test_how_long_they_live(folder: Path) -> None:
+    certs.issue(folder, "alice", "operator", now=NOW)
+    certs.issue(folder, "brief", "observer", days=7, now=NOW)
+    certs.issue(folder, "late", "observer", now=NOW + 3600 * DAY)
+    left = {found.name: found.days_left(NOW) for found in certs.expiries(folder) if found.role != "ca"}
+    # A leaf never outlives its CA of ten years.
+    assert left == {"robot.local": 730, "alice": 730, "brief": 7, "late": 3650}
+    # A robot without a clock may think that it is last year.
+    assert {found.not_before for found in certs.expiries(folder)} >= {NOW - 365 * DAY}
+    assert all(found.not_before <= NOW - 360 * DAY for found in certs.expiries(folder) if found.name != "late")
+
+
+def test_expiries_lists_the_ca_first_and_says_when_one_is_over(folder: Path) -> None:
+    certs.issue(folder, "zoe", "operator", days=1, now=NOW - 10 * DAY)
+    certs.issue(folder, "abe", "observer", now=NOW)
+    found = certs.expiries(folder)
+    assert [(each.role, each.name) for each in found][1:] == [
+        ("gateway", "robot.local"),
+        ("observer", "abe"),
+        ("operator", "zoe"),
+    ]
+    assert found[0].role == "ca"
+    assert found[3].days_left(NOW) == -9
+    assert found[3].serial == f"{certs.read_certificate(folder / 'zoe.pem').serial_number:x}"
+
+
+def test_issue_makes_three_files_and_touches_nothing_else(folder: Path) -> None:
+    before = contents(folder)
+    made = certs.issue(folder, "alice", "operator")
+    assert {path.name for path in made} == {"alice.pem", "alice.key", "alice.json5"}
+    assert names(folder) == MADE_BY_INIT | {"alice.pem", "alice.key", "alice.json5"}
+    assert mode(folder / "alice.key") == 0o600
+    assert {name: data for name, data in contents(folder).items() if name in before} == before
+
+
+def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp_path: Path) -> None:
+    bundle = tmp_path / "alice.zip"
+    certs.issue(folder, "alice", "operator", bundle=bundle)
+    assert mode(bundle) == 0o600
+    with zipfile.ZipFile(bundle) as archive:
+        assert set(archive.namelist()) == {"ca.pem", "alice.pem", "alice.key", "alice.json5", "README.txt"}
+        assert (archive.getinfo("alice.key").external_attr >> 16) & 0o777 == 0o600
+        assert archive.read("alice.key") == (folder / "alice.key").read_bytes()
+        assert archive.read("ca.pem") == (folder / "ca.pem").read_bytes()
+        assert b"@" not in archive.read("README.txt")
+        archive.extractall(tmp_path / "elsewhere")
+    config = load_client_config(tmp_path / "elsewhere" / "alice.json5")
+    tls = json.loads(config.get_json("transport/link/tls"))
+    assert tls["connect_private_key"] == str(tmp_path / "elsewhere" / "alice.key")
+    assert tls["root_ca_certificate"] == str(tmp_path / "elsewhere" / "ca.pem")
+
+
+def test_full_paths_on_request_and_never_in_the_zip(folder: Path, tmp_path: Path) -> None:
+    bundle = tmp_path / "anna.zip"
+    certs.issue(folder, "anna", "operator", bundle=bundle, absolute=True)
+    text = (folder / "anna.json5").read_text()
+    for name in ("ca.pem", "anna.pem", "anna.key"):
+        assert f'"{folder / name}"' in text
+        assert f'"{name}"' not in text
+    with zipfile.ZipFile(bundle) as zipped:
+        assert str(folder) not in zipped.read("anna.json5").decode()
+    assert load_client_config(folder / "anna.json5")
+
+
+def test_a_laptop_dials_every_host_at_the_gateways_port(tmp_path: Path) -> None:
+    certs.init(tmp_path / "D", HOSTS, port=7555)
+    certs.issue(tmp_path / "D", "alice", "observer")
+    config = load_client_config(tmp_path / "D" / "alice.json5")
+    assert json.loads(config.get_json("connect/endpoints")) == [
+        "tls/robot.local:7555",
+        "tls/192.0.2.7:7555",
+    ]
+    assert json.loads(config.get_json("mode")) == "client"
+
+
+def test_an_ipv6_address_of_an_older_folder_is_in_brackets() -> None:
+    assert endpoint("2001:db8::7", 7555) == "tls/[2001:db8::7]:7555"
+
+
+def test_the_gateways_zenoh_file(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir("/")  # as a service
+    config = load_config(folder / "gateway.json5")
+
+    def setting(key: str) -> object:
+        return json.loads(config.get_json(key))
+
+    assert setting("mode") == "peer"
+    assert setting("listen/endpoints") == ["tls/[::]:7447"]
+    assert setting("scouting/multicast/enabled") is False
+    assert setting("scouting/gossip/enabled") is False
+    assert setting("transport/shared_memory/enabled") is False
+    assert setting("transport/link/protocols") == ["tls"]
+    assert setting("transport/link/tls/enable_mtls") is True
+    assert setting("transport/link/tls/listen_private_key") == str(folder / "gateway.key")
+    assert setting("access_control/enabled") is True
+    assert setting("access_control/default_permission") == "deny"
+    limits = setting("low_pass_filter")
+    assert isinstance(limits, list)
+    assert [limit["size_limit"] > MAX_PAYLOAD_BYTES for limit in limits] == [True]
+    assert certificate_files(load_config(folder / "gateway.json5")) == [folder / "ca.pem", folder / "gateway.pem"]
+    # Moved as a whole, it still works.
+    folder.rename(tmp_path / "robot")
+    assert load_config(tmp_path / "robot" / "gateway.json5")
+
+
+def test_a_consoles_certificate_only_serves(folder: Path) -> None:
+    """At most 825 days, or Apple's browsers reject it; no role on Zenoh; no client."""
+    made = certs.console(folder, "web", ["robot.local", "192.0.2.7", "robot.local", "2001:db8::7"], days=3000, now=NOW)
+    assert {path.name for path in made} == {"web.pem", "web.key", "web-ca.pem", "web-ca.key"}
+    assert mode(folder / "web.key") == mode(folder / "web-ca.key") == 0o600
+    for days in (None, 3000):
+        if days is not None:
+            certs.renew(folder, "web", days=days, now=NOW)
+        certificate = certs.read_certificate(folder / "web.pem")
+        assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= 825 * DAY
+        assert authority.role_and_name(certificate) == ("console", "web")
+        assert authority.hosts_of(certificate) == ["robot.local", "192.0.2.7", "2001:db8::7"]
+        usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
+    assert "neither a host name" in fault(lambda: certs.console(folder, "other", ["192.0.2.999"]))
+    assert "is taken" in fault(lambda: certs.console(folder, "web", ["robot.local"]))
+    assert "cannot name" in fault(lambda: certs.console(folder, "gateway", ["robot.local"]))
+
+
+def test_renew_keeps_key_and_holder(folder: Path) -> None:
+    certs.issue(folder, "alice", "operator", now=NOW - 700 * DAY)
+    for name in ("alice", "gateway"):
+        before, old = contents(folder), certs.read_certificate(folder / f"{name}.pem")
+        certs.renew(folder, name, days=100, now=NOW)
+        new = certs.read_certificate(folder / f"{name}.pem")
+        new.verify_directly_issued_by(certs.read_certificate(folder / "ca.pem"))
+        assert (new.subject, new.public_key()) == (old.subject, old.public_key())
+        assert new.serial_number != old.serial_number
+        assert new.not_valid_after_utc == NOW + 100 * DAY
+        assert {item.oid for item in new.extensions} == {item.oid for item in old.extensions}
+        assert {key: value for key, value in contents(folder).items() if before[key] != value}.keys() == {f"{name}.pem"}
+    policy = PolicyBuilder().store(Store([certs.read_certificate(folder / "ca.pem")])).time(NOW)
+    gateway = certs.read_certificate(folder / "gateway.pem")
+    policy.build_server_verifier(x509.DNSName("robot.local")).verify(gateway, [])
+
+
+# --- the commands
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, list(arguments))
+    if isinstance(result.exception, ConfigError):
+        return result.exception.exit_code, str(result.exception)
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    return result.exit_code, result.output
+
+
+def test_the_commands_from_init_to_list(tmp_path: Path) -> None:
+    directory, bundle = str(tmp_path / "D"), str(tmp_path / "alice.zip")
+    assert run("init", "--dir", directory, "--host", "robot.local", "--host", "192.0.2.7")[0] == 0
+    code, text = run("issue", "alice", "--role", "operator", "--dir", directory, "--bundle", bundle, "--days", "90")
+    assert (code, "alice.json5" in text, bundle in text) == (0, True, True)
+    code, text = run("list", "--dir", directory)
+    rows = [line.split("\t") for line in text.splitlines()]
+    assert rows[0] == ["NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL"]
+    assert [row[1] for row in rows[1:]] == ["ca", "gateway", "operator"]
+    assert (rows[3][0], rows[3][3]) == ("alice", "89")
+    code, text = run("console", "--dir", directory, "--host", "robot.local")
+    assert (code, "--cert web.pem --key web.key" in text) == (0, True)
+    assert run("renew", "alice", "--dir", directory)[0] == 0
+    assert run("list", "--dir", directory)[1].splitlines()[3].split("\t")[3] == "729"
+
+
+def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
+    directory = str(tmp_path / "D")
+    assert run("init", "--dir", directory, "--host", "robot.local")[0] == 0
+    for arguments in (
+        ["init", "--dir", directory, "--host", "robot.local"],
+        ["issue", "alice", "--role", "admin", "--dir", directory],
+        ["issue", "../alice", "--role", "operator", "--dir", directory],
+        ["list", "--dir", str(tmp_path / "nowhere")],
+    ):
+        code, text = run(*arguments)
+        assert code == 2
+        assert len(text.splitlines()) == 1
+
+
+@pytest.mark.parametrize("command", ["init", "issue", "console", "list", "renew"])
+def test_every_help_has_an_example(command: str) -> None:
+    code, text = run(command, "--help")
+    assert code == 0
+    assert f"hexapod-gateway certs {command}" in " ".join(text.split())
+
+
+def test_the_list_is_a_table_on_a_terminal(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+    certs.issue(folder, "old", "operator", days=1, now=NOW - 10 * DAY)
+    code, text = run("list", "--dir", str(folder))
+    assert code == 0
+    assert "│" in text
+    assert "\x1b[31m" in text  # expired: red
+
+
+def test_the_list_fits_80_columns(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    certs.issue(folder, "annas-long-laptop-name", "operator")
+    code, shown = run("list", "--dir", str(folder))
+    lines = re.sub(r"\x1b\[[\d;]*m", "", shown).splitlines()
+    assert code == 0
+    assert "┃" in shown
+    assert max(map(len, lines)) <= 80
+    (line,) = [line for line in lines if "annas-long-laptop-name" in line]
+    assert "operator" in line
+    assert re.search(r"\d{4}-\d\d-\d\d", line), line

@@ -1,0 +1,142 @@
+"""What one connection of somebody who is not signed in may cost, and who makes room for whom."""
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from gateway.people.console import front
+from gateway.people.console.door import Door, SignedIn
+from gateway.people.console.front import MAX_UNKNOWN, READS, Admitted, Front
+from gateway.people.console.register import Register, SignIn
+from gateway.people.console.site import Site
+
+URL = "http://127.0.0.1:8080"
+UPGRADE = (
+    "Host: 127.0.0.1:8080\r\nOrigin: http://127.0.0.1:8080\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+)
+
+
+class Stand:
+    """A front on a port of its own."""
+
+    def __init__(self, folder: Path, listening: socket.socket) -> None:
+        register = Register(folder, 8080)
+        register.begin(URL, "operator")
+        found = register.exchange(register.new_link().partition("token=")[2])
+        assert found is not None
+        self.session: SignIn = found
+        self.admitted: asyncio.Queue[Admitted] = asyncio.Queue()
+        self.address = listening.getsockname()
+        door = Door(Site("127.0.0.1", 8080, ("127.0.0.1",)), register, person="anna", role="operator")
+        self.front = Front(listening, None, door, self.admitted.put_nowait)
+
+    async def ask(self, request: str) -> bytes:
+        """The whole answer, until the connection ends."""
+        reader, writer = await asyncio.open_connection(*self.address[:2])
+        writer.write(request.encode())
+        answer = await reader.read()
+        writer.close()
+        return answer
+
+
+@contextmanager
+def listening() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0), backlog=200) as found:
+        yield found
+
+
+@pytest.fixture
+async def stand(tmp_path: Path) -> AsyncIterator[Stand]:
+    with listening() as taken:
+        found = Stand(tmp_path, taken)
+        serving = asyncio.create_task(found.front.serve())
+        yield found
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+        while not found.admitted.empty():
+            found.admitted.get_nowait().connection.close()
+
+
+async def test_one_request_for_each_connection(stand: Stand) -> None:
+    request = "GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n"
+    answer = await stand.ask(request)
+    assert answer.startswith(b"HTTP/1.1 403 ")
+    assert b"Connection: close" in answer
+    assert await stand.ask(request * 3) == b"", "what comes behind a request ends it"
+
+
+@pytest.mark.parametrize(
+    "request_text",
+    [
+        "POST / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nTransfer-Encoding: chunked\r\n\r\n1\r\nx\r\n",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nContent-Length: 5\r\n\r\nabcde",
+        "GET / HTTP/1.1\r\nX: " + "y" * 40_000,
+        "GET / HTTP/1.1\r\n" + "X: y\r\n" * 4000,
+        "\x16\x03\x01 hello",
+        "GET / HTTP/9\r\n\r\n",
+        "BREW / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n",
+    ],
+    ids=["chunked", "body", "long line", "many lines", "tls", "version", "method"],
+)
+async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text: str) -> None:
+    try:
+        answer = await stand.ask(request_text)
+    except ConnectionError:
+        return
+    assert not answer or answer.split()[1] in (b"400", b"403", b"405", b"414", b"431")
+
+
+async def test_bytes_that_come_one_by_one_are_bounded(stand: Stand) -> None:
+    reader, writer = await asyncio.open_connection(*stand.address[:2])
+    ended = asyncio.create_task(reader.read())
+    sent = 0
+    while not ended.done() and sent < 10 * READS:
+        writer.write(b"G")
+        sent += 1
+        await asyncio.sleep(0.001)
+    await asyncio.gather(ended, return_exceptions=True)
+    assert sent < 10 * READS
+    writer.close()
+
+
+async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front, "UNKNOWN_S", 0.1)
+    assert await stand.ask("GET / HTTP/1.1\r\n") == b""
+
+
+async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
+    silent = [await asyncio.open_connection(*stand.address[:2]) for _ in range(MAX_UNKNOWN)]
+    assert (await stand.ask("GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n")).startswith(b"HTTP/1.1 403 ")
+    assert await silent[0][0].read() == b""
+    assert not silent[1][0].at_eof()
+    for _, writer in silent:
+        writer.close()
+
+
+@pytest.mark.parametrize("half", ["cookie", "key"])
+async def test_half_of_a_session_is_none(stand: Stand, half: str) -> None:
+    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n" if half == "cookie" else ""
+    key = stand.session.key if half == "key" else "nonsense"
+    offered = f"Sec-WebSocket-Protocol: hexapod-console, key.{key}\r\n"
+    assert (await stand.ask(f"GET /ws HTTP/1.1\r\n{UPGRADE}{cookie}{offered}\r\n")).startswith(b"HTTP/1.1 403 ")
+    assert stand.admitted.empty()
+
+
+async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
+    reader, writer = await asyncio.open_connection(*stand.address[:2])
+    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
+    offered = f"Sec-WebSocket-Protocol: hexapod-console, key.{stand.session.key}\r\n"
+    writer.write(f"GET /ws HTTP/1.1\r\n{UPGRADE}{cookie}{offered}\r\n".encode())
+    async with asyncio.timeout(10):
+        admitted = await stand.admitted.get()
+    assert admitted.session == SignedIn(stand.session.entry, "operator")
+    assert b"101 Switching" in b"".join(admitted.protocol.data_to_send())
+    assert admitted.connection.fileno() > 0, "it is not closed"
+    admitted.connection.close()
+    writer.close()
+    del reader

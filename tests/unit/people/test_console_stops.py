@@ -1,0 +1,163 @@
+"""STOP ALL: asked until it is confirmed, by an answer to a request that began after the press."""
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+from gateway.errors import DisconnectedError
+from gateway.people.console.messages import Stopping
+from gateway.people.console.stops import AGAIN_S, AT_ONCE, MAX_PRESSES, Stops
+from schemas.telemetry import Ack
+
+pytestmark = pytest.mark.virtual_time
+
+ACK = Ack(accepted=True, stop_frames=6, estop=1, latency_us=900.0)
+
+
+class Robot:
+    """Answers when the test says so."""
+
+    def __init__(self) -> None:
+        self.requests: list[asyncio.Future[Ack]] = []
+
+    async def estop(self) -> Ack:
+        request: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
+        self.requests.append(request)
+        return await request
+
+    async def answer(self, number: int, ack: Ack = ACK) -> None:
+        self.requests[number].set_result(ack)
+        await turns()
+
+    async def fail(self, number: int) -> None:
+        self.requests[number].set_exception(DisconnectedError("no answer"))
+        await turns()
+
+
+class Page:
+    """Hears how far its stops have come."""
+
+    def __init__(self) -> None:
+        self.heard: list[Stopping] = []
+
+    def tell(self, message: Stopping) -> None:
+        self.heard.append(message)
+
+    def answered(self) -> list[int]:
+        return [message.id for message in self.heard if message.answered]
+
+
+async def turns() -> None:
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+@pytest.fixture
+async def robot() -> AsyncIterator[Robot]:
+    found = Robot()
+    yield found
+    for request in found.requests:
+        if not request.done():
+            request.set_result(ACK)
+    await turns()
+
+
+async def test_a_press_is_asked_at_once_and_confirmed(robot: Robot) -> None:
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 7)
+    assert [(message.answered, message.attempts) for message in page.heard] == [(False, 0)]
+    await turns()
+    await robot.answer(0)
+    assert (page.heard[-1].answered, page.heard[-1].stop_frames, page.heard[-1].attempts) == (True, 6, 1)
+    assert len(robot.requests) == 1, "nobody waits any more"
+    assert not stops.unconfirmed
+
+
+async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 7)
+    for number in range(5):
+        await turns()
+        assert len(robot.requests) == number + 1
+        await robot.fail(number)
+        assert (page.heard[-1].answered, page.heard[-1].attempts) == (False, number + 1)
+        assert page.heard[-1].error == "no answer"
+        assert stops.unconfirmed
+        await asyncio.sleep(AGAIN_S)
+    await turns()
+    await robot.answer(5)
+    assert page.answered() == [7]
+
+
+@pytest.mark.parametrize("fault", [RuntimeError("can't start new thread"), MemoryError(), OSError(24, "no descriptor")])
+async def test_whatever_goes_wrong_it_is_asked_again(robot: Robot, fault: Exception) -> None:
+    """Also what is no answer of a gateway: a machine that has no thread, no memory, no descriptor left."""
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 7)
+    await turns()
+    robot.requests[0].set_exception(fault)
+    await turns()
+    assert page.heard[-1].error
+    await asyncio.sleep(AGAIN_S)
+    await turns()
+    await robot.answer(1)
+    assert page.answered() == [7]
+
+
+async def test_a_press_outlives_its_page_and_those_of_many_pages_are_one(robot: Robot) -> None:
+    stops = Stops(robot.estop)
+    for _ in range(100):
+        page = Page()
+        stops.press(page, 1)
+        stops.leave(page)
+    assert stops.unconfirmed
+    await turns()
+    for number in range(AT_ONCE):
+        await robot.answer(number)
+    assert len(robot.requests) <= 2 * AT_ONCE, "one press waited, and not a hundred"
+    for number in range(AT_ONCE, len(robot.requests)):
+        await robot.answer(number)
+    assert not stops.unconfirmed
+
+
+async def test_an_answer_to_an_earlier_request_does_not_count(robot: Robot) -> None:
+    """Between the first request and the second press, somebody may have reset it."""
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 1)
+    await turns()
+    await asyncio.sleep(0.001)
+    stops.press(page, 2)
+    await turns()
+    assert len(robot.requests) == 2, "the second is asked for without waiting for the first"
+    await robot.answer(0)
+    assert page.answered() == [1]
+    await robot.answer(1)
+    assert page.answered() == [1, 2]
+
+
+async def test_presses_beyond_those_under_way_are_asked_for_afterwards(robot: Robot) -> None:
+    stops, page = Stops(robot.estop), Page()
+    for number in range(AT_ONCE + 3):
+        stops.press(page, number)
+        await turns()
+        await asyncio.sleep(0.001)
+    assert len(robot.requests) == AT_ONCE
+    await robot.answer(0)
+    assert len(robot.requests) == AT_ONCE + 1
+    await robot.answer(AT_ONCE)
+    assert page.answered() == list(range(AT_ONCE + 3)), "all began before the latest request"
+
+
+async def test_a_page_that_leans_on_it_takes_bounded_memory(robot: Robot) -> None:
+    stops, page, other = Stops(robot.estop), Page(), Page()
+    for number in range(10 * MAX_PRESSES):
+        stops.press(page, number)
+    stops.press(other, 1)
+    await turns()
+    for number in range(AT_ONCE):
+        await robot.answer(number)
+    for number in range(AT_ONCE, len(robot.requests)):
+        await robot.answer(number)
+    assert page.answered() == list(range(9 * MAX_PRESSES, 10 * MAX_PRESSES)), "the newest"
+    assert other.answered() == [1]

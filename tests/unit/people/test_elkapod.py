@@ -1,0 +1,168 @@
+"""examples/elkapod: its files agree with each other, with the walk, and with the robot's own numbers."""
+
+import math
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from examples.elkapod import gait
+from gateway.geometry import Geometry, foot_m, load
+from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
+from gateway.people.walking.limits import ranges
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.pacing import NS_PER_MS
+from gateway.robot.core.speed import step
+from gateway.robot.host import calibration_file
+from gateway.robot.protocol.frames import centidegrees
+from gateway.robot.runtime.report import limits_of
+from gateway.robot.settings import Settings
+from gateway.robot.settings import load as load_settings
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+
+FOLDER: Final = Path(gait.__file__).parent
+SETTINGS: Final[Settings] = load_settings(FOLDER / "gateway.toml", simulated=True)
+PERIOD_MS: Final = 20
+PERIOD_S: Final = PERIOD_MS / 1000
+WALK_S: Final = 10.0
+STEADY_S: Final = 1.0
+"""At the beginning and the end, in which it may go slower."""
+MG996R_DEG_S: Final = 353
+
+
+@cache
+def walked() -> tuple[tuple[Posture, Pose], ...]:
+    """What the program makes of the geometry and the limits, tick by tick: it lies, stands up, walks and sits down."""
+    walker = Walker(Robot(load(gait.GEOMETRY), ranges(limits_of(SETTINGS), None)))
+    ticks = [(walker.engine.posture, walker.tick(0.0))]
+
+    def tick() -> Posture:
+        ticks.append((walker.engine.posture, walker.tick(len(ticks) * PERIOD_S)))
+        return walker.engine.posture
+
+    walker.stand(None, 0.0)
+    while tick() is not Posture.STANDING:
+        assert walker.state.limit == ""
+    for _ in range(round(WALK_S / PERIOD_S)):
+        walker.go(Velocity(gait.FORWARD_M_S), len(ticks) * PERIOD_S)
+        tick()
+        assert walker.state.limit == "", "the limits are wide enough for this velocity"
+    walker.sit(len(ticks) * PERIOD_S)
+    while tick() is not Posture.SITTING:
+        assert len(ticks) * PERIOD_S < 2 * WALK_S
+    return tuple(ticks)
+
+
+def servos_deg(pose: Pose) -> dict[int, float]:
+    return {10 * leg + joint: angle for leg, three in pose.items() for joint, angle in zip(JOINTS, three, strict=True)}
+
+
+def servos_cdeg(pose: Pose) -> dict[int, int]:
+    return {servo_id: centidegrees(angle) for servo_id, angle in servos_deg(pose).items()}
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    read = calibration_file.read(FOLDER / "calibration.toml")
+    assert read is not None
+    return read
+
+
+def test_joints_2_and_3_of_the_right_legs_are_mirrored_and_nothing_else(calibration: Calibration) -> None:
+    for servo_id in SERVO_IDS:
+        leg, joint = divmod(servo_id, 10)
+        assert calibration.of(servo_id).inverted == (leg in (2, 4, 6) and joint in (2, 3))
+        assert calibration.of(servo_id).trim_cdeg == 0
+
+
+def test_with_the_calibration_each_servo_stands_where_the_robots_own_software_puts_it(calibration: Calibration) -> None:
+    servos, users = load(), load(FOLDER / "geometry.json")
+    assert servos.model_copy(update={"servos": users.servos}) == users
+    for servo_id in SERVO_IDS:
+        low, high = users.joints[servo_id % 10 - 1].limits_rad
+        for joint_rad in (low, (low + high) / 2, 0.9 * high):
+            user_cdeg = centidegrees(users.servos[servo_id].servo_deg(joint_rad))
+            own_deg = servos.servos[servo_id].servo_deg(joint_rad)
+            assert calibration.of(servo_id).wire_cdeg(user_cdeg) / 100 == pytest.approx(own_deg, abs=0.011)
+
+
+def test_on_the_wire_the_walk_is_in_the_robots_own_angles(calibration: Calibration) -> None:
+    servos, users = load(), load(gait.GEOMETRY)
+    for _, pose in walked()[::7]:
+        for servo_id, angle_deg in servos_deg(pose).items():
+            own_deg = servos.servos[servo_id].servo_deg(users.joint_rad(servo_id, angle_deg))
+            wire_deg = calibration.of(servo_id).wire_cdeg(centidegrees(angle_deg)) / 100
+            assert wire_deg == pytest.approx(own_deg, abs=0.011)
+
+
+def test_the_feet_that_stand_are_on_the_ground_and_push_the_body_forward() -> None:
+    """By the geometry alone: where they are in the body's frame follows from the angles that are sent."""
+    geometry = load(gait.GEOMETRY)
+    walking = [pose for posture, pose in walked() if posture is Posture.WALKING]
+    steady = walking[round(STEADY_S / PERIOD_S) : round((WALK_S - STEADY_S) / PERIOD_S)]
+    stood: set[frozenset[int]] = set()
+    for before, after in pairwise([feet_m(geometry, pose) for pose in steady]):
+        ground_m = min(foot[2] for foot in before.values())
+        legs = frozenset(leg for leg in LEGS if max(before[leg][2], after[leg][2]) == pytest.approx(ground_m, abs=1e-6))
+        stood.add(legs)
+        for leg in legs:
+            moved_m = [new - old for old, new in zip(before[leg], after[leg], strict=True)]
+            assert moved_m == pytest.approx([-gait.FORWARD_M_S * PERIOD_S, 0, 0], abs=1e-6)
+    assert {frozenset({1, 4, 5}), frozenset({2, 3, 6})} <= stood, "two tripods by turns"
+    assert all(len(legs) >= 3 for legs in stood)
+
+
+def feet_m(geometry: Geometry, pose: Pose) -> dict[int, tuple[float, float, float]]:
+    joints_rad = {servo_id: geometry.joint_rad(servo_id, angle) for servo_id, angle in servos_deg(pose).items()}
+    return {leg: foot_m(geometry, leg, joints_rad) for leg in LEGS}
+
+
+def test_the_walk_and_the_landing_pose_are_within_the_limits(calibration: Calibration) -> None:
+    limits = SETTINGS.limits.servos
+    assert set(limits) == set(SETTINGS.watchdog.landing) == set(map(str, SERVO_IDS))
+    for _, pose in walked():
+        for servo_id, cdeg in servos_cdeg(pose).items():
+            assert limits[str(servo_id)].min_deg <= cdeg / 100 <= limits[str(servo_id)].max_deg
+            assert calibration.why_not(servo_id, cdeg) is None
+    for name, deg in SETTINGS.watchdog.landing.items():
+        assert calibration.why_not(int(name), centidegrees(deg)) is None
+
+
+def test_it_lands_where_the_walk_sits_with_its_belly_on_the_ground() -> None:
+    posture, sitting = walked()[-1][0], servos_deg(walked()[-1][1])
+    assert posture in (Posture.MOVING, Posture.SITTING)
+    assert {int(name): deg for name, deg in SETTINGS.watchdog.landing.items()} == pytest.approx(sitting, abs=0.5)
+
+
+def test_the_comment_on_the_limits_has_the_walks_own_numbers() -> None:
+    poses = [servos_deg(pose) for _, pose in walked()]
+    used = [
+        f"{math.floor(min(pose[10 * leg + joint] for pose in poses for leg in LEGS))} to "
+        f"{math.ceil(max(pose[10 * leg + joint] for pose in poses for leg in LEGS))}"
+        for joint in JOINTS
+    ]
+    fastest_deg_s = max(abs(new[servo_id] - old[servo_id]) for old, new in pairwise(poses) for servo_id in SERVO_IDS)
+    text = (FOLDER / "gateway.toml").read_text().replace("\n# ", " ")
+    assert f"The walk uses {used[0]}, {used[1]} and {used[2]}" in text
+    assert f"up to {math.ceil(fastest_deg_s / PERIOD_S)} degrees a second" in text
+
+
+def test_the_speed_limit_is_below_the_servos_and_never_holds_the_walk_back() -> None:
+    """At a steady 50 Hz each frame carries what was commanded; after a late one the lag is made up within the next."""
+    speeds_cdeg_s = {int(name): round(100 * servo.max_speed_deg_s) for name, servo in SETTINGS.limits.servos.items()}
+    assert 0 < max(speeds_cdeg_s.values()) / 100 < MG996R_DEG_S
+    period_ns = PERIOD_MS * NS_PER_MS
+    poses = [servos_cdeg(pose) for _, pose in walked()]
+    for late_ms in (0, 10):
+        at, since_ns = poses[0], 0
+        for frame, wanted in enumerate(poses[1:], start=1):
+            now_ns = (frame * PERIOD_MS + (late_ms if frame % 10 == 0 else 0)) * NS_PER_MS
+            reached = {
+                servo_id: step(at[servo_id], wanted[servo_id], speed, since_ns, now_ns, period_ns).angle_cdeg
+                for servo_id, speed in speeds_cdeg_s.items()
+            }
+            if not late_ms or frame % 10 != 1:
+                assert reached == wanted, f"at {frame * PERIOD_MS} ms"
+            at, since_ns = reached, now_ns

@@ -1,0 +1,414 @@
+"""Incidents: found in the ring, kept as files, and told as a story."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from mcap.reader import make_reader
+
+from gateway.errors import SpiError
+from gateway.geometry import load
+from gateway.people.incidents import kept, reader
+from gateway.people.incidents.incidents import CRASH, Incident, find
+from gateway.people.incidents.messages import messages
+from gateway.people.incidents.story import _WORSE, story, what
+from gateway.people.recordings import read
+from gateway.people.recordings.user_angles import UserAngles
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import place
+from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
+from gateway.robot.blackbox.ring import Ring
+from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.robot.core.events import StoppedOutside
+from gateway.robot.core.message import Verb
+from gateway.robot.protocol.frames import decode
+from gateway.robot.runtime.calibrations import Calibrations
+from schemas import keys
+from schemas.telemetry import Kind
+from tests.support.robot import WALL_NS, Robot, leg, servo
+from tests.unit.people.test_recorder import recorded
+
+LEG_3 = keys.leg_command(3)
+START = leg("start", 90, 45, 120, source="anna")
+SECOND = 1_000_000_000
+
+
+def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], reader.Content]:
+    content = reader.read(folder / place.RING)
+    return find(content.records, written=content.written, now_ns=now_ns), content
+
+
+def told(folder: Path) -> list[str]:
+    """The story of the only incident."""
+    ((incident,), content) = incidents(folder)
+    return story(list(messages(incident, content.records)))
+
+
+async def silence(robot: Robot) -> None:
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.1)
+    robot.put(LEG_3, leg("set", 90, 46, 120, source="anna"))
+    await asyncio.sleep(1)
+
+
+async def estop(robot: Robot) -> None:
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.05)
+    robot.put(keys.ESTOP, {"source": "bert"})
+    robot.put(LEG_3, START)
+    robot.put(LEG_3, START)
+    robot.put(keys.RESET, {"estop": 1, "source": "bert"})
+    robot.put(keys.leg_command(4), START)
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_a_silent_leg(folder: Path) -> None:
+    robot = recorded(folder)
+    await asyncio.sleep(1)
+    await silence(robot)
+    lines = told(folder)
+    assert (
+        lines[0]
+        == "20260921-141320-123-watchdog: a leg was silent, and was stopped: leg 3, at 2026-09-21T14:13:20.123457Z"
+    )
+    assert lines[1] == "Before it, anna sent 2 commands for leg 3."
+    assert [line.strip() for line in lines[-7:]] == [
+        "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
+        "0.000 s  watchdog: leg 3 was not heard for 250 ms; it is stopped",
+        "0.000 s  Stop written to leg 3 (watchdog)",
+        "0.000 s  mode idle",
+        "+20.0 ms  Stop repeated for leg 3",
+        "+40.0 ms  Stop repeated for leg 3",
+        "+60.0 ms  Stop repeated for leg 3",
+    ]
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
+    robot = recorded(folder)
+    await estop(robot)
+    lines = [line.strip().partition("  ")[2] for line in told(folder) if "startup" not in line]
+    wanted = [
+        "last command of leg 3 (anna, start 90 45 120)",
+        "emergency stop requested by bert",
+        "emergency stop; all commands are rejected until a reset (bert)",
+        "Stop written to all six legs (estop), the last at 0.000 s",
+        "2 commands of anna are rejected until +0.0 ms: estopped",
+        "reset requested by bert",
+        "first command after it for leg 4 (anna, start 90 45 120)",
+    ]
+    assert [line for line in lines if line in wanted] == wanted, lines
+
+
+@pytest.mark.virtual_time
+async def test_a_gateway_that_stood_still_is_not_told_as_a_silent_leg(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    robot.sleep_through(4.2)
+    robot.put(LEG_3, leg("set", 90, 46, 120, source="anna"))
+    robot.conductor.recorder.beat(4_100_000_000)
+    await asyncio.sleep(0.1)
+    assert ": the gateway stood still for 4.1 s; commands kept coming, at " in told(folder)[0]
+
+
+@pytest.mark.virtual_time
+async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(keys.leg_command(2), START)
+    robot.put(LEG_3, START)
+    for _ in range(10):
+        await asyncio.sleep(0.1)
+        robot.put(keys.leg_command(2), leg("set", 90, 46, 120, source="anna"))
+    lines = told(folder)
+    assert ": a leg was silent, and was stopped: leg 3, at " in lines[0]
+    assert not [line for line in lines if "first command after it" in line], "leg 2 walked throughout"
+    robot.put(keys.ESTOP, {"source": "bert"})
+    ((incident,), content) = incidents(folder)
+    silent = "a leg was silent, and was stopped: leg 3"
+    worst = f"somebody requested an emergency stop (bert); also: {silent}"
+    assert f": {worst}, at " in told(folder)[0]
+    kept.keep(folder / place.INCIDENTS, incident, content.records)
+    assert kept.headlines(folder / place.INCIDENTS) == {incident.name: worst}
+    robot.conductor.recorder.close()
+    assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
+
+
+LANDING = {"watchdog": {"landing_ms": 500, "repeats": 0, "landing": {"31": 30.0}}}
+
+
+def overflow(robot: Robot) -> None:
+    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
+    robot.conductor.tick()
+
+
+def takeover(robot: Robot) -> None:
+    assert robot.lease("acquire", "anna").accepted
+    assert robot.lease("take", "bert").accepted
+
+
+def stop_servos(robot: Robot) -> None:
+    robot.conductor._step(StoppedOutside(at_work=True))
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(("what", "happens", "line"), [
+    ("overflow", overflow, "overflow: messages were lost on the way to the gateway"),
+    ("lease-taken", takeover, "lease taken: bert has stopped all legs and taken the lease from anna"),
+    ("stopped-outside", stop_servos, "stopped outside: stop-servos stopped all servos past the gateway"),
+])  # fmt: skip
+async def test_what_else_stops_legs_is_an_incident(
+    folder: Path, what: str, happens: Callable[[Robot], None], line: str
+) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    happens(robot)
+    robot.put(LEG_3, {"servos": [servo("stop")] * 3})  # or the watchdog's would be another
+    await asyncio.sleep(1)
+    assert robot.conductor.state().incident == f"20260921-141320-123-{what}"
+    lines = told(folder)
+    assert f"-{what}: " in lines[0]
+    assert [each for each in lines if line in each], lines
+    assert [each for each in lines if "Stop written to" in each and "startup" not in each], lines
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_a_landing(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    robot.put(LEG_3, START)
+    robot.put(keys.servo_command(51), servo("start", 80, source="bert"))
+    await asyncio.sleep(0.3)
+    robot.put(keys.servo_command(51), servo("set", 81, source="bert"))
+    robot.put(keys.servo_command(51), servo("set", 82, source="bert"))
+    await asyncio.sleep(1)
+    lines = told(folder)
+    assert lines[0].startswith("20260921-141320-123-landing: a leg was silent, and the robot went to its landing pose,")
+    assert lines[1] == "Before it, anna sent 1 command for leg 3."
+    assert [line.strip() for line in lines[-8:]] == [
+        "−0.250 s  last command of leg 5 (bert, start 80)",
+        "0.000 s  landing: leg 3 was not heard for 250 ms; the robot lands, and is stopped 500 ms later",
+        "+20.0 ms  first frame of the way down",
+        "+50.0 ms  2 commands of bert are rejected until +50.0 ms: landing",
+        "+0.460 s  last frame of the way down, after 23 frames; leg 3 at 30 45 120; leg 5 at 80 off off",
+        "+0.500 s  watchdog: the robot has landed; all six legs are stopped",
+        "+0.500 s  Stop written to all six legs (watchdog), 0 µs after the deadline, the last at +0.500 s",
+        "+0.500 s  mode idle",
+    ]
+
+
+TRIMMED = Calibration(1, {32: ServoCalibration(10_00, inverted=True)}, {})
+
+
+@pytest.mark.virtual_time
+async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    robot.conductor.supervisor.calibrating.load(TRIMMED)
+    Calibrations(robot.conductor, None, asyncio.get_running_loop()).tell()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(2)
+    robot.conductor.recorder.calibration(Calibration(2))  # of later frames
+    await asyncio.sleep(10)
+    (incident,), content = incidents(folder, robot.now_ns())
+    path = kept.keep(folder / place.INCIDENTS, incident, content.records)
+    told = list(read(path))
+    (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
+    assert way_down.endswith("leg 3 at 30 45 120")
+    angles = UserAngles()
+    frames = [decode(bytes.fromhex(record["bytes"])) for record in angles.frames(told)]
+    assert angles.known, "it can be replayed"
+    started = next(frame for frame in frames if not frame.is_stop)
+    assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
+    joints = [each.content["joints"] for each in told if each.topic == "/joint_states"]
+    positions = {joint["name"]: joint["position"] for joint in joints[-1]}
+    assert positions["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
+    revisions = [each.content["revision"] for each in told if each.topic == keys.CALIBRATION]
+    assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
+
+
+@pytest.mark.virtual_time
+async def test_a_landing_that_somebody_stops_and_the_next_one_are_told_apart(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    for _ in range(2):
+        robot.put(LEG_3, START)
+        await asyncio.sleep(0.35)
+        robot.put(LEG_3, leg("stop", source="bert"))
+    text = [line.partition("  ")[2].strip() for line in told(folder)]
+    assert [line for line in text if "way down" in line or "Stop written to leg" in line] == [
+        "first frame of the way down",
+        "last frame of the way down, after 5 frames; leg 3 at 76.95 45 120",
+        "Stop written to leg 3 (command)",
+    ] * 2
+
+
+@pytest.mark.virtual_time
+async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began_it(folder: Path) -> None:
+    robot = recorded(folder, watchdog={"landing_ms": 5000, "repeats": 0})
+    robot.put(LEG_3, START)
+    await asyncio.sleep(6)
+    assert told(folder)[-1].endswith("mode idle")
+    events = [event for event in robot.events() if event.kind in (Kind.LANDING, Kind.WATCHDOG_EXPIRED)]
+    assert [event.incident for event in events] == ["20260921-141320-123-landing"] * 2
+    await asyncio.sleep(3)
+    robot.put(keys.ESTOP)
+    ((first,), _) = incidents(folder)
+    assert first.end_ns - first.zero_ns > 12 * SECOND, "and what follows within the 5 s prolongs it"
+
+
+@pytest.mark.virtual_time
+async def test_the_story_of_a_bus_fault_and_of_a_mistake(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = recorded(folder)
+
+    def fail(_: bytes) -> None:
+        raise SpiError("Input/output error")
+
+    monkeypatch.setattr(robot.controller, "transfer", fail)
+    robot.put(LEG_3, START)
+    robot.conductor.recorder.mistake("a mistake in the gateway ended it: planted")
+    lines = "\n".join(told(folder))
+    assert "the SPI bus failed" in lines
+    assert "bus fault: Input/output error" in lines
+    assert "mistake: a mistake in the gateway ended it: planted" in lines
+    assert "a command of anna is rejected: bus_fault" in lines
+
+
+@pytest.mark.virtual_time
+async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_none(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    assert incidents(folder)[0] == [], "it runs"
+    robot.conductor.recorder.close()
+    ((crash,), content) = incidents(folder)
+    assert crash.name == "20260921-141320-123-crash"
+    lines = story(list(messages(crash, content.records)))
+    assert lines[-1].strip() == "0.000 s  the gateway's last record; its process ended without a word"
+    after = recorded(folder)
+    assert [each.name for each in incidents(folder)[0]] == [crash.name], "the next gateway continues the ring"
+    after.put(keys.ESTOP, {"source": "bert"})
+    await asyncio.sleep(0.1)
+    (_, later), content = incidents(folder)
+    lines = [line.split("  ")[1] for line in story(list(messages(later, content.records)))[2:]]
+    ends = [line for line in lines if line.startswith(("a gateway starts", "the gateway"))]
+    assert [line.split(" (")[0] for line in ends] == [
+        "a gateway starts",
+        "the gateway's last record; its process ended without a word",
+        "a gateway starts",
+    ], "told in the story of the next incident, too"
+    after.conductor.recorder.ended("asked to")
+    after.conductor.recorder.close()
+    assert [each.name for each in incidents(folder)[0]] == [crash.name, later.name]
+
+
+@pytest.mark.virtual_time
+async def test_a_kill_soon_after_a_stop_belongs_to_it(folder: Path) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    robot.conductor.recorder.close()
+    ((incident,), content) = incidents(folder)
+    assert incident.name.endswith("-watchdog")
+    assert "its process ended without a word" in story(list(messages(incident, content.records)))[-1]
+
+
+# ---- files
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("happens", [silence, estop])
+async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas_hold(
+    folder: Path, happens: Callable[[Robot], Any]
+) -> None:
+    robot = recorded(folder)
+    await happens(robot)
+    robot.put(LEG_3, b"{")
+    ((incident,), content) = incidents(folder)
+    path = kept.keep(folder / place.INCIDENTS, incident, content.records)
+    with path.open("rb") as file:
+        seen: dict[str, int] = {}
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            jsonschema.validate(json.loads(message.data), json.loads(schema.data))
+            seen[channel.topic] = seen.get(channel.topic, 0) + 1
+        file.seek(0)
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = sorted(channel.topic for channel in summary.channels.values())
+    assert topics == sorted(seen), "viewers show a topic as its first channel, and list channels that are empty"
+    assert {keys.FRAME, keys.EVENT, LEG_3, "hexapod/recorder", "/joint_states", "/tf"} <= seen.keys()
+    frames = [message.content["bytes"] for message in read(path) if message.topic == keys.FRAME]
+    assert frames == [data.hex() for _, data in robot.controller.transfers]
+    assert story(list(read(path))) == story(list(messages(incident, content.records)))
+
+
+def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
+    """Records that no gateway writes in this order, or at all."""
+    place_of_ring = place.prepare(folder)
+    ring = Ring(place_of_ring, 100)
+    ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "20260921-141320-123-watchdog"))
+    ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "../../etc/passwd"))
+    ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
+    ring.append(form.DECISION, 5 * SECOND, form.decision(3, "made up", "no key", None))
+    ring.append(form.COMMAND, 5 * SECOND, form.command(0, "put", "no key", None, float("inf"), ()))
+    ring.append(form.EVENT, 5 * SECOND, form.event("made up", None, None, None, "", 0))
+    ring.append(form.CLOCK, 2**62, form.number(0))
+    ring.append(form.CLOCK, 1, form.number(2**62))
+    ring.close()
+    found, content = incidents(folder)
+    assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
+    assert content.damaged == 2
+    path = kept.keep(folder / place.INCIDENTS, found[0], content.records)
+    assert "made up: " in "\n".join(story(list(read(path))))
+
+
+KINDS: dict[type[form.Content], int] = {
+    form.Start: form.START,
+    form.EventTold: form.EVENT,
+    form.FrameWritten: form.FRAME,
+    form.IncidentBegun: form.INCIDENT,
+}
+
+
+def records(*contents: tuple[float, form.Content]) -> reader.Records:
+    """Records at these seconds, behind the start of a gateway."""
+    behind = [(1.0, form.Start(WALL_NS, {})), *contents]
+    made = [form.Record(number, round(at_s * SECOND), content) for number, (at_s, content) in enumerate(behind, 1)]
+    kinds = [KINDS[type(record.content)] for record in made]
+    return reader.Records([record.ns for record in made], kinds, made.__getitem__)
+
+
+def event(kind: str) -> form.EventTold:
+    return form.EventTold(kind, "\x1b[2Janna", None, None, "a sentence", 0)
+
+
+BEGUN = form.IncidentBegun(WALL_NS, "20260921-141320-123-watchdog")
+
+
+def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
+    (alone,) = find(records((20, event("watchdog_expired")), (20, BEGUN)), written=True, now_ns=0)
+    assert (alone.begin_ns, alone.end_ns) == (10 * SECOND, 25 * SECOND)
+    later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 3)]
+    (two,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
+    assert two.end_ns == 33 * SECOND
+    later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 12)]
+    (many,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
+    assert many.end_ns == 50 * SECOND
+
+
+def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
+    stop = form.FrameWritten(bytes.fromhex("0e011f020000200200002102 0000"), "watchdog", 45_000, 300_000)
+    way_down = form.FrameWritten(bytes.fromhex("0e011f035a002003000021030000"), "watchdog", 45_000)
+    found = records((19.5, way_down), (20.001, event("watchdog_expired")), (20.001, BEGUN), (20.0003, stop))
+    (incident,) = find(found, written=True, now_ns=0)
+    assert incident.zero_ns == 20 * SECOND, "a landing's frames have no deadline"
+    lines = story(list(messages(incident, found)))
+    assert [line.strip() for line in lines[3:]] == [
+        "0.000 s  watchdog: a sentence (\\x1b[2Janna)",
+        "+0.3 ms  Stop written to leg 3 (watchdog), 300 µs after the deadline",
+    ], "and no source controls a terminal"
+
+
+def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
+    kinds = {*INCIDENTS.values(), MISTAKE, CRASH}
+    assert kinds == set(_WORSE)
+    assert all(what(f"20260921-141320-123-{kind}") != kind for kind in kinds)

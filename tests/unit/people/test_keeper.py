@@ -1,0 +1,172 @@
+"""hexapod-recorder: which incidents are kept on the disk, when, and how many."""
+
+import asyncio
+import logging
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gateway.people.incidents import kept
+from gateway.people.incidents.incidents import Incident, is_id
+from gateway.people.incidents.keeper import Keeper
+from gateway.people.tools import black_box
+from gateway.robot.blackbox import place
+from gateway.robot.blackbox.recorder import RingRecorder
+from gateway.robot.settings import Settings
+from schemas import keys
+from tests.support.robot import WALL_NS
+from tests.unit.people.test_incidents import LEG_3, START, records, silence
+from tests.unit.people.test_recorder import recorded
+
+
+def filled(folder: Path, count: int, size: int = 10) -> None:
+    folder.mkdir(parents=True)
+    for number in range(count):
+        (folder / f"20260921-141320-{number:03d}-watchdog.mcap").write_bytes(b"x" * size)
+
+
+def test_the_newest_hundred_and_two_hundred_megabytes_are_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "incidents"
+    filled(folder, 105)
+    (folder / "mine.mcap").write_text("not an incident's")
+    kept.prune(folder)
+    names = [each.name for each in kept.kept(folder)]
+    assert (len(names), names[0][-12:], names[-1][-12:]) == (100, "005-watchdog", "104-watchdog")
+    assert (folder / "mine.mcap").exists()
+    for number in range(100, 105):
+        os.truncate(folder / f"20260921-141320-{number}-watchdog.mcap", 60_000_000)  # no blocks, only the size
+    kept.prune(folder)
+    assert [each.name[-12:] for each in kept.kept(folder)] == ["102-watchdog", "103-watchdog", "104-watchdog"]
+
+
+def test_which_is_the_newest_is_what_happened_last_and_not_what_a_clock_said(tmp_path: Path) -> None:
+    """A Raspberry Pi's clock starts where it was switched off, or in 1970."""
+    folder = tmp_path / "incidents"
+    filled(folder, 100)
+    incident = Incident("19700101-000010-000-estop", 9, 1, 20, 0, whole=True)
+    none = records()
+    path = kept.keep(folder, incident, none)
+    kept.prune(folder)
+    names = [each.name for each in kept.kept(folder)]
+    assert (len(names), names[0][-12:], names[-1]) == (100, "001-watchdog", incident.name)
+    before = replace(incident, name="19700101-000020-000-estop")
+    kept.keep(folder, before, none, later=[incident.name])
+    kept.keep(folder, replace(incident, name="19700101-000001-000-crash"), none)
+    kept.keep(folder, incident, none, over=False)
+    kept.prune(folder)
+    last = ["19700101-000020-000-estop", incident.name, "19700101-000001-000-crash"]
+    assert [each.name for each in kept.kept(folder)][-3:] == last, "and each stays where it is"
+    os.utime(path, ns=(0, 2**62))
+    assert not kept.is_kept(folder, incident), "it was written before its end"
+    os.utime(path, ns=(0, 0))
+    assert kept.is_kept(folder, before)
+    for damaged in (b"\xff\0" * 100, b"x" * 10**6, b""):
+        (folder / "order").write_bytes(damaged)
+        assert len(kept.kept(folder)) == 100
+
+
+@pytest.mark.virtual_time
+async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    filled(folder / place.INCIDENTS, 100)
+    settings = Settings.model_validate({"recorder": {"path": str(folder)}})
+    first = recorded(folder)
+    first.put(keys.ESTOP)
+    first.conductor.recorder.close()
+    keeper = Keeper(folder, clock=first.now_ns)
+    (kept_first,) = keeper.keep(whole_only=False)
+    later = recorded(folder)
+    recorder = later.conductor.recorder
+    assert isinstance(recorder, RingRecorder)
+    recorder._wall_ns = lambda: WALL_NS - 10**18
+    later.put(keys.ESTOP, {"source": "bert"})
+    black_box.list_all(settings)
+    in_ring = capsys.readouterr().out.splitlines()[0].split()[0]
+    assert in_ring.startswith("1995"), "in the ring"
+    await asyncio.sleep(6)
+    (path,) = [each for each in keeper.look() if each != kept_first]
+    assert (path.stem, path.exists()) == (in_ring, True)
+    assert not keeper.look()
+    black_box.list_all(settings)
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:2]] == [in_ring, kept_first.stem]
+    black_box.show(settings, "last")
+    assert capsys.readouterr().out.startswith(in_ring)
+
+
+@pytest.mark.virtual_time
+async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(folder: Path) -> None:
+    robot = recorded(folder)
+    keeper = Keeper(folder, clock=robot.now_ns)
+    assert keeper.look() == []
+    await silence(robot)
+    assert keeper.look() == []
+    await asyncio.sleep(4.5)
+    (path,) = keeper.look()
+    assert is_id(path.stem)
+    assert keeper.look() == []
+    assert Keeper(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
+    robot.put(keys.ESTOP)
+    robot.conductor.recorder.close()
+    await asyncio.sleep(0)
+    (path,) = keeper.look()
+    assert path.stem.endswith("-estop"), "a gateway that has ended adds nothing"
+
+
+@pytest.mark.virtual_time
+async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_looks(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "gateway.people.incidents.keeper")
+    first = recorded(folder)
+    first.conductor.recorder.ended("a restart")
+    first.conductor.recorder.close()
+    keeper = Keeper(folder, clock=first.now_ns)
+    assert keeper.look() == []
+    recorded(folder).conductor.recorder.close()  # it ends without a word
+    assert keeper.look() == [], "its incident is not whole"
+    await asyncio.sleep(6)
+    (path,) = keeper.look()
+    assert path.stem.endswith("-crash")
+    (path.parent / "order").write_text(f"{path.stem} open\n")  # as if it was written before its end
+    assert Keeper(folder, clock=first.now_ns).look() == [path]
+    assert len([entry for entry in caplog.records if "is kept" in entry.message]) == 1, "the log names it once"
+
+
+@pytest.mark.virtual_time
+async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    keeper = Keeper(folder, clock=robot.now_ns)
+    (path,) = keeper.keep(whole_only=False)
+    before = path.stat().st_size
+    os.utime(path, ns=(0, WALL_NS))
+    robot.put(LEG_3, START)
+    await asyncio.sleep(7)
+    (path,) = Keeper(folder, clock=robot.now_ns).look()
+    assert path.stat().st_size > before
+
+
+@pytest.mark.virtual_time
+async def test_a_full_disk_is_said_once_and_leaves_nothing_behind(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = recorded(folder)
+    await silence(robot)
+    await asyncio.sleep(5)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    caplog.set_level(logging.WARNING, "gateway.people.incidents.keeper")
+    keeper = Keeper(folder, clock=robot.now_ns)
+    with monkeypatch.context() as patched:
+        patched.setattr("gateway.people.recordings.writing.os.write", full)
+        assert keeper.keep(whole_only=True) == keeper.keep(whole_only=True) == []
+    said = [entry.message for entry in caplog.records if "kept" in entry.message]
+    assert len(said) == 1
+    assert said[0].endswith("cannot be kept: No space left on device")
+    assert list((folder / place.INCIDENTS).iterdir()) == []
+    assert len(keeper.keep(whole_only=True)) == 1

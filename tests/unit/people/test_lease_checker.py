@@ -1,0 +1,354 @@
+"""Who asks for the lease: proofs, made as a laptop makes them, and every way in which one is none."""
+
+import base64
+import datetime as dt
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
+from cryptography.x509.oid import NameOID
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.certs import authority
+from gateway.certs.proof import ProofChecker
+from gateway.people.client.proof import Identity
+from gateway.robot.core.events import LeaseRequest
+from gateway.robot.core.message import Reply
+from gateway.robot.core.nonces import MOST_NONCES, NONCE_NS, Nonces
+from gateway.robot.edge.lease_desk import CHECKS_PER_S, LeaseDesk
+from schemas.lease import LeaseAck, Proof, signed_text
+from schemas.telemetry import Reason
+
+NOW = dt.datetime(2026, 11, 22, tzinfo=dt.UTC)
+DAY = dt.timedelta(days=1)
+NONCE = "0123456789abcdef" * 2
+CA = authority.make_ca(NOW)
+OTHER_CA = authority.make_ca(NOW)
+ANNA = authority.make_laptop(CA, "anna", "operator", 30, NOW)
+BERT = authority.make_laptop(CA, "bert", "operator", 30, NOW)
+CHECKER = ProofChecker([CA.certificate])
+
+
+def pem(certificate: x509.Certificate) -> str:
+    return certificate.public_bytes(serialization.Encoding.PEM).decode()
+
+
+def proof(
+    pair: authority.KeyPair = ANNA, do: str = "acquire", source: str = "anna", nonce: str = NONCE, **more: Any
+) -> Proof:
+    """A proof as `pair` makes it; `more` overrides its fields."""
+    signature = pair.key.sign(signed_text(do, source, nonce), ec.ECDSA(hashes.SHA256()))
+    fields = {
+        "nonce": nonce,
+        "certificate": pem(pair.certificate),
+        "signature": base64.b64encode(signature).decode(),
+    }
+    return Proof.model_validate({**fields, **more})
+
+
+def own_certificate(key: Any, name: x509.Name, **changes: Any) -> x509.Certificate:
+    """What somebody's own tools make with this gateway's CA."""
+    given_changes = {"start": NOW - DAY, "end": NOW + DAY, "issuer": CA, **changes}
+    return (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(given_changes["issuer"].certificate.subject)
+        .public_key(key.public_key())
+        .serial_number(7)
+        .not_valid_before(given_changes["start"])
+        .not_valid_after(given_changes["end"])
+        .sign(given_changes["issuer"].key, hashes.SHA256())
+    )
+
+
+def name_of(role: str, person: str) -> x509.Name:
+    return x509.Name(
+        [x509.NameAttribute(NameOID.COMMON_NAME, role), x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, person)]
+    )
+
+
+# ---- what is one
+
+
+@pytest.mark.parametrize("do", ["acquire", "ask", "take"])
+def test_the_key_of_a_certificate_that_certs_issue_makes(do: str, tmp_path: Path) -> None:
+    (tmp_path / "anna.pem").write_bytes(ANNA.certificate_pem())
+    (tmp_path / "anna.key").write_bytes(ANNA.key_pem())
+    made = Proof.model_validate(Identity(tmp_path / "anna.pem", tmp_path / "anna.key").prove(do, "anna", NONCE))
+    assert CHECKER.fault(made, do, "anna", NOW) is None
+
+
+def test_an_rsa_key_and_a_certificate_of_somebodys_own_tools(tmp_path: Path) -> None:
+    key = rsa.generate_private_key(65537, 2048)
+    certificate = own_certificate(key, name_of("operator", "änne"))
+    (tmp_path / "own.pem").write_text(pem(certificate))
+    (tmp_path / "own.key").write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.TraditionalOpenSSL, serialization.NoEncryption()
+        )
+    )
+    made = Proof.model_validate(Identity(tmp_path / "own.pem", tmp_path / "own.key").prove("take", "änne", NONCE))
+    assert CHECKER.fault(made, "take", "änne", NOW) is None
+    wrong = key.sign(signed_text("take", "änne", NONCE), padding.PKCS1v15(), hashes.SHA512())
+    assert CHECKER.fault(made.model_copy(update={"signature": base64.b64encode(wrong).decode()}), "take", "änne", NOW)
+
+
+def test_an_issuer_beside_others() -> None:
+    checker = ProofChecker([OTHER_CA.certificate, CA.certificate])
+    assert checker.fault(proof(), "acquire", "anna", NOW) is None
+
+
+def test_in_a_fleet_the_role_names_the_robot() -> None:
+    first, second = (ProofChecker([CA.certificate], robot) for robot in ("robot-1", "robot-2"))
+    carla = authority.make_laptop(CA, "carla", "operator.robot-1", 30, NOW)
+    made = proof(carla, source="carla")
+    assert first.fault(made, "acquire", "carla", NOW) is None
+    assert "common name must be operator.robot-2" in str(second.fault(made, "acquire", "carla", NOW))
+    assert "common name must be operator)" in str(CHECKER.fault(made, "acquire", "carla", NOW))
+    assert first.fault(proof(), "acquire", "anna", NOW)
+
+
+@pytest.mark.parametrize(("common_name", "role"), [("gateway", "operator"), ("robot.robot-1", "operator.robot-1")])
+def test_the_robots_name_stands_in_its_own_certificate(tmp_path: Path, common_name: str, role: str) -> None:
+    own = authority.make_laptop(CA, "it", common_name, 30, NOW)
+    (tmp_path / "ca.pem").write_bytes(CA.certificate_pem())
+    (tmp_path / "own.pem").write_bytes(own.certificate_pem())
+    checker = ProofChecker.of(tmp_path / "ca.pem", tmp_path / "own.pem")
+    carla = authority.make_laptop(CA, "carla", role, 30, NOW)
+    assert checker.fault(proof(carla, source="carla"), "acquire", "carla", NOW) is None
+
+
+# ---- what is none
+
+SELF_SIGNED = ec.generate_private_key(ec.SECP256R1())
+ED = ed25519.Ed25519PrivateKey.generate()
+BAD: dict[str, tuple[Callable[[], Proof], str]] = {
+    "another verb's": (lambda: proof(do="ask"), "proof.signature is not made"),
+    "another nonce's": (lambda: proof(nonce="f" * 32).model_copy(update={"nonce": NONCE}), "proof.signature"),
+    "another person's name": (lambda: proof(BERT), "source is not the person"),
+    "another person's key": (lambda: proof(BERT, certificate=pem(ANNA.certificate)), "proof.signature is not made"),
+    "another CA's": (
+        lambda: proof(authority.make_laptop(OTHER_CA, "anna", "operator", 30, NOW)),
+        "is not signed by this gateway's CA",
+    ),
+    "one that only names the CA": (
+        lambda: proof(
+            certificate=pem(
+                own_certificate(
+                    SELF_SIGNED,
+                    name_of("operator", "anna"),
+                    issuer=authority.KeyPair(CA.certificate, SELF_SIGNED),
+                )
+            )
+        ),
+        "is not signed by this gateway's CA",
+    ),
+    "the CA itself": (lambda: proof(CA), "not that of an operator"),
+    "an observer's": (lambda: proof(authority.make_laptop(CA, "anna", "observer", 30, NOW)), "not that of an operator"),
+    "the gateway's": (lambda: proof(authority.make_gateway(CA, ["anna"], 30, NOW)), "not that of an operator"),
+    "an expired one's": (
+        lambda: proof(authority.make_laptop(CA, "anna", "operator", 30, NOW - 31 * DAY)),
+        "expired at",
+    ),
+    "one of tomorrow": (
+        lambda: proof(
+            authority.KeyPair(own_certificate(ANNA.key, name_of("operator", "anna"), start=NOW + DAY / 2), ANNA.key)
+        ),
+        "is valid from 2026-11-22 12:00 UTC; the robot's clock says 2026-11-22 00:00",
+    ),
+    "without a person": (
+        lambda: proof(certificate=pem(own_certificate(ANNA.key, x509.Name(name_of("operator", "x").rdns[:1])))),
+        "source is not the person",
+    ),
+    "of a key of another kind": (
+        lambda: proof(certificate=pem(own_certificate(ED, name_of("operator", "anna")))),
+        "proof.signature is not made",
+    ),
+    "4 KB of rubbish": (lambda: proof(certificate="x" * 4000), "no X.509 certificate in PEM form"),
+    "rubbish in PEM": (
+        lambda: proof(certificate="-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"),
+        "no X.509 certificate in PEM form",
+    ),
+    "nothing": (lambda: proof(certificate="", signature=""), "no X.509 certificate in PEM form"),
+    "no base64": (lambda: proof(signature="§"), "proof.signature is not made"),
+    "an empty signature": (lambda: proof(signature=""), "proof.signature is not made"),
+}
+
+
+@pytest.mark.parametrize(("make", "sentence"), BAD.values(), ids=BAD)
+def test_what_is_no_proof(make: Callable[[], Proof], sentence: str) -> None:
+    fault = CHECKER.fault(make(), "acquire", "anna", NOW)
+    assert fault is not None
+    assert sentence in fault
+    assert "\n" not in fault
+
+
+def test_a_ca_that_is_over_vouches_for_nobody() -> None:
+    assert "not signed by this gateway's CA" in str(CHECKER.fault(proof(), "acquire", "anna", NOW + 4000 * DAY))
+
+
+def test_a_robot_whose_clock_is_plainly_wrong_says_so() -> None:
+    fault = CHECKER.fault(proof(), "acquire", "anna", dt.datetime(1970, 1, 1, 0, 2, tzinfo=dt.UTC))
+    assert fault == CHECKER.clock_fault(dt.datetime(1970, 1, 1, 0, 2, tzinfo=dt.UTC))
+    assert "this robot's clock is wrong: it says 1970-01-01 00:02 UTC" in str(fault)
+    assert CHECKER.clock_fault(NOW) is None
+
+
+@pytest.mark.filterwarnings("ignore:.*RFC 5280")
+@given(st.binary(max_size=60), st.integers(0, 10_000))
+def test_a_damaged_certificate_is_never_taken(damage: bytes, place: int) -> None:
+    der = ANNA.certificate.public_bytes(serialization.Encoding.DER)
+    place %= len(der)
+    changed = der[:place] + damage + der[place + len(damage) :]
+    text = base64.encodebytes(changed).decode()
+    made = proof(certificate=f"-----BEGIN CERTIFICATE-----\n{text}-----END CERTIFICATE-----\n")
+    assert changed == der or CHECKER.fault(made, "acquire", "anna", NOW) is not None
+
+
+# ---- nonces
+
+
+def test_a_nonce_serves_once_and_for_five_seconds() -> None:
+    nonces = Nonces()
+    nonces.issue("a", 0)
+    nonces.issue("b", 0)
+    assert nonces.spend("a", NONCE_NS - 1)
+    assert not nonces.spend("a", NONCE_NS - 1)
+    assert not nonces.spend("b", NONCE_NS)
+    assert not nonces.spend("c", 0)
+
+
+def test_few_nonces_are_remembered_the_newest() -> None:
+    nonces = Nonces()
+    for number in range(MOST_NONCES + 1):
+        nonces.issue(str(number), number)
+    assert not nonces.spend("0", 300)
+    assert nonces.spend("1", 300)
+    assert nonces.spend(str(MOST_NONCES), 300)
+
+
+# ---- the desk
+
+
+class Asked:
+    """What the desk hands on, and what it rejects."""
+
+    def __init__(self) -> None:
+        self.requests: list[LeaseRequest] = []
+        self.rejected: list[tuple[str | None, Reason, str]] = []
+
+    def ask(self, request: LeaseRequest, reply: Reply) -> None:
+        self.requests.append(request)
+        reply(b"{}")
+
+    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply) -> None:
+        self.rejected.append((source, reason, detail))
+        reply(b"{}")
+
+
+class Desk:
+    """A desk that wants proofs, in a time of the test's."""
+
+    def __init__(self) -> None:
+        self.asked = Asked()
+        self.now_ns = 1_000_000_000_000
+        self.desk = LeaseDesk(self.asked, CHECKER, wall_clock=lambda: NOW)
+
+    def read(self, request: dict[str, Any]) -> bytes:
+        answers: list[bytes] = []
+        self.desk.read(json.dumps(request).encode(), self.now_ns, answers.append)()
+        (answer,) = answers
+        return answer
+
+    def nonce(self) -> str:
+        nonce = LeaseAck.model_validate_json(self.read({"do": "challenge"})).nonce
+        assert nonce is not None
+        return nonce
+
+    def claim(self, do: str, made: Proof | None, source: str = "anna") -> None:
+        self.read({"do": do, "source": source, **({} if made is None else {"proof": made.model_dump()})})
+
+
+@pytest.mark.parametrize("do", ["acquire", "ask", "take"])
+def test_who_has_proved_a_name_is_handed_on_with_it(do: str) -> None:
+    desk = Desk()
+    desk.claim(do, proof(do=do, nonce=desk.nonce()))
+    (request,) = desk.asked.requests
+    assert (request.do, request.source, request.verified) == (do, "anna", True)
+    assert len(request.fresh_token) == 32
+
+
+def test_each_nonce_is_another() -> None:
+    desk = Desk()
+    assert len({desk.nonce() for _ in range(100)}) == 100
+
+
+@pytest.mark.parametrize(
+    ("case", "sentence"),
+    [
+        ("none", "proof is missing"),
+        ("replayed", "has been used"),
+        ("replayed after it failed", "has been used"),
+        ("stale", "older than 5 s"),
+        ("unknown", "none of this gateway's"),
+        ("forged", "proof.signature"),
+    ],
+)
+def test_who_has_not_is_denied(case: str, sentence: str) -> None:
+    desk = Desk()
+    nonce = desk.nonce()
+    made: Proof | None = proof(nonce=nonce)
+    if case == "none":
+        made = None
+    elif case == "replayed":
+        desk.claim("acquire", made)
+        desk.asked.requests.clear()
+    elif case == "replayed after it failed":
+        desk.claim("acquire", proof(BERT, nonce=nonce))
+        desk.asked.rejected.clear()
+    elif case == "stale":
+        desk.now_ns += NONCE_NS
+    elif case == "unknown":
+        made = proof()
+    elif case == "forged":
+        made = proof(BERT, nonce=nonce, certificate=pem(ANNA.certificate))
+    desk.claim("acquire", made)
+    assert not desk.asked.requests
+    ((source, reason, detail),) = desk.asked.rejected
+    assert (source, reason) == ("anna", Reason.LEASE_DENIED)
+    assert sentence in detail
+
+
+def test_a_flood_of_proofs_is_not_checked() -> None:
+    desk = Desk()
+    for _ in range(CHECKS_PER_S + 5):
+        desk.claim("ask", proof(do="ask", nonce=desk.nonce()))
+    assert len(desk.asked.requests) == CHECKS_PER_S
+    assert "too many proofs" in desk.asked.rejected[0][2]
+    desk.now_ns += 1_000_000_000 // CHECKS_PER_S
+    desk.claim("ask", proof(do="ask", nonce=desk.nonce()))
+    assert len(desk.asked.requests) == CHECKS_PER_S + 1
+
+
+def test_the_holder_of_a_token_proves_nothing() -> None:
+    desk = Desk()
+    desk.read({"do": "renew", "lease": NONCE})
+    desk.read({"do": "release", "lease": NONCE, "to": "bert"})
+    assert [(each.do, each.token, each.to) for each in desk.asked.requests] == [
+        ("renew", NONCE, None),
+        ("release", NONCE, "bert"),
+    ]
+
+
+def test_without_a_ca_names_are_taken_as_they_are_and_no_nonce_is_needed() -> None:
+    desk = Desk()
+    desk.desk = LeaseDesk(desk.asked, None, wall_clock=lambda: NOW)
+    assert json.loads(desk.read({"do": "challenge"})) == {"accepted": True}
+    desk.claim("acquire", None)
+    assert [(each.source, each.verified) for each in desk.asked.requests] == [("anna", False)]

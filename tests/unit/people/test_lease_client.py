@@ -1,0 +1,275 @@
+"""How a client holds a lease: renewed by itself, lost only by the gateway's word or its silence, never told twice."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from gateway.errors import DisconnectedError, LeaseError, LeaseLostError
+from gateway.people.client.lease import Lease
+from schemas.lease import LeaseAck
+from schemas.telemetry import Ack, Event, Kind, Reason
+from tests.support.watch_reports import event
+
+TOKEN = "0123456789abcdef" * 2
+TTL_MS = 60.0
+LATE_S = 10
+GRANTED = LeaseAck(accepted=True, lease=TOKEN, holder="anna", ttl_ms=TTL_MS, verified=True)
+DONE = LeaseAck(accepted=True)
+TAKEN = LeaseAck(accepted=False, reason=Reason.NOT_HOLDER, detail="bert drives", holder="bert")
+HELD = LeaseAck(accepted=False, reason=Reason.LEASE_HELD, detail="bert drives", holder="bert")
+SILENCE = None
+
+
+class Robot:
+    """A client and its gateway, whose answers to renewals and acquisitions are set; without one set: as in order."""
+
+    def __init__(self, *acquired: LeaseAck) -> None:
+        self.asked: list[str] = []
+        self.changed = threading.Condition()
+        self.acquired = deque(acquired or (GRANTED,))
+        self.renewed: LeaseAck | None = DONE
+        self.released = DONE
+        self.meanwhile: Callable[[], object] = lambda: None
+        """What happens before a release is answered."""
+        self.name = "anna's laptop"
+        self.carried_lease: Lease | None = None
+        self.lease_requests: Any = self
+        self.hears: Callable[[Event], None] | None = None
+
+    def note(self, what: str) -> None:
+        with self.changed:
+            self.asked.append(what)
+            self.changed.notify_all()
+
+    def wait_for(self, what: str, count: int = 1) -> None:
+        with self.changed:
+            assert self.changed.wait_for(lambda: self.asked.count(what) >= count, LATE_S), self.asked
+
+    # ---- a client's side of it
+
+    def on_event(self, callback: Callable[[Event], None]) -> "Robot":
+        self.hears = callback
+        return self
+
+    def undeclare(self) -> None:
+        self.hears = None
+
+    def carry(self, lease: Lease) -> None:
+        self.carried_lease = lease
+
+    # ---- the gateway's
+
+    def as_person(self, do: str, source: str | None) -> LeaseAck:
+        del source
+        self.note(do)
+        return DONE if do == "ask" else self.acquired.popleft()
+
+    def renew(self, token: str, timeout_s: float) -> LeaseAck:
+        assert token == TOKEN
+        assert timeout_s > 0
+        answer = self.renewed
+        self.note("renew")
+        if answer is SILENCE:
+            raise DisconnectedError("no gateway answered")
+        return answer
+
+    def release(self, token: str, to: str | None = None, timeout_s: float | None = None) -> LeaseAck:
+        del timeout_s
+        assert token == TOKEN
+        self.note("release" if to is None else f"release to {to}")
+        self.meanwhile()
+        return self.released
+
+
+class Told:
+    """What is called back."""
+
+    def __init__(self) -> None:
+        self.lost: list[LeaseLostError] = []
+        self.asked: list[str] = []
+        self.once = threading.Event()
+        self.answer: Callable[[str], None] = lambda _: None
+        """What the holder does about it."""
+
+    def on_lost(self, error: LeaseLostError) -> None:
+        self.lost.append(error)
+        self.once.set()
+
+    def on_asked(self, who: str) -> None:
+        self.answer(who)
+        self.asked.append(who)
+        self.once.set()
+
+
+def lease_of(robot: Any, told: Told | None = None, *, take: bool = False, wait_s: float = 0.0) -> Lease:
+    told = told or Told()
+    return Lease(robot, take=take, wait_s=wait_s, source=None, on_lost=told.on_lost, on_asked=told.on_asked)
+
+
+def test_it_renews_by_itself_and_releases_at_the_end() -> None:
+    robot = Robot()
+    with lease_of(robot) as lease:
+        robot.wait_for("renew", count=4)  # longer than it lives
+        assert (lease.held, lease.holder, lease.verified, lease.ttl_ms) == (True, "anna", True, TTL_MS)
+    assert robot.asked[0] == "acquire"
+    assert robot.asked[-1] == "release"
+    assert (lease.held, lease.token, lease.lost, robot.hears) == (False, None, None, None)
+
+
+def test_what_the_gateway_rejects_is_lost_told_once_and_released_by_nobody() -> None:
+    robot, told = Robot(), Told()
+    with lease_of(robot, told) as lease:
+        robot.renewed = TAKEN
+        assert told.once.wait(LATE_S)
+        assert lease.token == TOKEN, "commands keep the old token, so that none of them is taken"
+        for _ in range(2):
+            with pytest.raises(LeaseLostError, match="bert holds it now") as caught:
+                lease.check()
+            assert caught.value is told.lost[0]
+        assert (caught.value.holder, lease.elsewhere, lease.held) == ("bert", True, False)
+    assert "release" not in robot.asked
+    assert len(told.lost) == 1
+
+
+def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
+    robot, told = Robot(), Told()
+    with lease_of(robot, told) as lease:
+        robot.renewed = SILENCE
+        assert told.once.wait(LATE_S)
+        assert told.lost[0].reason == Reason.NO_LEASE
+        assert not lease.elsewhere, "the legs may still be ours, and are stopped at a stream's end"
+
+
+def test_it_is_lost_that_long_after_what_the_gateway_last_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr("gateway.people.client.lease.time", clock)
+    robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
+    with lease_of(robot) as lease:
+        for robot.renewed, now_s, held in ((DONE, 50, True), (SILENCE, 109, True), (SILENCE, 111, False)):
+            clock.now_s = now_s
+            assert (lease.confirm() is None) is held
+
+
+class Clock:
+    """Time, as the test says."""
+
+    now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.parametrize("kind", [Kind.LEASE_TAKEN, Kind.LEASE_EXPIRED, Kind.LEASE_RELEASED])
+def test_an_event_only_raises_a_doubt_and_the_gateways_answer_decides(kind: Kind) -> None:
+    robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
+    with lease_of(robot) as lease:
+        assert robot.hears is not None
+        robot.hears(event(kind, "forged"))
+        robot.wait_for("renew")  # at once, and not after 20 s
+        assert lease.held
+
+
+def test_a_rejected_command_asks_the_gateway_and_raises_what_is_lost() -> None:
+    robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
+    with lease_of(robot) as lease:
+        lease.judge(Ack(accepted=False, reason=Reason.NOT_HOLDER, detail="forged"))
+        assert lease.held
+        robot.renewed = TAKEN
+        lease.judge(Ack(accepted=False, reason=Reason.JOINT_LIMIT, detail="no"))
+        assert lease.held
+        with pytest.raises(LeaseLostError, match="bert holds it now"):
+            lease.judge(Ack(accepted=False, reason=Reason.NOT_HOLDER, detail="bert drives"))
+
+
+def test_who_asks_is_told_and_may_be_handed_it_from_the_callback() -> None:
+    robot, told = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000})), Told()
+    with lease_of(robot, told) as lease:
+        told.answer = lease.hand_over
+        assert robot.hears is not None
+        robot.hears(event(Kind.LEASE_ASKED, "bert asks", "bert"))
+        assert told.once.wait(LATE_S)
+        assert told.asked == ["bert"]
+        assert (lease.held, lease.token, lease.elsewhere) == (False, None, True)
+        with pytest.raises(LeaseError, match="not held"):
+            lease.hand_over("bert")
+    assert robot.asked[-1] == "release to bert"
+    assert told.lost == []
+
+
+def test_a_renewal_that_crosses_the_hand_over_is_no_loss() -> None:
+    robot, told = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000})), Told()
+    with lease_of(robot, told) as lease:
+        robot.renewed = TAKEN
+        robot.meanwhile = lease.confirm
+        lease.hand_over("bert")
+        assert (lease.held, lease.elsewhere, lease.lost) == (False, True, None)
+        lease.check()
+    assert told.lost == []
+
+
+def test_a_hand_over_that_is_rejected_changes_nothing() -> None:
+    robot = Robot()
+    with lease_of(robot) as lease:
+        robot.released = LeaseAck(accepted=False, reason=Reason.INVALID, detail="carl has not asked")
+        with pytest.raises(LeaseError, match="carl has not asked"):
+            lease.hand_over("carl")
+        assert lease.held
+
+
+def test_while_somebody_else_drives_it_says_who() -> None:
+    robot = Robot(HELD)
+    with pytest.raises(LeaseError, match="lease_held: bert drives") as caught, lease_of(robot):
+        raise AssertionError
+    assert caught.value.holder == "bert"
+    assert robot.asked == ["acquire"]
+    assert robot.hears is None
+
+
+def test_it_asks_waits_and_is_handed_it() -> None:
+    by_carl = HELD.model_copy(update={"holder": "carl"})
+    robot = Robot(HELD, HELD, by_carl, by_carl, GRANTED)
+    with lease_of(robot, wait_s=LATE_S):
+        again = ["acquire", "ask", "acquire", "acquire", "ask", "acquire", "acquire"]
+        assert [each for each in robot.asked if each != "renew"] == again
+
+
+def test_it_waits_no_longer_than_it_is_told() -> None:
+    robot = Robot(*[HELD] * 3)
+    with pytest.raises(LeaseError, match="lease_held"):
+        lease_of(robot, wait_s=0.01).acquire()
+    assert robot.asked == ["acquire", "ask", "acquire"]
+
+
+def test_who_takes_does_not_ask() -> None:
+    robot = Robot(HELD)
+    with pytest.raises(LeaseError, match="lease_held"):
+        lease_of(robot, take=True, wait_s=LATE_S).acquire()
+    assert robot.asked == ["take"]
+
+
+@pytest.mark.parametrize("token", [None, "", TOKEN[1:], TOKEN.upper(), TOKEN + "\n"])
+def test_what_is_no_token_is_carried_by_no_command(token: str | None) -> None:
+    """Without access control anybody may answer, and a gateway rejects a command that carries something else."""
+    robot = Robot(GRANTED.model_copy(update={"lease": token}))
+    with pytest.raises(LeaseError, match="gives no token"):
+        lease_of(robot).acquire()
+    assert (robot.carried_lease, robot.hears) == (None, None)
+
+
+def test_a_client_holds_one_at_a_time() -> None:
+    robot = Robot()
+    with lease_of(robot):
+        with pytest.raises(RuntimeError, match="holds a lease already"):
+            lease_of(robot).acquire()
+        assert robot.asked.count("acquire") == 1
+
+
+def test_nothing_that_can_be_printed_has_the_token() -> None:
+    robot, told = Robot(), Told()
+    with lease_of(robot, told) as lease:
+        robot.renewed = TAKEN
+        assert told.once.wait(LATE_S)
+        assert TOKEN not in f"{lease} {lease!r} {told.lost[0]!r} {told.lost[0]} {GRANTED!r} {GRANTED}"

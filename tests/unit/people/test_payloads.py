@@ -1,0 +1,90 @@
+"""What a program may give for legs, servos and angles, and what it is told where it is something else."""
+
+import doctest
+import math
+from array import array
+from collections.abc import Callable
+from decimal import Decimal
+from typing import Any
+
+import pytest
+
+from gateway.people.client import payloads, radians
+from gateway.people.client.payloads import leg_number, leg_payload, legs_payload, number, row, servo_number
+from gateway.people.client.radians import Radians
+
+
+def test_the_examples_are_right() -> None:
+    assert doctest.testmod(payloads) == (0, 3)
+    assert doctest.testmod(radians) == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("given", "sent"),
+    [
+        (180.0000000000001, 180.0),
+        (180.005, 180.0),
+        (-1e-15, 0.0),
+        (-0.005, 0.0),
+        (Decimal("180.001"), 180.0),
+        (180.0051, 180.0051),  # for the gateway to reject
+        (-0.0051, -0.0051),
+        (90.123, 90.123),
+    ],
+)
+def test_what_is_outside_by_arithmetic_only_is_the_limit(given: Any, sent: float) -> None:
+    assert number(given) == sent
+
+
+@pytest.mark.parametrize("angles", [(90, 45, 120), [90, 45, 120], array("d", (90, 45, 120)), memoryview(b"Z-x")])
+def test_a_leg_takes_its_angles_as_one_list_or_array(angles: Any) -> None:
+    assert leg_payload("set", row((angles,))) == leg_payload("set", (90, 45, 120))
+    assert legs_payload("set", {3: angles})["legs"]["3"] == leg_payload("set", (90, 45, 120))
+
+
+@pytest.mark.parametrize("wrong", [{90, 45, 120}, {1: 90, 2: 45, 3: 120}, "abc", b"abc", 90, None])
+def test_what_has_no_order_of_joints_is_no_leg(wrong: Any) -> None:
+    with pytest.raises(TypeError, match="a leg's angles are a list, a tuple or an array of three"):
+        legs_payload("set", {3: wrong})
+
+
+def test_a_list_among_angles_is_no_angle() -> None:
+    with pytest.raises(TypeError, match=r"an angle is a number of degrees, and not \[90, 45, 120\]"):
+        leg_payload("set", row(([90, 45, 120], 45, 120)))
+
+
+@pytest.mark.parametrize(
+    ("call", "wrong", "error", "sentence"),
+    [
+        (leg_number, "3", TypeError, "a leg is a whole number, and not '3'; legs are 1 to 6"),
+        (leg_number, 3.0, TypeError, "a leg is a whole number, and not 3.0; legs are 1 to 6"),
+        (leg_number, True, TypeError, "a leg is a whole number, and not True; legs are 1 to 6"),
+        (leg_number, 7, ValueError, "leg 7 does not exist; legs are 1 to 6"),
+        (servo_number, "32", TypeError, "a servo is a whole number, and not '32'; an id is the leg"),
+        (servo_number, 14, ValueError, "servo 14 does not exist; an id is the leg"),
+    ],
+)
+def test_a_leg_or_servo_that_is_none_is_said(
+    call: Callable[[object], int], wrong: object, error: type[Exception], sentence: str
+) -> None:
+    with pytest.raises(error) as raised:
+        call(wrong)
+    assert str(raised.value).startswith(sentence)
+
+
+POSE_RAD = (math.pi / 2, 0.8, 2.1)
+
+
+def test_radians_are_suspected_once() -> None:
+    stream = Radians()
+    found = [stream.suspected([POSE_RAD, POSE_RAD], tick / 50) for tick in range(200)]
+    assert found.index(True) == 50
+    assert found.count(True) == 1
+
+
+@pytest.mark.parametrize("degrees_at_s", [0.0, 0.5])
+def test_one_angle_in_degrees_settles_it(degrees_at_s: float) -> None:
+    stream = Radians()
+    for tick in range(200):
+        angles = (90.0, 0.8, 2.1) if tick / 50 == degrees_at_s else POSE_RAD
+        assert not stream.suspected([POSE_RAD, angles], tick / 50)

@@ -1,0 +1,380 @@
+"""What the gateway tells its black box, and what it does where there is none."""
+
+import asyncio
+import logging
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.people.incidents import reader
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import place
+from gateway.robot.blackbox.recorder import RingRecorder, incident_id
+from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.robot.protocol.frames import Op, ServoOp, decode, stop_leg
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import Settings
+from gateway.robot.spi.bus import TRIES
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Kind, Mode
+from tests.support.one_record import writers
+from tests.support.robot import WALL_NS, Robot, leg
+
+LEG_3 = keys.leg_command(3)
+START = leg("start", 90, 45, 120, source="anna", sent_ms=0)
+
+
+def recorded(folder: Path, **sections: Any) -> Robot:
+    """A gateway with a black box, as the service makes it; its start's repeats are still to come."""
+    robot = Robot({"recorder": {"path": str(folder), "seconds": 10}, **sections}, RingRecorder)
+    robot.conductor.start()
+    robot.conductor.recorder.open()
+    robot.conductor.announce_start()
+    return robot
+
+
+def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
+    records = reader.read(folder / place.RING).records
+    return [record.content for record in records if not types or isinstance(record.content, types)]
+
+
+@pytest.mark.virtual_time
+async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder: Path) -> None:
+    robot = recorded(folder)
+    revisions = {}
+    for revision in (1, 2):
+        robot.conductor.recorder.calibration(Calibration(revision, {31: ServoCalibration(revision)}))
+        robot.conductor.recorder.calibration(Calibration(revision, {31: ServoCalibration(revision)}))
+        await asyncio.sleep(1)
+        revisions[robot.now_ns()] = revision
+        await asyncio.sleep(1)
+    for _ in range(20_000):  # the ring comes round
+        robot.conductor.recorder.mode(Mode.IDLE)
+    records = reader.read(folder / place.RING).records
+    assert form.CALIBRATION not in records.kinds
+    assert in_force(records, robot.now_ns()) == 2
+    robot.conductor.recorder.close()
+    after = recorded(folder)
+    before_ns = after.now_ns()
+    await asyncio.sleep(1)
+    after.conductor.recorder.calibration(Calibration())
+    records = reader.read(folder / place.RING).records
+    assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
+
+
+def in_force(records: reader.Records, ns: int) -> int | None:
+    """The revision of what was in force."""
+    found = records.calibration_at(ns)
+    return None if found is None else found.revision
+
+
+@pytest.mark.virtual_time
+async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> None:
+    robot = recorded(folder)
+    before = len(contents(folder))
+    robot.put(LEG_3, START, received_ns=77)
+    command, frame, mode = contents(folder)[before:]
+    angles = tuple(zip((31, 32, 33), (ServoOp(Op.START, cdeg) for cdeg in (90_00, 45_00, 120_00)), strict=True))
+    assert command == form.CommandRecord(1, "put", LEG_3, "anna", 0.0, angles)
+    assert frame.number == 1, "it was accepted with this frame"
+    assert decode(frame.data).servos == angles
+    assert frame.cause == Cause.COMMAND
+    assert mode == form.ModeChange("active")
+    record = reader.read(folder / place.RING).records[before]
+    assert record.ns == 77, "the command's own time is its arrival"
+
+
+@pytest.mark.virtual_time
+async def test_the_start_and_the_end_are_there(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.conductor.shut_down()
+    robot.conductor.recorder.ended("asked to")
+    found = contents(folder)
+    assert isinstance(found[0], form.Start)
+    assert (found[0].wall_ns, found[0].facts["pid"]) == (WALL_NS, os.getpid())
+    assert [frame.cause for frame in found[1:7]] == [Cause.STARTUP] * 6
+    assert found[-1] == form.End("asked to")
+
+
+@pytest.mark.virtual_time
+async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
+    robot = recorded(folder)
+    for angle in (90, 91, 92):
+        robot.put(LEG_3, leg("start", angle, angle, angle))
+    robot.put(LEG_3, b"{")
+    robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=1))
+    await asyncio.sleep(0.7)
+    robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=2))
+    found = contents(folder, form.Decision, form.FrameWritten)
+    verdicts = [
+        (each.number, each.verdict if isinstance(each, form.Decision) else "accepted")
+        for each in found
+        if isinstance(each, form.Decision) or each.number
+    ]
+    assert verdicts[:4] == [(1, "accepted"), (2, "coalesced"), (0, "malformed"), (3, "coalesced")]
+    assert verdicts[-1] == (0, "stale")
+    last = contents(folder, form.CommandRecord)[-1]
+    assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("only_stops", [True, False])
+async def test_nothing_is_recorded_between_a_stop_and_its_frame(
+    folder: Path, framing: Framing, only_stops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a frame takes two calls, a move is recorded first: the process may be killed between them."""
+    robot = recorded(folder, spi={"framing": framing, "batch": False})
+    await asyncio.sleep(1)  # the repeats of the start's Stops, with their preambles
+    there: list[list[Any]] = []
+    monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
+    before = len(contents(folder))
+    robot.put(LEG_3, leg("stop") if only_stops else leg("start", 9, 9, 9))
+    first = not only_stops and framing is Framing.LENGTH_PREFIXED
+    assert [isinstance(found[-1], form.CommandRecord) for found in there] == [first] * len(there)
+    assert {len(found) for found in there} == {before + first}
+    after = {type(found) for found in contents(folder)[before:]}
+    assert after - {form.ModeChange} == {form.CommandRecord, form.FrameWritten}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("batch", [True, False])
+async def test_a_setpoint_is_one_record_where_a_frame_is_one_call(folder: Path, framing: Framing, batch: bool) -> None:
+    robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
+    robot.put(LEG_3, START)
+    before = reader.read(folder / place.RING).records
+    for angle in (0.01, 90, 180):
+        await asyncio.sleep(0.1)
+        robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
+    records = reader.read(folder / place.RING).records[len(before) :]
+    kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
+    assert kinds == [form.CommandRecord, form.FrameWritten] * 3
+    one = 1 if batch or framing is Framing.PLAIN else 2
+    assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3 * one
+    for command, frame in zip(records[::2], records[1::2], strict=True):
+        assert isinstance(command.content, form.CommandRecord)
+        assert isinstance(frame.content, form.FrameWritten)
+        assert decode(frame.content.data).servos == command.content.targets
+        assert frame.ns > command.ns
+        assert (frame.content.number, frame.content.cause) == (command.content.number, Cause.COMMAND)
+
+
+@pytest.mark.virtual_time
+async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
+    robot = recorded(folder)
+    await asyncio.sleep(6)
+    before = len(contents(folder))
+    long = leg("start", 90, 45, 120, source="ä" * 64)
+    robot.put(LEG_3, long)
+    robot.put(keys.servo_command(41), {"op": "start", "angle_deg": 12.34}, received_ns=0)
+    robot.put(keys.leg_command(5), START, received_ns=robot.now_ns() - 5_000_000_000)
+    found = [each for each in contents(folder)[before:] if not isinstance(each, form.ModeChange)]
+    assert [type(each) for each in found] == [form.CommandRecord, form.FrameWritten] * 3
+    assert found[0].source == "ä" * 64
+    assert [frame.number for frame in found[1::2]] == [1, 2, 3]
+
+
+@pytest.mark.virtual_time
+async def test_what_waits_is_recorded_at_once(folder: Path) -> None:
+    """Its frame may come much later, or never."""
+    robot = recorded(folder)
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    robot.put(LEG_3, leg("start", 91, 91, 91))
+    assert contents(folder, form.CommandRecord)[-1].number == 2
+    await asyncio.sleep(0.1)
+    assert [frame.number for frame in contents(folder, form.FrameWritten) if frame.number] == [1, 2]
+
+
+@pytest.mark.virtual_time
+async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_targets(folder: Path) -> None:
+    robot = recorded(folder)
+    leg_4 = keys.leg_command(4)
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    robot.put(LEG_3, leg("start", 91, 91, 91))
+    robot.sleep_through(0.004)
+    robot.put(leg_4, leg("start", 10, 10, 10))
+    robot.sleep_through(0.0015)  # leg 3 has a rate slot again, a quarter of its period after the first; leg 4 has none
+    robot.put(leg_4, leg("start", 11, 11, 11))
+    commands = {each.number: each for each in contents(folder, form.CommandRecord)}
+    assert [(each.key, each.targets[0][1].angle_cdeg) for each in commands.values()] == [
+        (LEG_3, 90_00), (LEG_3, 91_00), (leg_4, 10_00), (leg_4, 11_00),
+    ]  # fmt: skip
+    accepted = [frame for frame in contents(folder, form.FrameWritten) if frame.number]
+    assert [frame.number for frame in accepted] == [1, 3, 2]
+    assert all(decode(frame.data).servos == commands[frame.number].targets for frame in accepted)
+
+
+@pytest.mark.virtual_time
+async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = recorded(folder)
+    monkeypatch.setattr(robot.controller, "transfer", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        robot.put(LEG_3, START)
+    robot.conductor.recorder.mistake("a mistake in the gateway ended it")
+    assert contents(folder, form.CommandRecord)[-1].source == "anna"
+
+
+@pytest.mark.virtual_time
+async def test_many_stops_within_seconds_are_one_incident(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    robot.put(keys.leg_command(4), START)
+    await asyncio.sleep(1)
+    robot.put(keys.ESTOP, {"source": "bert"})
+    first = incident_id(WALL_NS, "watchdog")
+    assert first.endswith("-123-watchdog")
+    told = [event.incident for event in robot.events() if event.kind in (Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED)]
+    assert told == [first] * 3
+    assert contents(folder, form.IncidentBegun) == [form.IncidentBegun(WALL_NS, first)]
+    assert robot.conductor.state().incident == first
+    robot.put(keys.RESET, {"estop": 1})
+    await asyncio.sleep(5.1)
+    robot.put(keys.ESTOP, {"source": "bert"})
+    assert [begun.incident for begun in contents(folder, form.IncidentBegun)] == [
+        first,
+        incident_id(WALL_NS, "estop"),
+    ]
+    stops = [found for found in contents(folder, form.CommandRecord) if found.key == keys.ESTOP]
+    assert [stop.source for stop in stops] == ["bert", "bert"]
+
+
+@pytest.mark.virtual_time
+async def test_an_incident_does_not_grow_for_ever(folder: Path) -> None:
+    robot = recorded(folder)
+    for _ in range(12):
+        robot.put(LEG_3, leg("start", 1, 1, 1))
+        await asyncio.sleep(3)
+    assert len(contents(folder, form.IncidentBegun)) == 2
+
+
+@pytest.mark.virtual_time
+async def test_a_fault_of_the_bus_is_an_incident(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = recorded(folder)
+
+    def fail(_: bytes) -> None:
+        raise SpiError("EIO")
+
+    monkeypatch.setattr(robot.controller, "transfer", fail)
+    robot.put(LEG_3, START)
+    (begun,) = contents(folder, form.IncidentBegun)
+    assert begun.incident.endswith("-bus-fault")
+    assert contents(folder, form.ModeChange)[-1] == form.ModeChange(Mode.BUS_FAULT)
+
+
+@pytest.mark.virtual_time
+async def test_stops_of_a_batch_that_failed_are_there_as_they_were_written(folder: Path) -> None:
+    """Also the one behind zeros that failed again and again: it is on the wire, but counts as failed."""
+    robot = recorded(folder, spi={"framing": Framing.LENGTH_PREFIXED}, telemetry={"frames": True})
+    await asyncio.sleep(1)
+    robot.controller.transfers.clear()
+    robot.reports.clear()
+    told, counted = len(contents(folder)), robot.conductor.state().spi.frames
+    robot.controller.fail_next(1 + TRIES)  # the first announcement, then zeros
+    assert robot.ask(keys.ESTOP).stop_frames == 6
+    bodies = [data for _, data in robot.controller.transfers if len(data) > 1]
+    assert bodies == [stop_leg(number).to_bytes() for number in (*reversed(LEGS), 6)], "leg 6's is written again"
+    frames = [each for each in contents(folder)[told:] if isinstance(each, form.FrameWritten)]
+    assert [(frame.data, frame.cause) for frame in frames] == [(data, Cause.ESTOP) for data in bodies]
+    assert [(frame.bytes, frame.cause) for frame in robot.records] == [(data.hex(), Cause.ESTOP) for data in bodies]
+    assert robot.conductor.state().spi.frames - counted == robot.conductor.metrics.frames[Cause.ESTOP] == 7
+    await asyncio.sleep(0.1)
+    again = [frame.data for frame in contents(folder, form.FrameWritten) if frame.cause == Cause.STARTUP][-6:]
+    assert again == [stop_leg(number).to_bytes() for number in LEGS], "all six come again"
+
+
+def a_folder_in_its_place(folder: Path) -> None:
+    (folder / place.RING).mkdir(parents=True)
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda folder: folder.write_text("a file"),
+        lambda folder: folder.symlink_to("/proc/sys"),
+        a_folder_in_its_place,
+        lambda folder: (folder.parent / place.RING).mkdir(),
+    ],
+    ids=["no folder", "read-only", "another folder there", "a folder in memory"],
+)
+async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
+    folder: Path, spoil: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    spoil(folder)
+    robot = recorded(folder)
+    assert robot.ask(LEG_3, START).accepted
+    await asyncio.sleep(1)
+    assert [event.kind for event in robot.events()][-1] == Kind.WATCHDOG_EXPIRED
+    said = [entry.message for entry in caplog.records if "black box" in entry.message]
+    assert len(said) == 1
+    assert said[0].startswith("the black box is off: ")
+
+
+@pytest.mark.virtual_time
+async def test_a_full_disk_is_met_at_the_start(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(_fd: int, _offset: int, _length: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    robot = recorded(folder)
+    assert robot.ask(LEG_3, START).accepted
+    assert [entry.message for entry in caplog.records if entry.levelno == logging.WARNING] == [
+        f"the black box is off: {folder}: No space left on device"
+    ]
+
+
+@pytest.mark.parametrize(("seconds", "rate", "records"), [(60, 50, 78_000), (10, 50, 13_000), (600, 1000, 500_000)])
+def test_the_size_follows_from_the_settings(seconds: float, rate: float, records: int) -> None:
+    settings = Settings.model_validate({"recorder": {"seconds": seconds}, "limits": {"leg_rate_hz": rate}})
+    assert place.slots_for(settings) == records
+
+
+def test_it_is_off_without_a_folder_and_in_the_state_directory_under_systemd(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    assert place.folder_of(Settings()) is None
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hexapod-gateway")
+    assert place.folder_of(Settings()) == Path("/var/lib/hexapod-gateway")
+    named = Settings.model_validate({"recorder": {"path": "/mnt/box"}})
+    assert place.folder_of(named) == Path("/mnt/box")
+
+
+def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a disk, a write would wait for the disk, and a Stop with it."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "memory"))
+    (tmp_path / "memory").mkdir()
+    one, other = place.prepare(tmp_path / "one"), place.prepare(tmp_path / "other")
+    assert one != other
+    assert one.parent == other.parent == tmp_path / "memory"
+    assert (tmp_path / "one" / place.RING).readlink() == one
+    assert place.prepare(tmp_path / "one") == one
+
+
+MOST_CALLS = {"setpoint with its frame": 15, "command": 17, "decision": 18, "frame": 18}
+"""How many calls a record may take, C functions included. That is under 3 µs (`python -m tests.benchmarks`)."""
+
+
+@pytest.mark.parametrize("record", MOST_CALLS)
+def test_a_record_takes_few_calls(folder: Path, record: str) -> None:
+    call = writers(folder)[record]
+    call()
+    counted: list[int] = []  # once a second a record is preceded by one of the time, but not three times in a row
+
+    def count(_frame: object, event: str, _argument: object) -> None:
+        counted[-1] += event in ("call", "c_call")
+
+    for _ in range(3):
+        counted.append(0)
+        sys.setprofile(count)
+        call()
+        sys.setprofile(None)
+    assert min(counted) <= MOST_CALLS[record]

@@ -1,0 +1,266 @@
+"""Recordings: what is in the file, that viewers understand its schemas, and what is left of one that was cut off."""
+
+import errno
+import json
+import os
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import jsonschema
+import pytest
+from mcap.reader import make_reader
+from pydantic import BaseModel, TypeAdapter
+
+from gateway.errors import ConfigError
+from gateway.geometry import load, urdf
+from gateway.people.recordings import REPORTS, Drawing, Recording, is_cut_off, read, repair
+from gateway.people.recordings.drawing import DRAWN_SCHEMAS, FRAMES, JOINT_STATES, LOG
+from gateway.people.recordings.plain_schema import plain_schema, without_nulls
+from gateway.people.recordings.reading import records
+from gateway.people.tools.record import repair_file
+from gateway.robot.protocol.frames import OneServo, Op, ServoOp
+from schemas import keys
+from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.telemetry import Ack
+
+WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
+START_NS: Final = 1_700_000_000_000_000_000
+PERIOD_NS: Final = 3_333_333
+MODELS: Final[tuple[type[BaseModel], ...]] = (*REPORTS.values(), Ack, LegCommand, LegsCommand, ResetCommand)
+NAMES: Final = {
+    keys.STATE: "1.0/state",
+    keys.EVENT: "1.0/event",
+    keys.FRAME: "1.0/frame",
+    keys.CALIBRATION: "1.1/calibration",
+}
+
+
+def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
+    """Recorded payloads of all keys, in turn."""
+    wires = {
+        key: [json.loads(line) for line in (WIRE / f"{name}.jsonl").read_text().splitlines()]
+        for key, name in NAMES.items()
+    }
+    for number in range(count):
+        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT}
+        key = others.get(number % 30, keys.FRAME)
+        yield key, wires[key][number % len(wires[key])], START_NS + number * PERIOD_NS
+
+
+def recorded(path: Path, count: int = 600) -> Recording:
+    recording = Recording(path, time_ns=START_NS)
+    for topic, report, time_ns in reports(count):
+        recording.add_report(topic, report, time_ns)
+    return recording
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "ride.mcap"
+
+
+def test_mcaps_own_reader_finds_every_report_and_each_message_is_as_its_schema_says(path: Path) -> None:
+    recorded(path).close()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found: dict[str, list[Any]] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            content = json.loads(message.data)
+            jsonschema.validate(content, json.loads(schema.data))
+            found.setdefault(channel.topic, []).append(content)
+        (attachment,) = reader.iter_attachments()
+        assert attachment.data.decode() == urdf(load())
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == sum(map(len, found.values()))
+    assert found.keys() == REPORTS.keys() | DRAWN_SCHEMAS.keys()
+    for key in REPORTS:
+        assert found[key] == [without_nulls(report) for topic, report, _ in reports(600) if topic == key]
+    assert len(found[LOG]) == len(found[keys.EVENT])
+
+
+def test_what_the_gateway_publishes_is_what_is_recorded() -> None:
+    assert set(keys.PUBLISHED) == REPORTS.keys(), "a new key wants its model in REPORTS"
+
+
+def assert_viewers_read(schema: dict[str, Any], place: str) -> None:
+    """The rules of Lichtblick's and Foxglove's parser: anything else hides the channel."""
+    assert schema.get("type") == "object", place
+    for name, member in schema["properties"].items():
+        here = f"{place}.{name}"
+        if "oneOf" in member:
+            assert all(isinstance(each["const"], int) for each in member["oneOf"]), here
+            continue
+        assert member["type"] in {"boolean", "string", "number", "integer", "object", "array"}, here
+        inner = member["items"] if member["type"] == "array" else member
+        assert inner["type"] in {"boolean", "string", "number", "integer", "object"}, here
+        if inner["type"] == "object":
+            assert_viewers_read(inner, here)
+    assert not {"$ref", "$defs", "anyOf", "allOf"} & schema.keys(), place
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [
+        *(plain_schema(TypeAdapter(model), model.__name__) for model in MODELS),
+        plain_schema(SERVO_COMMAND, "ServoCommand"),
+        *DRAWN_SCHEMAS.values(),
+    ],
+    ids=lambda schema: schema["title"],
+)
+def test_viewers_read_every_schema(schema: dict[str, Any]) -> None:
+    assert_viewers_read(schema, schema["title"])
+
+
+def test_a_topic_has_one_channel_since_viewers_show_no_other(path: Path) -> None:
+    with Recording(path, time_ns=START_NS, reports={}) as recording:
+        recording.declare(keys.FRAME, "FrameRecord", {"type": "object"})
+        with pytest.raises(ValueError, match="hexapod/frame has a channel already"):
+            recording.declare(keys.FRAME, "FrameInBox", {"type": "object"})
+
+
+def test_a_choice_that_viewers_cannot_be_told_is_a_mistake() -> None:
+    with pytest.raises(ValueError, match="choice"):
+        plain_schema(TypeAdapter(dict[str, int] | str), "X")
+
+
+def test_joints_are_drawn_where_they_are_commanded_to_be() -> None:
+    geometry = load()
+    drawing = Drawing(geometry)
+    frame = {"bytes": "0e0129010900 29".replace(" ", ""), "cause": "command"}  # no frame at all
+    assert dict(drawing.take(keys.FRAME, frame, START_NS))[JOINT_STATES]["joints"] == []
+    start = {"bytes": "0602200 15a00".replace(" ", "")}  # servo 32, Start, 90 degrees
+    drawn = dict(drawing.take(keys.FRAME, start, START_NS + 10**9))
+    assert drawn[JOINT_STATES]["joints"] == [{"name": "joint_32", "position": 0.0}]
+    assert len(drawn[FRAMES]["transforms"]) == 24
+    stop = {"bytes": "060220020000"}
+    after = dict(drawing.take(keys.FRAME, stop, START_NS + 2 * 10**9))
+    assert after[JOINT_STATES]["joints"] == drawn[JOINT_STATES]["joints"], "a stopped servo stays where it was sent"
+
+
+def test_many_frames_are_few_pictures() -> None:
+    drawing = Drawing(load())
+    start = {"bytes": "060220015a00"}
+    drawn = [list(drawing.take(keys.FRAME, start, START_NS + number * PERIOD_NS)) for number in range(300)]
+    assert 15 <= sum(map(bool, drawn)) <= 20
+
+
+def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> None:
+    drawing = Drawing(load())
+    state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
+    list(drawing.take(keys.STATE, {**state, "calibration": {"revision": 3}}, START_NS))
+    assert not list(drawing.take(keys.FRAME, {"bytes": "060220015a00"}, START_NS + 10**9))
+    told = {"revision": 3, "servos": {"32": {"trim_deg": 10}}, "landing": {}}
+    assert not list(drawing.take(keys.CALIBRATION, told, START_NS + 2 * 10**9))
+    its_own_110 = {"bytes": OneServo(32, ServoOp(Op.SET, 110_00)).to_bytes().hex()}
+    drawn = dict(drawing.take(keys.FRAME, its_own_110, START_NS + 3 * 10**9))
+    users_100 = {"name": "joint_32", "position": round(load().joint_rad(32, 100.0), 5)}
+    assert users_100 in drawn[JOINT_STATES]["joints"]
+
+
+# ---- cut off
+
+
+def test_of_a_killed_writer_all_but_the_newest_messages_are_there(path: Path) -> None:
+    recording = recorded(path, 6000)  # and nobody closes it
+    whole = sum(1 for _ in reports(6000))
+    found = [message for message in read(path) if message.topic in REPORTS]
+    assert len(found) >= 0.97 * whole
+    expected = [(topic, without_nulls(report), time_ns) for topic, report, time_ns in reports(6000)]
+    assert [(each.topic, each.content, each.time_ns) for each in found] == expected[: len(found)]
+    recording.close()
+
+
+@pytest.mark.parametrize("time", ["1969-12-31T23:59:59Z", "9999-12-31T23:59:59Z", "", None], ids=repr)
+def test_a_time_that_no_file_can_tell_is_left_out(path: Path, time: str | None) -> None:
+    """Somebody else's report, or a gateway's without a clock: the rest is recorded as ever."""
+    event = {"time": time, "kind": "started", "source": None, "key": None, "reason": None, "detail": ""}
+    with Recording(path, time_ns=START_NS) as recording:
+        recording.add_report(keys.EVENT, event, START_NS)
+    ((told, published),) = [(each.time_ns, each.publish_ns) for each in read(path) if each.topic == keys.EVENT]
+    assert told == published == START_NS
+
+
+def test_a_quiet_robots_messages_do_not_wait_for_a_full_chunk(path: Path) -> None:
+    recording = Recording(path, time_ns=START_NS)
+    event = next(report for topic, report, _ in reports(30) if topic == keys.EVENT)
+    for second in range(1, 4):
+        recording.add_report(keys.EVENT, event, START_NS + second * 10**9)
+    assert sum(1 for message in read(path) if message.topic == keys.EVENT) >= 2
+    recording.close()
+
+
+def test_a_file_cut_off_anywhere_is_repaired_with_all_that_it_still_has(path: Path) -> None:
+    with Recording(path, time_ns=START_NS):
+        begun = path.stat().st_size
+    path.unlink()
+    recorded(path).close()
+    data = path.read_bytes()
+    assert not is_cut_off(path)
+    chance = random.Random(1)  # noqa: S311
+    for end in (*(chance.randrange(begun, len(data)) for _ in range(40)), len(data) - 1, len(data) - 8):
+        path.write_bytes(data[:end])
+        assert is_cut_off(path)
+        expected = list(read(path))
+        repaired = repair(path)
+        assert repaired.messages == len(expected) > 0
+        assert not is_cut_off(path)
+        with path.open("rb") as file:
+            own = [
+                (channel.topic, json.loads(message.data))
+                for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
+            ]
+        assert own == [(message.topic, message.content) for message in expected]
+        assert list(path.parent.iterdir()) == [path]
+
+
+def test_damage_in_the_middle_ends_what_can_be_read(path: Path) -> None:
+    recorded(path).close()
+    data = bytearray(path.read_bytes())
+    whole = len(list(read(path)))
+    chance = random.Random(2)  # noqa: S311
+    for _ in range(200):
+        damaged = bytearray(data)
+        for _ in range(chance.randrange(1, 20)):
+            damaged[chance.randrange(40, len(data))] = chance.randrange(256)
+        path.write_bytes(damaged)
+        assert sum(1 for _ in records(path)) >= 1
+        assert sum(1 for _ in read(path)) <= whole
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 100, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\0" * 50])
+def test_what_is_no_recording_is_told_and_left_as_it_is(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    for mend in (repair, repair_file):
+        with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP|was cut off before its first|no message)"):
+            mend(path)
+    assert path.read_bytes() == content
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_disk_that_is_full_from_the_beginning_is_left_without_an_empty_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_fd: int, _data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space"):
+        Recording(path, time_ns=START_NS)
+    assert not path.exists()
+
+
+def test_a_file_that_is_being_written_is_not_cut_off_and_no_second_program_writes_it(path: Path) -> None:
+    with recorded(path) as recording:
+        assert not is_cut_off(path)
+        with pytest.raises(FileExistsError):
+            Recording(path, time_ns=START_NS)
+        with pytest.raises(ConfigError, match="another program"):
+            Recording(path, overwrite=True, time_ns=START_NS)
+        recording.add_report(*next(reports(1)))
+    assert len(list(read(path))) > 600

@@ -1,0 +1,248 @@
+"""The black box's ring: a record is there whole or not at all, whatever was in the file before."""
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+
+from gateway.people.incidents import reader
+from gateway.people.incidents.reader import NoRingError
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import header
+from gateway.robot.blackbox.ring import Ring
+from gateway.robot.protocol.frames import STOP, Op, ServoOp, stop_leg
+from schemas.robot import SERVO_IDS
+
+ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
+FRAME = stop_leg(3).to_bytes()
+CONTENTS: list[tuple[int, bytes, form.Content]] = [
+    (form.START, form.start(5, {"version": "1"}), form.Start(5, {"version": "1"})),
+    (form.END, form.mode("done"), form.End("done")),
+    (
+        form.COMMAND,
+        form.command(7, "put", "hexapod/leg/3/cmd", "anna", 12.5, ((31, ServoOp(Op.START, 90_25)), (32, STOP))),
+        form.CommandRecord(7, "put", "hexapod/leg/3/cmd", "anna", 12.5, ((31, ServoOp(Op.START, 90_25)), (32, STOP))),
+    ),
+    (
+        form.COMMAND,
+        form.command(8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS),
+        form.CommandRecord(8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS),
+    ),
+    (form.DECISION, form.decision(7, "stale", "k", None), form.Decision(7, "stale", "k", None)),
+    (form.FRAME, form.frame(FRAME, "watchdog", 45_000), form.FrameWritten(FRAME, "watchdog", 45_000)),
+    (form.MODE, form.mode("active"), form.ModeChange("active")),
+    (
+        form.EVENT,
+        form.event("bus_fault", None, "k", None, "x" * 500, 3),
+        form.EventTold("bus_fault", None, "k", None, "x" * 500, 3),
+    ),
+    (form.LAG, form.number(20_000_000), form.Lag(20_000_000)),
+    (form.INCIDENT, form.incident(9, "20260101-000000-000-estop"), form.IncidentBegun(9, "20260101-000000-000-estop")),
+]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "black-box"
+
+
+def filled(path: Path, records: int, slots: int = 50) -> None:
+    """A ring with so many modes, numbered from 1."""
+    ring = Ring(path, slots)
+    for number in range(1, records + 1):
+        ring.append(form.MODE, number, form.mode(str(number)))
+    ring.close()
+
+
+def modes(path: Path) -> list[int]:
+    return [
+        int(record.content.mode) for record in reader.read(path).records if isinstance(record.content, form.ModeChange)
+    ]
+
+
+def test_everything_is_read_as_it_was_written(path: Path) -> None:
+    ring = Ring(path, 100)
+    for ns, (kind, rest, _) in enumerate(CONTENTS):
+        ring.append(kind, ns, rest)
+    ring.append(99, 0, b"of a later version")
+    ring.close()
+    content = reader.read(path)
+    assert [record.content for record in content.records] == [wanted for *_, wanted in CONTENTS]
+    assert [record.ns for record in content.records] == list(range(len(CONTENTS)))
+    assert content.damaged == 0
+
+
+@pytest.mark.parametrize("records", [0, 1, 49, 50, 51, 99, 100, 101, 1234])
+def test_the_newest_are_kept_in_their_order(path: Path, records: int) -> None:
+    filled(path, records)
+    assert modes(path) == list(range(max(1, records - 49), records + 1))
+
+
+def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
+    ring = Ring(path, 100)
+    for text in ("\ud800", "x" * 300, "é" * 200, "\0\n"):
+        ring.append(form.COMMAND, 0, form.command(1, "put", "key", text, None, ()))
+        ring.append(form.EVENT, 0, form.event("kind", text, text, text, text * 100, 0))
+    ring.close()
+    content = reader.read(path)
+    assert (len(content.records), content.damaged) == (8, 0)
+
+
+def test_a_ring_is_continued_by_the_next_gateway(path: Path) -> None:
+    filled(path, 60)
+    ring = Ring(path, 50)
+    assert (ring.sequence, ring.note) == (61, "")
+    ring.close()
+    assert modes(path) == list(range(11, 61))
+
+
+def test_a_torn_record_is_left_out_and_written_over(path: Path) -> None:
+    filled(path, 60)
+    with path.open("r+b") as file:
+        file.seek(form.HEADER_BYTES + 60 % 50 * form.SLOT + 20)
+        file.write(b"torn")
+    content = reader.read(path)
+    assert modes(path) == list(range(11, 60))
+    assert content.damaged == 1
+    ring = Ring(path, 50)
+    assert ring.sequence == 60
+    assert ring.note == "the black box is continued; 1 of its newest records are not whole"
+    ring.append(form.MODE, 0, form.mode("60"))
+    ring.close()
+    assert modes(path) == list(range(11, 61))
+
+
+def test_every_byte_counts(path: Path) -> None:
+    """Each byte of a record changed once: it is never read as something else."""
+    filled(path, 3)
+    data = path.read_bytes()
+    whole, damaged, missing = reader.parse(data)
+    assert damaged == missing == 0
+    begin = form.HEADER_BYTES + 2 * form.SLOT
+    used = 4 + 20 + len(b"2")
+    for offset in range(used):
+        changed = bytearray(data)
+        changed[begin + offset] ^= 0x10
+        left, damaged, missing = reader.parse(bytes(changed))
+        assert (list(left), damaged, missing) == ([record for record in whole if record.sequence != 2], 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("found", "note"),
+    [
+        (b"#!/bin/sh\n" * 1000, "it is no black box"),
+        (b"short", "it has no header"),
+        (header.new(40).ljust(header.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
+        (header.new(50), "it has 4096 bytes, and its header says 50 records"),
+        (header.new(50).replace(b"\n\x02", b"\n\x01").ljust(header.file_bytes(50), b"\0"), "it has version 1"),
+    ],
+)
+def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str) -> None:
+    path.write_bytes(found)
+    path.chmod(0o600)
+    ring = Ring(path, 50)
+    assert ring.note.startswith(f"the black box is begun anew: {note}")
+    ring.append(form.MODE, 0, form.mode("1"))
+    ring.close()
+    assert modes(path) == [1]
+    assert path.stat().st_blocks * 512 >= path.stat().st_size, "no hole that a full disk would turn into SIGBUS"
+
+
+def test_two_gateways_never_write_to_one_ring(path: Path) -> None:
+    ring = Ring(path, 50)
+    assert reader.read(path).written
+    with pytest.raises(OSError, match="another gateway writes to it"):
+        Ring(path, 50)
+    ring.close()
+    assert not reader.read(path).written
+    Ring(path, 50).close()
+
+
+def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "secret"
+    elsewhere.write_text("mine")
+    path.symlink_to(elsewhere)
+    with pytest.raises(OSError, match="symbolic links"):
+        Ring(path, 50)
+    path.unlink()
+    os.link(elsewhere, path)
+    with pytest.raises(PermissionError, match="belongs to somebody else"):
+        Ring(path, 50)
+    assert elsewhere.read_text() == "mine"
+
+
+def test_a_reader_says_what_it_cannot_read(path: Path, tmp_path: Path) -> None:
+    for bad, sentence in ((tmp_path / "none", "No such file"), (tmp_path, "it is no black box|Is a directory")):
+        with pytest.raises(NoRingError, match=sentence):
+            reader.read(bad)
+    os.mkfifo(path)
+    with pytest.raises(NoRingError, match="it is no black box"):
+        reader.read(path)
+
+
+def test_a_reader_never_fails_on_noise(path: Path) -> None:
+    """Bytes changed at random, also with a checksum that fits: no exception, and never more records than slots."""
+    filled(path, 40)
+    data = path.read_bytes()
+    chance = random.Random(11)  # noqa: S311  the same bytes each time
+    for _ in range(300):
+        changed = bytearray(data)
+        for _ in range(chance.randrange(1, 20)):
+            slot = form.HEADER_BYTES + chance.randrange(50) * form.SLOT
+            rest = chance.randbytes(chance.randrange(form.ROOM + 1))
+            form.put(changed, slot, chance.randrange(14), chance.randrange(100), 0, rest, bool(chance.randrange(2)))
+        records, damaged, _ = reader.parse(bytes(changed))
+        assert len(records) + damaged <= 50
+
+
+def test_what_is_left_of_an_older_round_or_in_a_wrong_place_says_nothing(path: Path) -> None:
+    filled(path, 120)
+    data = bytearray(path.read_bytes())
+    for slot, sequence in ((10, 60), (11, 12)):
+        form.put(data, form.HEADER_BYTES + slot * form.SLOT, form.MODE, sequence, 0, form.mode("old"))
+    records, damaged, missing = reader.parse(bytes(data))
+    assert [record.sequence for record in records] == [each for each in range(71, 121) if each not in (110, 111)]
+    assert (damaged, missing) == (1, 2)
+
+
+@pytest.mark.parametrize("source", [None, "anna", "ä" * 18])
+@pytest.mark.parametrize("sent_ms", [None, 0.0, 1e9])
+@pytest.mark.parametrize("after_ns", [0, 80_000, 2**32 - 1])
+def test_a_setpoint_reads_as_the_two_records_that_it_stands_for(
+    path: Path, source: str | None, sent_ms: float | None, after_ns: int
+) -> None:
+    targets = ((31, ServoOp(Op.START, 0)), (32, STOP), (33, ServoOp(Op.SET, 180_00)))
+    said = ("put", "hexapod/leg/3/cmd", source, sent_ms, targets)
+    ring = Ring(path, 50)
+    body = form.carried_out(ring.sequence, 1000, 7, *said, FRAME, 1000 + after_ns, 45_000)
+    assert body is not None
+    ring.put(body)
+    ring.append(form.MODE, 0, form.mode("idle"))
+    ring.close()
+    command, frame, mode = reader.read(path).records
+    assert command == form.Record(1, 1000, form.CommandRecord(7, *said))
+    assert frame == form.Record(1, 1000 + after_ns, form.FrameWritten(FRAME, "command", 45_000, 0, 7))
+    assert mode.sequence == 2
+
+
+def test_what_a_setpoints_record_cannot_hold_is_for_others() -> None:
+    targets = ((31, STOP), (32, STOP), (33, STOP))
+    assert form.carried_out(1, 0, 7, "put", "k", "ä" * 40, None, targets, FRAME, 5, 5) is None
+    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets[:2], FRAME, 5, 5) is None
+    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets, FRAME, 2**32, 5) is None
+    assert form.carried_out(1, 6, 7, "put", "k", None, None, targets, FRAME, 5, 5) is None
+
+
+def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
+    targets = ((31, STOP), (32, STOP), (33, STOP))
+    body = form.carried_out(1, 0, 7, "put", "k", "anna", None, targets, FRAME, 5, 5)
+    assert body is not None
+    rest = body[form.HEAD_BYTES :]
+    bad = [rest[:length] for length in range(len(rest))]
+    bad += [rest[:8] + bytes((15,)) + rest[9:], rest[:-1] + b"\xff"]
+    for each in bad:
+        image = bytearray(header.new(5).ljust(header.file_bytes(5), b"\0"))
+        form.put(image, form.HEADER_BYTES + form.SLOT, form.CARRIED_OUT, 1, 0, each)
+        records, damaged, missing = reader.parse(bytes(image))
+        assert (len(records), damaged, missing) == (0, 1, 0)

@@ -1,0 +1,182 @@
+"""Rings that no gateway wrote, or one with the largest that settings allow: what reading them costs is bounded."""
+
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gateway.people.incidents import kept, reader
+from gateway.people.incidents.incidents import MOST, find, is_id
+from gateway.people.incidents.messages import RECORDER, messages
+from gateway.people.recordings import read
+from gateway.robot.blackbox import format as form
+from gateway.robot.blackbox import header
+from gateway.robot.blackbox.ring import Ring
+from gateway.robot.protocol.frames import Op, ServoOp
+from tests.support.robot import WALL_NS
+
+SECOND = 1_000_000_000
+
+
+def ring_of(slots: int, record: Callable[[int], tuple[int, bytes]]) -> bytes:
+    """A full ring's bytes; `record` says what has each sequence number. One a millisecond."""
+    image = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
+    for number in range(1, slots + 1):
+        kind, rest = record(number)
+        form.put(image, form.HEADER_BYTES + number % slots * form.SLOT, kind, number, number * 1_000_000, rest)
+    return bytes(image)
+
+
+def begun(number: int) -> tuple[int, bytes]:
+    name = f"20260921-{number // 60_000:02d}{number // 1000 % 60:02d}13-{number % 1000:03d}-watchdog"
+    return form.INCIDENT, form.incident(WALL_NS + number, name)
+
+
+def drive(number: int) -> tuple[int, bytes]:
+    """What six legs are told, and their frames; a gateway starts, and there is an incident near the end."""
+    if number == 1:
+        return form.START, form.start(WALL_NS, {"pid": 1})
+    if number == 3_500:
+        return begun(number)
+    leg = number // 2 % 6 + 1
+    if number % 2:
+        targets = tuple((leg * 10 + joint, ServoOp(Op.SET, number)) for joint in (1, 2, 3))
+        return form.COMMAND, form.command(number, "put", f"hexapod/leg/{leg}/cmd", "anna", number / 1e3, targets)
+    return form.FRAME, form.frame(bytes(14), "command", 45_000, 0, number - 1)
+
+
+def test_reading_a_ring_and_telling_an_incident_takes_little_more_memory_than_the_file(tmp_path: Path) -> None:
+    """As objects the records would take eight times as much, and the recorder's service may have 192 MB."""
+    path = tmp_path / "ring"
+    path.write_bytes(ring_of(4_000, drive))
+    tracemalloc.start()
+    try:
+        content = reader.read(path)
+        incidents = find(content.records, written=False, now_ns=0)
+        count = sum(1 for _ in messages(incidents[0], content.records))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert count > 3_000
+    assert len(content.records) == 4_000
+    assert [len(incidents), incidents[0].name[-8:]] == [1, "watchdog"]
+    assert peak < 2.5 * path.stat().st_size
+
+
+@pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
+def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int], tuple[int, bytes]]) -> None:
+    records, _, _ = reader.parse(ring_of(5_000, what))
+    decoded: list[int] = []
+
+    def counted(index: int) -> form.Record:
+        decoded.append(index)
+        return records[index]
+
+    found = find(reader.Records(records.times_ns, records.kinds, counted), written=True, now_ns=0)
+    assert len(found) == MOST
+    assert found[-1].zero_ns >= 4_999 * 1_000_000, "the newest"
+    assert [each.zero_ns for each in found] == sorted(each.zero_ns for each in found)
+    assert len(decoded) <= 10_000 + MOST * 400, "each some times, and not once for each of the others"
+
+
+@pytest.mark.parametrize(("name", "good"), [
+    ("20260921-141320-123-watchdog", True),
+    ("20260931-141320-123-watchdog", False),
+    ("20260921-246060-123-watchdog", False),
+    ("00000101-000000-000-crash", False),
+    ("../../etc/passwd", False),
+])  # fmt: skip
+def test_an_id_begins_with_a_time(name: str, good: bool) -> None:
+    assert is_id(name) is good
+
+
+@pytest.mark.parametrize("sequence", [0, 2**63, 2**64 - 1])
+def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence: int) -> None:
+    path = tmp_path / "ring"
+    ring = Ring(path, 15)  # divides 2**64 - 1
+    ring.append(form.MODE, 1, form.mode("active"))
+    ring.close()
+    image = bytearray(path.read_bytes())
+    offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
+    form.put(image, offset, form.MODE, sequence, 2, form.mode("idle"))
+    path.write_bytes(image)
+    assert [record.sequence for record in reader.read(path).records] == [1]
+    ring = Ring(path, 15)
+    ring.append(form.MODE, 3, form.mode("idle"))
+    ring.close()
+    assert [record.sequence for record in reader.read(path).records] == [1, 2]
+
+
+# ---- found by the fuzzer
+
+
+def image(*records: tuple[int, int, bytes]) -> bytes:
+    """A ring of these types, times and contents, in their order."""
+    slots = len(records) + 1
+    made = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
+    for number, (kind, ns, rest) in enumerate(records, 1):
+        form.put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
+    return bytes(made)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        b"{",
+        b"[" * 1500,
+        b'{"revision":1,"servos":{"77":{}},"landing":{}}',
+        b'{"revision":1,"servos":{"31":{"trim_deg":1e999}},"landing":{}}',
+        b'{"revision":1,"servos":{},"landing":{"31":NaN}}',
+        b'{"revision":1,"servos":{},"landing":{"\xc2\xb2":1}}',
+        b"",
+    ],
+    ids=repr,
+)
+def test_a_calibration_that_no_gateway_told_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
+    ring = bytearray(image((form.CALIBRATION, 1, told[: form.ROOM])))
+    header.put_calibration(ring, told)
+    records, damaged, _ = reader.parse(bytes(ring))
+    assert (len(records), damaged) == (0, 1)
+    assert records.calibration_at(1) is None
+
+
+def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
+    ring = bytearray(image())
+    header.put_calibration(ring, b"{}" * 2000)
+    assert header.calibration(bytes(ring)) == b""
+    header.put_calibration(ring, b'{"revision":1,"servos":{},"landing":{}}')
+    assert reader.parse(bytes(ring))[0].calibration_at(1) is not None
+    ring[140] ^= 1
+    assert header.calibration(bytes(ring)) == b"", "half of it was written"
+
+
+@pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
+def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
+    records, damaged, _ = reader.parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
+    assert (len(records), damaged) == (0, 1)
+    records, damaged, _ = reader.parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
+    assert (len(records), damaged) == (0, 1)
+
+
+def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: Path) -> None:
+    """Ten seconds before it, there was no time that a file can tell."""
+    ring = image(
+        (form.START, 8 * SECOND, form.start(SECOND, {"pid": 1})),
+        (form.MODE, 6 * SECOND, form.mode("idle")),
+        (form.INCIDENT, 9 * SECOND, form.incident(2 * SECOND, "19700101-000002-000-estop")),
+    )
+    records = reader.parse(ring)[0]
+    (incident,) = find(records, written=True, now_ns=0)
+    path = kept.keep(tmp_path, incident, records)
+    told = [(each.content["what"], each.time_ns) for each in read(path) if each.topic == RECORDER]
+    assert told == [("incident", 2 * SECOND), ("mode", 0), ("start", SECOND)]
+
+
+def test_an_event_of_an_earlier_time_ends_no_incident_before_it_began() -> None:
+    records = reader.parse(image(
+        (form.INCIDENT, 20 * SECOND, form.incident(WALL_NS, "20260921-141320-123-estop")),
+        (form.EVENT, 1, form.event("estop_engaged", None, None, None, "", 0)),
+    ))[0]  # fmt: skip
+    (incident,) = find(records, written=True, now_ns=0)
+    assert incident.end_ns == 25 * SECOND

@@ -1,0 +1,101 @@
+"""Inverse kinematics: the exact inverse of the chain wherever a leg reaches, and a sentence where it does not."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.errors import GatewayError, WalkError
+from gateway.geometry import ELKAPOD, foot_m, load
+from gateway.people.walking import Range, Robot
+from gateway.people.walking.inverse import Limb
+from schemas.robot import LEGS
+
+GEOMETRY: Final = load()
+LIMBS: Final = {leg: Limb(GEOMETRY, leg) for leg in LEGS}
+MICROMETRE: Final = 1e-6
+joints = st.tuples(*(st.floats(*joint.limits_rad) for joint in GEOMETRY.joints))
+
+
+@given(leg=st.sampled_from(LEGS), angles=joints)
+@settings(max_examples=300)
+def test_forward_of_inverse_is_where_the_foot_was_to_be(leg: int, angles: tuple[float, float, float]) -> None:
+    """The whole workspace: wherever joint angles within the limits can put a foot."""
+    wanted = LIMBS[leg].forward(angles).foot_m
+    found = LIMBS[leg].inverse(wanted)
+    assert math.dist(LIMBS[leg].forward(found).foot_m, wanted) < MICROMETRE
+
+
+@given(leg=st.sampled_from(LEGS), angles=joints)
+def test_forward_is_the_geometrys_own(leg: int, angles: tuple[float, float, float]) -> None:
+    by_servo = {10 * leg + joint: angle for joint, angle in enumerate(angles, start=1)}
+    assert LIMBS[leg].forward(angles).foot_m == pytest.approx(foot_m(GEOMETRY, leg, by_servo), abs=1e-9)
+
+
+def changed(tmp_path: Path, change: Any) -> Limb:
+    values = json.loads(ELKAPOD.read_text())
+    change(values)
+    path = tmp_path / "robot.json"
+    path.write_text(json.dumps(values))
+    return Limb(load(path), 3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda it: it["chain"][1].update(origin_xyz_m=[0.06, 0.012, 0.02], origin_rpy_rad=[-1.5708, 0, 0]),
+        lambda it: it["chain"][2].update(origin_xyz_m=[0.09, 0.03, 0.015], origin_rpy_rad=[3.14159265, 0, 0.4]),
+        lambda it: it["chain"][0].update(axis=[0, 0, -1], origin_rpy_rad=[0, 0, 0.3]),
+        lambda it: (
+            it["chain"][1].update(axis=[0, 1, 0], origin_rpy_rad=[0, 0, 0])
+            or it["chain"][2].update(axis=[0, -1, 0], origin_rpy_rad=[0, 0.2, 0])
+            or it["chain"][3].update(origin_xyz_m=[0.2, 0.01, -0.05])
+        ),
+        lambda it: it["chain"][1].update(origin_rpy_rad=[1.56, 0.004, 0]),
+    ],
+    ids=["offset sideways", "turned knee", "downward axis", "axes along y", "crooked"],
+)
+def test_another_robots_chain_is_inverted_too(tmp_path: Path, change: Any) -> None:
+    limb = changed(tmp_path, change)
+    for first in (-0.9, 0.0, 0.7):
+        for second in (-0.6, 0.2, 1.0):
+            for third in (-2.2, -1.3, -0.5):
+                wanted = limb.forward((first, second, third)).foot_m
+                assert math.dist(limb.forward(limb.inverse(wanted)).foot_m, wanted) < MICROMETRE
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda it: it["chain"][0].update(axis=[1, 0, 0]),
+        lambda it: it["chain"][1].update(origin_rpy_rad=[0, 0, 0]),
+        lambda it: it["chain"][2].update(axis=[1, 0, 0]),
+    ],
+)
+def test_a_chain_without_a_closed_form_is_rejected(tmp_path: Path, change: Any) -> None:
+    with pytest.raises(WalkError, match="for another chain there is no walking"):
+        changed(tmp_path, change)
+
+
+def test_what_a_leg_does_not_reach_is_an_error_that_says_how_far_it_reaches() -> None:
+    for point in ((1.0, 1.0, -0.1), (0.17841, 0.13276, 0.5)):
+        with pytest.raises(WalkError, match=r"leg 1 does not reach: .* and 0\.121 to 0\.306 m are possible"):
+            LIMBS[1].inverse(point)
+
+
+def test_what_a_servo_may_not_do_is_an_error_that_names_its_limit() -> None:
+    robot = Robot(GEOMETRY, {12: Range(60, 100)})
+    with pytest.raises(WalkError, match=r"servo 12 would stand at 130\.6 degrees, and may go from 60 to 100"):
+        robot.angles_deg(1, (0.17841 + 0.2 * math.cos(0.63973287), 0.13276 + 0.2 * math.sin(0.63973287), -0.15))
+    with pytest.raises(WalkError, match="servo 12: its limits and its joint's leave no angle"):
+        Robot(GEOMETRY, {12: Range(190, 200)})
+
+
+def test_the_error_is_a_value_error_that_ends_a_command_as_a_wrong_argument() -> None:
+    assert issubclass(WalkError, ValueError)
+    assert issubclass(WalkError, GatewayError)
+    assert WalkError.exit_code == 2

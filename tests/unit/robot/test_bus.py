@@ -1,0 +1,209 @@
+"""The bus: what is written after batches that failed, and what a controller makes of it.
+
+When else the preamble is written, and how batches are split, is in test_bus_preamble.py and test_bus_batches.py.
+"""
+
+import itertools
+import random
+from collections.abc import Iterable, Iterator, Sequence
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.robot.spi.bus import GIVEN_UP, TRIES, Bus
+from gateway.robot.spi.simulator import SimulatedController
+from schemas.robot import LEGS
+from tests.support.unshared import UnsharedDevice
+
+PREFIXED = Framing.LENGTH_PREFIXED
+START_11 = OneServo(11, ServoOp(Op.START, 6_00))
+START_2 = OneLeg(2, (ServoOp(Op.START, 6_06), ServoOp(Op.START, 14_02), ServoOp(Op.START, 6_14)))
+"""Angles that look like lengths to a controller out of sync."""
+START_ALL = [OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3) for leg in LEGS]
+STOP_ALL = [stop_leg(leg) for leg in LEGS]
+
+
+class FailingDevice(UnsharedDevice):
+    """Hands transfers on to a controller, and fails those whose number is told, counted from `begin`."""
+
+    def __init__(self, controller: SimulatedController) -> None:
+        self._controller = controller
+        self.begin(())
+
+    def begin(self, failing: Iterable[int]) -> None:
+        self._failing = frozenset(failing)
+        self._numbers = itertools.count()
+        self.seen: list[bytes] = []
+
+    def take(self, data: bytes) -> None:
+        self.seen.append(data)
+        if next(self._numbers) in self._failing:
+            raise SpiError("told to fail")
+        self._controller.take(data)
+
+
+class Scene:
+    """A controller with all 18 servos on, and the bus that has started them."""
+
+    def __init__(self, framing: Framing) -> None:
+        self.framing = framing
+        self.controller = SimulatedController(framing, clock=lambda: 0)
+        self.device = FailingDevice(self.controller)
+        self.bus = Bus(lambda: self.device, framing, frame_gap_us=0, clock=lambda: 0)
+        self.bus.open()
+        assert self.bus.write(START_ALL).fault is None
+        assert len(self.controller.energised) == 18
+        self.device.begin(())
+
+    def transfers(self, *frames: Frame) -> list[bytes]:
+        return [data for frame in frames for data in self.framing.transfers(frame.to_bytes())]
+
+
+def few_of(count: int) -> Iterator[tuple[int, ...]]:
+    for failures in range(4):
+        yield from itertools.combinations(range(count), failures)
+
+
+def stopped(frames: Sequence[Frame], heard: Iterable[int]) -> set[int]:
+    return {servo_id for place in heard for servo_id, _ in frames[place].servos}
+
+
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("first", [START_11, START_2], ids=["servo", "leg"])
+def test_wherever_up_to_three_transfers_fail_all_stops_are_written_and_executed(framing: Framing, first: Frame) -> None:
+    for failing in few_of(20):
+        scene = Scene(framing)
+        scene.device.begin(failing)
+        moved = scene.bus.write([first])
+        report = scene.bus.write(STOP_ALL)
+        assert {sent.place for sent in report.sent if sent.heard} == set(range(6)), failing
+        assert not scene.controller.energised, failing
+        assert not scene.controller.corruptions, failing
+        failed = any(number < len(scene.device.seen) for number in failing)
+        assert (report.fault is not None or moved.fault is not None) is failed, failing
+
+
+def test_a_batch_of_stops_that_failed_is_written_one_by_one_behind_zeros_of_their_own() -> None:
+    scene = Scene(PREFIXED)
+    scene.device.begin({3})  # the second Stop's body
+    report = scene.bus.write(STOP_ALL)
+    assert scene.device.seen == [
+        *scene.transfers(*STOP_ALL[:2]),
+        *[ZERO] * PREAMBLE_ZEROS,
+        *scene.transfers(*reversed(STOP_ALL)),
+    ]
+    assert [sent.place for sent in report.sent] == [5, 4, 3, 2, 1, 0], "the first ones were most likely written before"
+    assert "told to fail" in str(report.fault), "and the batch counts as failed"
+    assert scene.bus.errors == 1
+
+
+@pytest.mark.parametrize("zero", range(16))
+def test_zeros_that_fail_are_tried_again_by_themselves(zero: int) -> None:
+    scene = Scene(PREFIXED)
+    scene.device.begin({0, 1 + zero})
+    assert len(scene.bus.write(STOP_ALL[:1]).sent) == 1
+    behind = scene.device.seen[1:]
+    again = (zero - 1) % 3 + 1 if zero else 1  # one in the first call, then three in each
+    assert behind.count(ZERO) == PREAMBLE_ZEROS + again
+    assert behind[-2:] == scene.transfers(STOP_ALL[0])
+    assert scene.controller.energised == {servo for leg in LEGS[1:] for servo in range(10 * leg + 1, 10 * leg + 4)}
+
+
+def test_a_frame_that_moves_is_not_tried_again() -> None:
+    scene = Scene(PREFIXED)
+    scene.device.begin({1})
+    report = scene.bus.write(START_ALL)
+    assert report.sent == []
+    assert scene.device.seen == scene.transfers(START_ALL[0]), "what is behind the transfer that failed does not leave"
+
+
+def test_a_stop_is_tried_also_behind_zeros_that_fail_again_and_again() -> None:
+    """The controller may be synchronised, and then it receives it; but nobody knows, so it is tried on."""
+    scene = Scene(PREFIXED)
+    scene.device.begin({0, *range(1, 1 + TRIES)})
+    report = scene.bus.write(STOP_ALL[3:4])
+    first_try = [scene.transfers(STOP_ALL[3])[0], *[ZERO] * TRIES, *scene.transfers(STOP_ALL[3])]
+    assert scene.device.seen[: len(first_try)] == first_try
+    assert [sent.heard for sent in report.sent] == [False, True]
+    assert not {41, 42, 43} & scene.controller.energised
+
+
+@pytest.mark.parametrize("framing", Framing)
+def test_a_device_that_takes_nothing_is_given_up_after_one_round(framing: Framing) -> None:
+    scene = Scene(framing)
+    scene.device.begin(range(1000))
+    report = scene.bus.write(STOP_ALL)
+    assert report.sent == []
+    assert {data for data in scene.device.seen if data != ZERO} == {
+        framing.transfers(stop.to_bytes())[0] for stop in STOP_ALL
+    }, "each leg's Stop is tried"
+    assert len(scene.device.seen) <= 1 + 6 + TRIES + 5 + GIVEN_UP
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
+def test_a_stop_that_counts_as_received_was_received_though_transfers_fail_by_chance(share: float) -> None:
+    """Behind a part of a preamble it would leave a controller that awaits more than a whole one."""
+    for seed in range(100):
+        chance, scene = random.Random(seed), Scene(PREFIXED)  # noqa: S311
+        scene.device.begin(number for number in range(3000) if chance.random() < share)
+        report = scene.bus.write(STOP_ALL)
+        heard = {sent.place for sent in report.sent if sent.heard}
+        assert not stopped(STOP_ALL, heard) & scene.controller.energised, seed
+        assert len(heard) == 6 or share > 0.2, seed
+
+
+def test_stops_are_not_tried_for_ever() -> None:
+    now_ns = itertools.count(0, 1_000_000)
+    controller = SimulatedController(PREFIXED, clock=lambda: 0)
+    device = FailingDevice(controller)
+    bus = Bus(lambda: device, PREFIXED, frame_gap_us=0, clock=lambda: next(now_ns))
+    bus.open()
+    device.begin(number for number in range(100_000) if number % 20 > 17)  # zeros pass, and hardly any body
+    bus.write(STOP_ALL)
+    assert next(now_ns) < 1_000_000_000
+
+
+def test_plain_has_no_preamble_to_send() -> None:
+    scene = Scene(Framing.PLAIN)
+    scene.device.begin({0})
+    scene.bus.write(STOP_ALL[:2])
+    assert scene.device.seen == scene.transfers(STOP_ALL[0], STOP_ALL[1], STOP_ALL[0])
+
+
+def test_what_failed_is_followed_by_a_preamble_for_all_that_comes() -> None:
+    scene = Scene(PREFIXED)
+    scene.device.begin({1})
+    scene.bus.write([START_11])
+    scene.device.begin(())
+    scene.bus.write([START_2])
+    assert scene.device.seen == [*[ZERO] * PREAMBLE_ZEROS, *scene.transfers(START_2)]
+
+
+class Slow(SimulatedController):
+    """Each transfer takes so long."""
+
+    def __init__(self, framing: Framing, took_ns: int) -> None:
+        self.now_ns = 0
+        self.took_ns = took_ns
+        super().__init__(framing, clock=lambda: self.now_ns)
+
+    def take(self, data: bytes) -> None:
+        super().take(data)
+        self.now_ns += self.took_ns
+
+
+@pytest.mark.parametrize(
+    ("framing", "took_ns", "fails"),
+    [(PREFIXED, 450_000_001, True), (PREFIXED, 450_000_000, False), (Framing.PLAIN, 5_000_000_000, False)],
+)
+def test_a_call_that_took_so_long_that_the_controller_may_have_given_up_counts_as_failed(
+    framing: Framing, took_ns: int, fails: bool
+) -> None:
+    device = Slow(framing, took_ns)
+    bus = Bus(lambda: device, framing, frame_gap_us=0, clock=lambda: device.now_ns)
+    bus.open()
+    while framing is PREFIXED and bus.write_zeros():
+        pass
+    assert (bus.write([START_11]).fault is not None) is fails

@@ -1,0 +1,139 @@
+"""Trim, direction and limits: what is accepted has a legal wire angle, and the way back gives the user's angle."""
+
+from collections.abc import Mapping
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.robot.core.calibration import (
+    AS_DRAWN,
+    MAX_TRIM_CDEG,
+    Calibration,
+    CalibrationError,
+    Change,
+    ServoCalibration,
+    ServoChange,
+    changed_servos,
+)
+from gateway.robot.protocol.frames import (
+    MAX_ANGLE_CDEG,
+    STOP,
+    Frame,
+    OneLeg,
+    OneServo,
+    Op,
+    ServoOp,
+    decode,
+    leg_of,
+    stop_leg,
+)
+from schemas.robot import LEGS, SERVO_IDS
+
+angles = st.integers(0, MAX_ANGLE_CDEG)
+trims = st.integers(-MAX_TRIM_CDEG, MAX_TRIM_CDEG)
+
+
+@st.composite
+def servo_calibrations(draw: st.DrawFn) -> ServoCalibration:
+    low, high = sorted((draw(angles), draw(angles)))
+    return ServoCalibration(draw(trims), draw(st.booleans()), low, high)
+
+
+calibrations = st.builds(Calibration, st.just(1), st.dictionaries(st.sampled_from(SERVO_IDS), servo_calibrations()))
+ops = st.builds(ServoOp, st.sampled_from((Op.START, Op.SET)), angles) | st.just(STOP)
+frames: st.SearchStrategy[Frame] = st.builds(OneServo, st.sampled_from(SERVO_IDS), ops) | st.builds(
+    OneLeg, st.sampled_from(LEGS), st.tuples(ops, ops, ops)
+)
+
+
+@given(calibrations, frames)
+def test_what_is_accepted_has_a_legal_wire_angle_and_reads_back_as_the_user_said_it(
+    calibration: Calibration, frame: Frame
+) -> None:
+    if any(op is not STOP and calibration.why_not(servo_id, op.angle_cdeg) for servo_id, op in frame.servos):
+        return
+    wire = calibration.frame(frame)  # a frame that is not legal cannot be made: FrameError
+    assert calibration.user_frame(decode(wire.to_bytes())) == frame
+    assert [op.op for _, op in wire.servos] == [op.op for _, op in frame.servos]
+
+
+@given(calibrations, st.sampled_from(SERVO_IDS), angles)
+def test_only_what_breaks_a_rule_is_rejected(calibration: Calibration, servo_id: int, angle_cdeg: int) -> None:
+    servo = calibration.of(servo_id)
+    user = 18000 - angle_cdeg if servo.inverted else angle_cdeg
+    allowed = servo.min_cdeg <= angle_cdeg <= servo.max_cdeg and 0 <= user + servo.trim_cdeg <= 18000
+    assert (calibration.why_not(servo_id, angle_cdeg) is None) == allowed
+
+
+@given(frames)
+def test_the_default_changes_no_byte(frame: Frame) -> None:
+    assert Calibration().frame(frame) is frame
+
+
+@given(calibrations, st.sampled_from(LEGS))
+def test_a_stop_is_the_same_in_every_calibration(calibration: Calibration, leg: int) -> None:
+    assert calibration.frame(stop_leg(leg)).to_bytes() == stop_leg(leg).to_bytes()
+
+
+def test_the_formula() -> None:
+    assert ServoCalibration(7_00, inverted=False).wire_cdeg(90_00) == 97_00
+    assert ServoCalibration(7_00, inverted=True).wire_cdeg(45_00) == 142_00
+
+
+def test_a_rejection_names_both_angles() -> None:
+    calibration = Calibration(servos={32: ServoCalibration(20_00), 33: ServoCalibration(max_cdeg=140_00)})
+    assert calibration.why_not(32, 170_00) == (
+        "170 degrees of servo 32 are its own 190, with its trim; a servo has 0 to 180"
+    )
+    assert calibration.why_not(33, 140_01) == ("servo 33 is calibrated to go from 0 to 140 degrees; 140.01 is outside")
+    assert calibration.why_not(33, 140_00) is None
+
+
+@pytest.mark.parametrize(
+    ("servos", "landing", "fault"),
+    [
+        ({32: ServoCalibration(90_01)}, {}, "servo 32: trim_deg is 90.01; it is -90 to 90"),
+        ({32: ServoCalibration(-400_00)}, {}, "servo 32: trim_deg is -400; it is -90 to 90"),
+        ({32: ServoCalibration(min_cdeg=-1)}, {}, "servo 32: min_deg is -0.01; it is 0 to 180"),
+        ({32: ServoCalibration(max_cdeg=180_01)}, {}, "servo 32: max_deg is 180.01; it is 0 to 180"),
+        (
+            {32: ServoCalibration(min_cdeg=91_00, max_cdeg=90_00)},
+            {},
+            "servo 32: min_deg is 91 and max_deg 90; min_deg must not be larger",
+        ),
+        ({34: AS_DRAWN}, {}, "servo 34 does not exist; an id is the leg and the joint, such as 32"),
+        ({}, {70: 90_00}, "servo 70 does not exist; an id is the leg and the joint, such as 32"),
+        (
+            {32: ServoCalibration(max_cdeg=100_00)},
+            {32: 101_00},
+            "the landing pose cannot be reached: servo 32 is calibrated to go from 0 to 100 degrees; 101 is outside",
+        ),
+    ],
+)
+def test_what_is_no_calibration(servos: Mapping[int, ServoCalibration], landing: Mapping[int, int], fault: str) -> None:
+    with pytest.raises(CalibrationError) as raised:
+        Calibration(1, servos, landing)
+    assert str(raised.value) == fault
+
+
+def test_a_change_changes_what_it_names() -> None:
+    before = Calibration(4, {32: ServoCalibration(7_00, inverted=True)}, {32: 80_00, 33: 90_00})
+    after = Change({32: ServoChange(max_cdeg=150_00), 11: ServoChange(trim_cdeg=-1)}, {33: None}).applied_to(before)
+    assert after == Calibration(
+        5, {32: ServoCalibration(7_00, inverted=True, max_cdeg=150_00), 11: ServoCalibration(-1)}, {32: 80_00}
+    )
+    assert changed_servos(before, after) == {11, 32}
+
+
+def test_a_change_back_to_the_drawing_leaves_the_default() -> None:
+    before = Calibration(1, {32: ServoCalibration(7_00)})
+    assert not Change({32: ServoChange(trim_cdeg=0)}, {}).applied_to(before).servos
+
+
+@given(calibrations, calibrations)
+def test_changed_servos_are_those_whose_frames_or_limits_differ(before: Calibration, after: Calibration) -> None:
+    changed = changed_servos(before, after)
+    for servo_id in SERVO_IDS:
+        assert (before.of(servo_id) != after.of(servo_id)) == (servo_id in changed)
+        assert leg_of(servo_id) in LEGS

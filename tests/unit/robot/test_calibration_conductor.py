@@ -1,0 +1,299 @@
+"""A calibration, from the payload on `hexapod/calibration/cmd` to the answer, the frames, the events and the state."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from typing import Any, cast
+
+import pytest
+
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.edge.calibration_desk import PAUSE_S
+from gateway.robot.host.calibration_file import SLOW_S
+from gateway.robot.protocol.frames import OneLeg, Op
+from gateway.robot.runtime.calibrations import HANGS
+from schemas import calibration, keys
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.robot import Robot, leg, servo, started_and_quiet
+
+LEG_3 = keys.leg_command(3)
+START, SET, STOP = leg("start", 90, 90, 90), leg("set", 45, 45, 45), leg("stop")
+OWN = {"servos": {"31": {"trim_deg": 7.5}, "32": {"inverted": True, "trim_deg": -10}, "33": {"max_deg": 140}}}
+pytestmark = pytest.mark.virtual_time
+
+
+class Disk:
+    """Keeps what it is told when it is told to."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Calibration, Callable[[str | None], None]]] = []
+
+    def __call__(self, calibration: Calibration, then: Callable[[str | None], None]) -> None:
+        self.waiting.append((calibration, then))
+
+    def write(self, fault: str | None = None) -> None:
+        """What waits is on the disk, or is not."""
+        _, then = self.waiting.pop(0)
+        then(fault)
+
+
+async def on_disk(disk: Disk, **sections: Any) -> Robot:
+    robot = Robot(sections, keep=disk)
+    robot.conductor.start()
+    robot.conductor.announce_start()
+    await asyncio.sleep(1)
+    robot.controller.transfers.clear()
+    robot.reports.clear()
+    return robot
+
+
+def told(robot: Robot) -> calibration.Calibration:
+    answers: list[bytes] = []
+    robot.calibrations.answer(answers.append)
+    return calibration.Calibration.model_validate_json(answers[0])
+
+
+async def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
+    robot = await started_and_quiet()
+    (ack,) = robot.calibrate({**OWN, "source": "anna"})
+    assert ack.accepted
+    assert robot.ask(LEG_3, START).accepted
+    (_, frame) = robot.frames[-1]
+    assert isinstance(frame, OneLeg)
+    assert [op.angle_cdeg for op in frame.commands] == [97_50, 80_00, 90_00]
+    await asyncio.sleep(0.05)
+    assert robot.ask(LEG_3, leg("set", 45, 120, 140)).accepted
+    assert [op.angle_cdeg for _, op in robot.frames[-1][1].servos] == [52_50, 50_00, 140_00]
+    assert [each.angle_deg for each in robot.conductor.state().legs[2].servos] == [45, 120, 140]
+    (event,) = robot.events(Kind.CALIBRATED)
+    assert (event.source, event.key) == ("anna", keys.CALIBRATION_CMD)
+
+
+async def test_it_is_told_when_it_changes_and_when_somebody_asks() -> None:
+    robot = await started_and_quiet()
+    assert (told(robot).revision, len(told(robot).servos), told(robot).landing) == (0, 18, {})
+    robot.calibrate({**OWN, "landing": {"11": 45}})
+    published = [report for key, report in robot.reports if key == keys.CALIBRATION]
+    assert published == [told(robot)]
+    assert told(robot).servos["32"] == calibration.ServoCalibration(trim_deg=-10, inverted=True)
+    assert told(robot).landing == {"11": 45}
+    state = robot.states[-1].calibration
+    assert (state.revision, state.fault, state.kept) == (1, None, False)
+
+
+async def test_what_is_told_can_be_sent_back() -> None:
+    robot = await started_and_quiet()
+    robot.calibrate({**OWN, "landing": {"11": 45}})
+    before = json.loads(told(robot).model_dump_json())
+    (ack,) = robot.calibrate(before)
+    assert ack.accepted
+    assert told(robot).model_dump() == {**before, "revision": 2}
+
+
+async def test_angles_that_its_servo_cannot_reach_are_rejected_and_both_are_named() -> None:
+    robot = await started_and_quiet()
+    robot.calibrate(OWN)
+    for angles, detail in (
+        ((175, 90, 90), "175 degrees of servo 31 are its own 182.5, with its trim; a servo has 0 to 180"),
+        ((90, 175, 90), "175 degrees of servo 32 are its own -5, with its trim; a servo has 0 to 180"),
+        ((90, 90, 150), "servo 33 is calibrated to go from 0 to 140 degrees; 150 is outside"),
+    ):
+        ack = robot.ask(LEG_3, leg("start", *angles))
+        assert (ack.reason, ack.detail) == (Reason.JOINT_LIMIT, detail)
+    assert robot.frames == []
+
+
+async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
+    robot = await on_disk(disk := Disk())
+    answers = robot.calibrate(OWN)
+    assert (answers, told(robot).revision) == ([], 0)
+    assert robot.ask(LEG_3, START).reason == Reason.SERVO_STOPPED, "it would start under the old numbers"
+    assert robot.ask(keys.leg_command(1), START).accepted, "another leg's numbers do not change"
+    disk.write()
+    assert answers[0].accepted
+    assert robot.conductor.state().calibration.kept
+    assert robot.ask(LEG_3, START).accepted
+    assert robot.frames[-1][1].servos[0][1].angle_cdeg == 97_50
+
+
+async def test_a_disk_that_does_not_take_it_leaves_the_old_one_in_force() -> None:
+    robot = await on_disk(disk := Disk())
+    answers = robot.calibrate(OWN)
+    disk.write("/var/lib/calibration.toml: cannot be written (No space left on device); the old calibration stays")
+    assert (answers[0].accepted, answers[0].reason) == (False, Reason.INVALID)
+    assert "No space left" in str(answers[0].detail)
+    assert not robot.events(Kind.CALIBRATED)
+    assert told(robot).revision == 0
+    assert robot.ask(LEG_3, START).accepted
+    assert robot.frames[-1][1].servos[0][1].angle_cdeg == 90_00
+
+
+async def test_while_it_is_being_kept_stops_and_the_watchdog_are_in_time() -> None:
+    robot = await on_disk(disk := Disk(), watchdog={"repeats": 0})
+    robot.put(keys.leg_command(1), START)
+    answers = robot.calibrate(OWN)
+    await asyncio.sleep(0.3)
+    times_ms = [at_ms for at_ms, _ in robot.frames]
+    assert times_ms[1] - times_ms[0] == pytest.approx(250, abs=0.01)
+    assert robot.get(keys.ESTOP)[0].stop_frames == 6
+    disk.write()
+    assert answers[0].accepted, "it was decided before"
+
+
+async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    robot = await on_disk(disk := Disk())
+    answers = robot.calibrate(OWN)
+    await asyncio.sleep(SLOW_S - 0.01)
+    (soon,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
+    assert HANGS not in caplog.text + str(soon.detail)
+    await asyncio.sleep(0.02)
+    assert caplog.text.count("is not kept yet") == 1
+    (late,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
+    assert (late.reason, late.detail) == (Reason.STALE, f"another change of the calibration is being kept; {HANGS}")
+    assert str(robot.ask(LEG_3, START).detail).endswith(HANGS)
+    assert robot.ask(keys.leg_command(1), START).accepted, "what it does not change goes on"
+    await asyncio.sleep(0.3)
+    assert robot.events(Kind.WATCHDOG_EXPIRED)
+    assert robot.ask(keys.ESTOP).stop_frames == 6
+    disk.write()
+    assert (answers[0].accepted, told(robot).revision) == (True, 1), "it came back"
+    assert robot.ask(keys.RESET, {"estop": 1}).accepted
+    robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
+    assert HANGS not in str(robot.calibrate(OWN)[0].detail), "this one has just begun"
+    disk.write()
+    await asyncio.sleep(SLOW_S + 1)
+    assert caplog.text.count("is not kept yet") == 1, "and ended in time"
+
+
+async def test_a_servo_that_runs_is_not_calibrated_and_others_are() -> None:
+    robot = await started_and_quiet()
+    robot.ask(keys.servo_command(31), servo("start", 90))
+    (ack,) = robot.calibrate(OWN)
+    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+    assert "servo 31 runs" in str(ack.detail)
+    assert robot.events(Kind.COMMAND_REJECTED)[-1].key == keys.CALIBRATION_CMD
+    assert robot.calibrate({"servos": {"32": {"trim_deg": 5}}})[0].accepted
+
+
+async def test_of_two_who_change_the_same_revision_one_is_rejected() -> None:
+    robot = await started_and_quiet()
+    assert robot.calibrate({**OWN, "revision": 0})[0].accepted
+    (ack,) = robot.calibrate({**OWN, "revision": 0})
+    assert ack.reason == Reason.STALE
+    robot = await on_disk(disk := Disk())
+    first, second = robot.calibrate(OWN), robot.calibrate({"landing": {"11": 20}})
+    assert second[0].reason == Reason.STALE
+    disk.write()
+    assert first[0].accepted
+    assert disk.waiting == []
+
+
+async def test_it_needs_the_lease_like_a_start() -> None:
+    robot = await started_and_quiet()
+    ack = robot.lease("acquire", "anna")
+    assert robot.calibrate(OWN)[0].reason == Reason.NOT_HOLDER
+    assert robot.calibrate({**OWN, "lease": ack.lease})[0].accepted
+    robot = await started_and_quiet(lease={"required": True})
+    assert robot.calibrate(OWN)[0].reason == Reason.NO_LEASE
+
+
+async def test_what_was_delayed_on_the_way_is_rejected() -> None:
+    robot = await started_and_quiet(limits={"max_age_ms": 100})
+    robot.put(LEG_3, leg("stop", sent_ms=500, source="anna"))
+    await asyncio.sleep(0.2)
+    (ack,) = robot.calibrate({**OWN, "sent_ms": 501, "source": "anna"})
+    assert ack.reason == Reason.STALE
+    assert told(robot).revision == 0
+
+
+@pytest.mark.parametrize("mode", [Mode.ESTOPPED, Mode.BUS_FAULT, Mode.STOPPING])
+async def test_in_no_other_mode(mode: Mode) -> None:
+    robot = await started_and_quiet()
+    if mode is Mode.ESTOPPED:
+        robot.put(keys.ESTOP)
+    elif mode is Mode.BUS_FAULT:
+        robot.controller.fail_next(1000)
+        robot.put(LEG_3, STOP)
+    else:
+        robot.conductor.shut_down()
+    (ack,) = robot.calibrate(OWN)
+    assert (robot.mode, ack.reason) == (mode, Reason(mode.value))
+
+
+async def test_what_comes_after_the_end_changes_nothing() -> None:
+    robot = await on_disk(disk := Disk())
+    answers = robot.calibrate(OWN)
+    robot.conductor.shut_down()
+    robot.conductor.close()
+    disk.write()
+    assert robot.calibrate(OWN) == answers == []
+
+
+async def test_one_that_cannot_be_trusted_starts_nothing_until_a_person_takes_the_default() -> None:
+    robot = Robot({}, keep=(disk := Disk()))
+    robot.conductor.supervisor.calibrating.load(Calibration(7), "calibration.toml: is not TOML")
+    robot.conductor.start()
+    robot.conductor.announce_start()
+    assert robot.conductor.state().calibration.fault == "calibration.toml: is not TOML"
+    assert robot.controller.energised == set()
+    for ack in (robot.ask(LEG_3, START), robot.calibrate(OWN)[0]):
+        assert ack.reason == Reason.SERVO_STOPPED
+        assert "is not TOML" in str(ack.detail)
+        assert "hexapod-gateway calibrate --accept-default" in str(ack.detail)
+    assert robot.ask(LEG_3, STOP).accepted
+    answers = robot.calibrate({"accept_default": True})
+    assert robot.ask(LEG_3, START).reason == Reason.SERVO_STOPPED, "it is not kept yet"
+    disk.write()
+    assert answers[0].accepted
+    assert (told(robot).revision, robot.conductor.state().calibration.fault) == (8, None)
+    assert robot.ask(LEG_3, START).accepted
+
+
+async def test_what_is_no_command_is_answered_and_told() -> None:
+    robot = await started_and_quiet()
+    (ack,) = robot.calibrate({"servos": {"11": {"trim_deg": 400}}})
+    assert (ack.reason, ack.detail) == (Reason.INVALID, "servos.11.trim_deg is 400; it must be between -90 and 90")
+    (event,) = robot.events()
+    assert (event.kind, event.key, event.reason) == (Kind.COMMAND_REJECTED, keys.CALIBRATION_CMD, Reason.INVALID)
+    robot.put(keys.CALIBRATION_CMD, OWN, target=None)
+    assert "takes get only" in robot.events()[-1].detail
+    assert told(robot).revision == 0
+
+
+class Question:
+    """A query, as far as a desk looks at it."""
+
+    def __init__(self, payload: bytes) -> None:
+        self.key_expr, self.payload, self.encoding, self.source_info = keys.CALIBRATION_CMD, Bytes(payload), None, None
+
+
+class Bytes(bytes):
+    def to_bytes(self, *_: object) -> bytes:
+        return self
+
+
+async def test_after_each_question_there_is_a_pause_so_that_a_flood_of_them_delays_no_stop() -> None:
+    robot = await started_and_quiet()
+    for payload in (json.dumps(OWN).encode(), b"{"):
+        answers: list[bytes] = []
+        deal = robot.calibration_desk.note(cast(Any, Question(payload)), 0, answers.append)
+        assert deal() == PAUSE_S > 0
+        assert len(answers) == 1
+
+
+async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_settings() -> None:
+    robot = await started_and_quiet(watchdog={"landing_ms": 500, "landing": {"31": 30, "32": 40}, "repeats": 0})
+    robot.calibrate({"servos": {"31": {"inverted": True}}, "landing": {"31": 60}})
+    robot.put(LEG_3, START)
+    await asyncio.sleep(2)
+    landed = [frame for _, frame in robot.frames if isinstance(frame, OneLeg) and not frame.is_stop][-1]
+    assert [op.angle_cdeg for op in landed.commands if op.op is not Op.STOP][:2] == [120_00, 40_00]
+
+
+async def test_changes_are_told_ten_times_a_second_and_source() -> None:
+    robot = await started_and_quiet()
+    for angle in range(30):
+        assert robot.calibrate({"landing": {"11": angle}, "source": "anna"})[0].accepted
+    assert len(robot.events(Kind.CALIBRATED)) == 10

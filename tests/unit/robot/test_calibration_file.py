@@ -1,0 +1,193 @@
+"""The calibration on disk: what is written is read again, and what is broken in any way is an error."""
+
+import errno
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+
+from gateway.errors import ConfigError
+from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.robot.host import calibration_file
+from gateway.robot.host.calibration_file import (
+    KEPT,
+    from_toml,
+    load,
+    path_of,
+    path_to_read,
+    previous,
+    read,
+    to_toml,
+    write,
+)
+from gateway.robot.settings import Settings
+from tests.unit.robot.test_calibration import calibrations
+
+OWN = Calibration(3, {32: ServoCalibration(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
+
+
+@given(calibrations)
+def test_what_is_written_is_read(calibration: Calibration) -> None:
+    assert from_toml(to_toml(calibration)) == calibration
+
+
+def test_every_file_that_was_cut_off_is_noticed() -> None:
+    text = to_toml(OWN)
+    for end in range(len(text) - 1):  # the last character is the end of the line
+        with pytest.raises(ValueError, match=r"."):
+            from_toml(text[:end])
+
+
+def test_there_is_none_yet(tmp_path: Path) -> None:
+    assert read(tmp_path / "calibration.toml") is None
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        ("trim_deg = 7.5", "trim_deg = 400", "servos.32.trim_deg is 400; that is more than a turn"),
+        ("trim_deg = 7.5", "trim_deg = 100", "servo 32: trim_deg is 100; it is -90 to 90"),
+        ("trim_deg = 7.5", "trim_deg = nan", "servos.32.trim_deg is nan; it is a number of degrees"),
+        ("trim_deg = 7.5", "trim_deg = true", "servos.32.trim_deg is True; it is a number of degrees"),
+        ("trim_deg = 7.5\n", "", "servos.32 has no trim_deg; a whole calibration names every servo"),
+        ("inverted = true", 'inverted = "yes"', "servos.32.inverted is 'yes'; it is true or false"),
+        ("[servos.32]", "[servos.34]", "servos has no 32; a whole calibration names every servo"),
+        ("31 = 90.0", "70 = 90.0", "servo 70 does not exist"),
+        ("version = 1", "version = 2", "version is 2; this gateway reads 1"),
+        ("version = 1", "speed = 2", "version is None; this gateway reads 1"),
+        ("[landing]", "[colours]", "the file has no landing"),
+        ("revision = 3\n\n[landing]", "revision = -3\n\n[landing]", "revision is -3; it is a whole number"),
+        ("revision = 3\n\n[landing]", "revision = 4\n\n[landing]", "the last line is not of_revision = 4"),
+        ("[landing]", "[landing", "is not TOML"),
+    ],
+)
+def test_a_broken_file_is_an_error_that_names_the_place(tmp_path: Path, before: str, after: str, fault: str) -> None:
+    path = tmp_path / "calibration.toml"
+    text = to_toml(OWN)
+    assert before in text
+    path.write_text(text.replace(before, after))
+    with pytest.raises(ConfigError) as raised:
+        read(path)
+    assert str(raised.value).startswith(f"{path}: {fault}")
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"\0" * 100, b"[" * 5000, b" " * (calibration_file.MAX_BYTES + 1)])
+def test_a_foreign_file_is_an_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError):
+        read(path)
+
+
+def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "calibration.toml"
+    for revision in range(1, 15):
+        write(path, Calibration(revision, {32: ServoCalibration(revision)}))
+    kept = [read(found) for found in previous(path)]
+    assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - KEPT, -1))
+    assert read(path) == Calibration(14, {32: ServoCalibration(14)})
+
+
+def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text("half a")
+    write(path, OWN)
+    assert read(path) == OWN
+    assert (tmp_path / "calibration.broken.toml").read_text() == "half a"
+
+
+@pytest.mark.parametrize("broken_call", ["fsync", "replace"])
+def test_a_full_disk_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken_call: str) -> None:
+    path = tmp_path / "calibration.toml"
+    write(path, OWN)
+
+    def no_space(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", no_space) if broken_call == "fsync" else monkeypatch.setattr(
+        Path, "replace", no_space
+    )
+    with pytest.raises(ConfigError, match=r"No space left on device.*the old calibration stays"):
+        write(path, Calibration(4))
+    monkeypatch.undo()
+    assert read(path) == OWN
+    assert not list(tmp_path.glob(".*"))
+
+
+# ---- what a gateway starts with
+
+
+def test_a_gateway_starts_with_the_default_where_there_never_was_another(tmp_path: Path) -> None:
+    assert load(tmp_path / "calibration.toml") == (Calibration(), None)
+
+
+def test_a_gateway_starts_with_what_was_kept(tmp_path: Path) -> None:
+    write(tmp_path / "calibration.toml", OWN)
+    assert load(tmp_path / "calibration.toml") == (OWN, None)
+
+
+@pytest.mark.parametrize("text", ["", "trim = 7\n", "\0" * 2000, to_toml(OWN)[:-30], None])
+def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_than_all(
+    tmp_path: Path, text: str | None
+) -> None:
+    path = tmp_path / "calibration.toml"
+    for revision in range(1, 16):
+        write(path, Calibration(revision))
+    path.unlink()
+    if text is not None:
+        path.write_text(text)
+    found, fault = load(path)
+    assert found == Calibration(15)
+    assert str(path) in str(fault)
+    write(path, Calibration(16))
+    write(path, Calibration(17))
+    assert [each.name for each in previous(path)][:2] == ["calibration.16.toml", "calibration.14.toml"]
+
+
+def test_what_is_no_file_is_a_fault_and_nobody_waits_for_it(tmp_path: Path) -> None:
+    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for path in (pipe, folder, Path("/dev/zero")):
+        found, fault = load(path)
+        assert found == Calibration()
+        assert "is no file" in str(fault) or "Is a directory" in str(fault)
+
+
+def test_names_that_are_no_revisions_are_not_taken_for_earlier_ones(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    write(path, OWN)
+    for name in ("calibration.broken.toml", "calibration.٣.toml", f"calibration.{'9' * 200}.toml", "calibration..toml"):
+        (tmp_path / name).write_text("")
+    assert previous(path) == []
+
+
+def test_an_earlier_one_that_was_put_back_by_hand_is_newer_than_all(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    for revision in range(1, 6):
+        write(path, replace(OWN, revision=revision))
+    (tmp_path / "calibration.2.toml").replace(path)
+    assert load(path) == (replace(OWN, revision=5), None)
+
+
+# ---- where it is
+
+
+def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    named = Settings.model_validate({"calibration": {"path": "/mnt/own.toml"}})
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    assert path_of(Settings()) is None
+    assert path_of(named) == Path("/mnt/own.toml")
+    monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/var/lib/other")
+    assert path_of(Settings()) == path_to_read(Settings()) == tmp_path / "calibration.toml"
+    assert path_of(named) == Path("/mnt/own.toml")
+
+
+def test_where_it_is_looked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path)
+    assert path_to_read(Settings()) == tmp_path / "calibration.toml"
+    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    assert path_to_read(Settings()) is None

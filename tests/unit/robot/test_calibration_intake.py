@@ -1,0 +1,122 @@
+"""What a CalibrationCommand may be, and what is said of one that is none."""
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.robot.core.calibration import Calibration, CalibrationError, Change, ServoChange
+from gateway.robot.core.calibration_intake import CalibrationIntent, read
+from gateway.robot.core.calibration_report import calibration_of, report_of
+from gateway.robot.core.intake import Rejection
+from schemas import calibration as wire
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Reason
+from tests.unit.robot.test_calibration import calibrations
+
+TOKEN = "0123456789abcdef" * 2
+
+
+def read_whole(payload: object) -> CalibrationIntent:
+    intent = read(json.dumps(payload).encode())
+    assert isinstance(intent, CalibrationIntent), intent
+    return intent
+
+
+def test_a_part_of_it_names_only_what_changes() -> None:
+    intent = read_whole({"servos": {"32": {"trim_deg": -7.25, "inverted": True}}, "landing": {"11": 90, "12": None}})
+    assert intent.change == Change({32: ServoChange(-7_25, inverted=True)}, {11: 9000, 12: None})
+    assert (intent.revision, intent.accept_default, intent.source, intent.lease) == (None, False, None, None)
+
+
+def test_all_that_it_may_say() -> None:
+    servo = {"trim_deg": -90.0, "inverted": False, "min_deg": 12.34, "max_deg": 180.0}
+    payload = {
+        "servos": {str(servo_id): servo for servo_id in SERVO_IDS},
+        "landing": {str(servo_id): 123.45 for servo_id in SERVO_IDS},
+        "revision": 2**53,
+        "accept_default": True,
+        "source": ":" * 64,
+        "sent_ms": 2.0**53,
+        "lease": TOKEN,
+    }
+    assert len(json.dumps(payload)) < MAX_PAYLOAD_BYTES
+    intent = read_whole(payload)
+    assert len(intent.change.servos) == len(intent.change.landing_cdeg) == 18
+    assert (intent.accept_default, intent.revision, intent.lease) == (True, 2**53, TOKEN)
+    assert TOKEN not in repr(intent)
+
+
+BAD: list[tuple[object, Reason, str]] = [
+    (b"", Reason.MALFORMED, "the payload is not JSON"),
+    (b"{", Reason.MALFORMED, "the payload is not JSON"),
+    ([], Reason.INVALID, "the payload is []; it must be an object"),
+    ({"servos": 3}, Reason.INVALID, "servos is 3; it must be an object"),
+    ({"servos": {"11": 3}}, Reason.INVALID, "servos.11 is 3; it must be an object"),
+    ({"servos": {"99": {}}}, Reason.INVALID, 'servos has "99"; it may have "11" to "63"'),
+    ({"landing": {"10": 20}}, Reason.INVALID, 'landing has "10"; it may have "11" to "63"'),
+    ({"servos": {"11": {"trim_deg": 400}}}, Reason.INVALID, "servos.11.trim_deg is 400; it must be between -90 and 90"),
+    ({"servos": {"11": {"trim_deg": float("nan")}}}, Reason.INVALID, "servos.11.trim_deg is NaN; it must be a finite"),
+    (b'{"servos": {"11": {"max_deg": 1e999}}}', Reason.INVALID, "servos.11.max_deg is Infinity; it must be a finite"),
+    ({"servos": {"11": {"trim_deg": "7"}}}, Reason.INVALID, 'servos.11.trim_deg is "7"; it must be a number'),
+    ({"servos": {"11": {"inverted": "yes"}}}, Reason.INVALID, 'servos.11.inverted is "yes"; it must be true or false'),
+    ({"servos": {"11": {"inverted": 1}}}, Reason.INVALID, "servos.11.inverted is 1; it must be true or false"),
+    ({"servos": {"11": {"min_deg": -1}}}, Reason.INVALID, "servos.11.min_deg is -1; it must be between 0 and 180"),
+    ({"servos": {"11": {"speed": 1}}}, Reason.INVALID, "servos.11.speed is not known here"),
+    ({"landing": {"11": 181}}, Reason.INVALID, "landing.11 is 181; it must be between 0 and 180"),
+    ({"landing": {"11": True}}, Reason.INVALID, "landing.11 is true; it must be a number"),
+    ({"revision": -1}, Reason.INVALID, "revision is -1; it must be 0 or more"),
+    ({"revision": 1.5}, Reason.INVALID, "revision is 1.5; it must be a whole number"),
+    ({"revision": True}, Reason.INVALID, "revision is true; it must be a whole number"),
+    ({"accept_default": False}, Reason.INVALID, "accept_default is false; it must be true, or left out"),
+    ({"lease": TOKEN[1:]}, Reason.INVALID, "lease must be 32 hex digits"),
+    ({"trim": 7}, Reason.INVALID, "trim is not known here"),
+    ({TOKEN: 7}, Reason.INVALID, '"(hex digits)" is not known here'),
+    (b'{"servos": {"11": {"trim_deg": 1, "trim_deg": 2}}}', Reason.INVALID, "trim_deg is given twice in one object"),
+    (b'{"servos": {"11": {}, "11": {}}}', Reason.INVALID, "11 is given twice in one object"),
+    ({str(number): 0 for number in range(300)}, Reason.INVALID, "more fields than any command has"),
+]
+
+
+@pytest.mark.parametrize(("payload", "reason", "detail"), BAD, ids=lambda value: repr(value)[:60])
+def test_what_is_none_is_rejected_with_the_field_and_its_limit(payload: object, reason: Reason, detail: str) -> None:
+    rejection = read(payload if isinstance(payload, bytes) else json.dumps(payload).encode())
+    assert isinstance(rejection, Rejection)
+    assert rejection.reason == reason
+    assert detail in rejection.detail
+    assert TOKEN not in rejection.detail
+
+
+@given(
+    st.binary(max_size=200)
+    | st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(max_size=8) | st.integers(),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(["servos", "landing", "11", "63", "trim_deg", "inverted", "revision", "x"]), inner
+            )
+        ),
+        max_leaves=12,
+    ).map(lambda made: json.dumps(made).encode())
+)
+def test_whatever_comes_is_read_or_rejected_and_never_raises(payload: bytes) -> None:
+    assert isinstance(read(payload), CalibrationIntent | Rejection)
+
+
+@given(calibrations)
+def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: Calibration) -> None:
+    out: dict[str, Any] = json.loads(report_of(calibration).model_dump_json())
+    intent = read_whole(out)
+    assert intent.revision == calibration.revision
+    assert intent.change.applied_to(Calibration()).servos == calibration.servos
+    assert calibration_of(report_of(calibration)) == calibration
+
+
+def test_an_infinite_angle_is_none_that_a_gateway_tells() -> None:
+    report = wire.Calibration.model_validate_json('{"revision":1,"servos":{"31":{"trim_deg":1e999}},"landing":{}}')
+    with pytest.raises(CalibrationError, match="infinite"):
+        calibration_of(report)

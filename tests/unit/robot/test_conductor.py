@@ -1,0 +1,453 @@
+"""Commands from a received message to frames, answers and reports, in virtual time."""
+
+import asyncio
+from itertools import pairwise
+
+import pytest
+
+from gateway.robot.core.message import Verb
+from gateway.robot.core.rejection_limit import SOURCES, TOLD_PER_S
+from gateway.robot.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Kind, Mode, Reason, WatchdogState
+from tests.support.robot import Robot, leg, servo, started, started_and_quiet
+
+pytestmark = pytest.mark.virtual_time
+
+LEG_3 = keys.leg_command(3)
+
+
+def moved(op: Op, *angles_deg: float) -> OneLeg:
+    first, second, third = (ServoOp(op, round(angle_deg * 100)) for angle_deg in angles_deg)
+    return OneLeg(3, (first, second, third))
+
+
+async def test_the_start_stops_all_six_legs_before_anything_else() -> None:
+    robot = started()
+    assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS]
+    assert [event.kind for event in robot.events()] == [Kind.STARTED]
+    assert robot.mode == Mode.IDLE
+
+
+async def test_nothing_is_told_before_commands_are_taken_however_long_that_takes() -> None:
+    """Its Stops are repeated meanwhile; who reads the log of a start that fails wants to read why, and no mode."""
+    robot = Robot()
+    robot.conductor.start()
+    await asyncio.sleep(1)
+    assert len(robot.frames) == 6 * (1 + robot.settings.watchdog.repeats)
+    assert robot.reports == []
+    robot.conductor.announce_start()
+    assert [event.kind for event in robot.events()] == [Kind.STARTED]
+    assert [state.mode for state in robot.states] == [Mode.IDLE]
+
+
+async def test_a_start_energises_a_set_moves_and_a_stop_ends_it() -> None:
+    robot = await started_and_quiet()
+    assert robot.ask(LEG_3, leg("start", 90, 45, 120.5)).accepted
+    assert robot.controller.energised == {31, 32, 33}
+    assert robot.mode == Mode.ACTIVE
+    await asyncio.sleep(0.1)
+    assert robot.ask(LEG_3, leg("set", 90.29, 0, 180)).accepted
+    await asyncio.sleep(0.1)
+    assert robot.ask(LEG_3, leg("stop")).accepted
+    assert [frame for _, frame in robot.frames] == [
+        moved(Op.START, 90, 45, 120.5),
+        moved(Op.SET, 90.29, 0, 180),
+        stop_leg(3),
+    ]
+    assert robot.controller.energised == set()
+    assert [state.mode for state in robot.states] == [Mode.ACTIVE, Mode.IDLE]
+
+
+async def test_a_servo_and_several_legs_have_frames_of_their_own() -> None:
+    robot = await started_and_quiet()
+    assert robot.ask(keys.servo_command(62), servo("start", 12.34)).accepted
+    legs = {"legs": {"5": leg("start", 1, 2, 3), "2": leg("start", 4, 5, 6)}}
+    assert robot.ask(keys.LEGS_COMMAND, legs).accepted
+    assert [frame.to_bytes().hex() for _, frame in robot.frames] == [
+        "06023e010c22",
+        "0e0115010400160105001701" + "0600",
+        "0e0133010100340102003501" + "0300",
+    ]
+
+
+async def test_a_set_for_a_servo_that_does_not_run_rejects_the_whole_command() -> None:
+    robot = await started_and_quiet()
+    robot.ask(keys.servo_command(31), servo("start", 90))
+    ack = robot.ask(LEG_3, leg("set", 1, 2, 3), source="laptop")
+    assert (ack.accepted, ack.reason) == (False, Reason.SERVO_STOPPED)
+    assert ack.detail == "servo 32 does not run; start it before you set it"
+    assert len(robot.frames) == 1
+    (event,) = robot.events(Kind.COMMAND_REJECTED)
+    assert (event.source, event.key, event.reason, event.detail) == ("laptop", LEG_3, ack.reason, ack.detail)
+
+
+async def test_the_source_in_the_payload_goes_before_the_publishers_id() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("set", 1, 2, 3, source="gait"), source="0123abc")
+    assert robot.events()[0].source == "gait"
+
+
+async def test_what_comes_too_soon_waits_and_the_newest_target_goes_out_as_a_start() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 10, 10, 10))
+    await asyncio.sleep(0.001)
+    robot.put(LEG_3, leg("stop"))
+    first = robot.get(LEG_3, leg("start", 20, 20, 20))
+    await asyncio.sleep(0.001)
+    second = robot.get(LEG_3, leg("set", 30, 30, 30))
+    assert not second, "it is answered once its frame is written"
+    await asyncio.sleep(0.05)
+    assert [frame for _, frame in robot.frames][:3] == [
+        moved(Op.START, 10, 10, 10),
+        stop_leg(3),
+        moved(Op.START, 30, 30, 30),
+    ]
+    assert [ack.coalesced for ack in first + second] == [True, None]
+
+
+async def test_a_stream_above_the_rate_is_thinned_and_nothing_is_made_up() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 0, 0, 0))
+    begun_ms = robot.now_ns() / 1e6
+    for count in range(300):
+        robot.put(LEG_3, leg("set", count / 10, 0, 0))
+        await asyncio.sleep(1 / 300)
+    frames = robot.frames
+    gaps_ms = [later - earlier for (earlier, _), (later, _) in pairwise(frames)]
+    assert gaps_ms[:3] == pytest.approx([5, 5, 10]), "what the bucket held"
+    assert gaps_ms[3:] == pytest.approx([20] * 48)
+    # What goes out is the newest of its moment (or the one before, where both fall on the same millisecond).
+    for at_ms, frame in frames[1:]:
+        newest = int((at_ms - begun_ms) * 0.3 + 1e-3)
+        assert frame.servos[0][1].angle_cdeg in (newest * 10, (newest - 1) * 10)
+
+
+async def test_a_stream_at_the_rate_passes_unthinned_although_it_jitters() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 0, 0, 0))
+    for count in range(100):
+        await asyncio.sleep(0.005 if count % 2 else 0.035)
+        robot.put(LEG_3, leg("set", count, 0, 0))
+    await asyncio.sleep(0.02)
+    assert len(robot.frames) == 101
+    assert robot.conductor.metrics.coalesced == 0
+
+
+async def test_a_stop_waits_for_no_rate_slot_and_nothing_older_follows_it() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 10, 10, 10))
+    await asyncio.sleep(0.001)
+    waiting = robot.get(LEG_3, leg("set", 20, 20, 20))
+    assert robot.ask(LEG_3, leg("stop")).accepted
+    at_ms = robot.now_ns() / 1e6
+    await asyncio.sleep(0.2)
+    assert robot.frames[1] == (at_ms, stop_leg(3))
+    assert all(frame == stop_leg(3) for _, frame in robot.frames[1:])
+    assert [ack.coalesced for ack in waiting] == [True]
+
+
+@pytest.mark.parametrize(
+    ("key", "stopped"), [(LEG_3, {31, 32, 33}), (keys.servo_command(32), {32}), (keys.LEGS_COMMAND, {31, 32, 33})]
+)
+async def test_a_delete_stops_what_its_key_names(key: str, stopped: set[int]) -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    robot.put(key, verb=Verb.DELETE)
+    assert robot.controller.energised == {31, 32, 33} - stopped
+
+
+async def test_a_reset_is_never_taken_from_a_delete_or_a_wildcard() -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.ESTOP)
+    robot.put(keys.RESET, verb=Verb.DELETE)
+    robot.put(keys.RESET, expression="hexapod/**/cmd")
+    assert robot.mode == Mode.ESTOPPED
+    robot.put(keys.RESET, {"estop": 1})
+    assert robot.mode == Mode.IDLE
+
+
+@pytest.mark.parametrize(
+    ("expression", "detail"),
+    [
+        ("hexapod/leg/0/cmd", "leg 0 does not exist; legs are 1 to 6"),
+        ("hexapod/leg/7/cmd", "leg 7 does not exist; legs are 1 to 6"),
+        ("hexapod/servo/14/cmd", "servo 14 does not exist"),
+        ("hexapod/tail/cmd", "is no command key"),
+    ],
+)
+async def test_an_unknown_key_is_rejected_and_the_next_good_command_works(expression: str, detail: str) -> None:
+    robot = await started_and_quiet()
+    ack = robot.ask(expression, leg("start", 1, 2, 3))
+    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+    assert ack.detail is not None
+    assert detail in ack.detail
+    assert robot.frames == []
+    assert robot.ask(LEG_3, leg("start", 1, 2, 3)).accepted
+
+
+@pytest.mark.parametrize(
+    ("payload", "more", "reason"),
+    [
+        (b"{", {}, Reason.MALFORMED),
+        (b"\xff\xfe", {}, Reason.MALFORMED),
+        (b"", {}, Reason.MALFORMED),
+        (b"[" * 4000, {}, Reason.MALFORMED),
+        (b"null", {}, Reason.INVALID),
+        (leg("start", 90, 90, 190), {}, Reason.INVALID),
+        (leg("start", 90, 90, 90), {"encoding": "text/plain"}, Reason.BAD_ENCODING),
+        (b"", {"size": 4097}, Reason.TOO_LARGE),
+    ],
+)
+async def test_bad_input_changes_nothing_but_counters(payload: object, more: dict[str, object], reason: Reason) -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 90, 90, 90))
+    before = robot.conductor.state()
+    ack = robot.ask(LEG_3, payload, **more)
+    assert (ack.accepted, ack.reason) == (False, reason)
+    assert ack.detail
+    after = robot.conductor.state()
+    assert after.commands.rejected == before.commands.rejected + 1
+    assert [report.servos for report in after.legs] == [report.servos for report in before.legs]
+    assert len(robot.frames) == 1
+
+
+async def test_one_instant_applies_legs_then_leg_then_servo() -> None:
+    robot = await started_and_quiet()
+    # As the inbox hands them over: in the order of COMMAND_KEYS.
+    robot.put_later(keys.LEGS_COMMAND, {"legs": {"3": leg("start", 1, 1, 1)}})
+    robot.put_later(LEG_3, leg("start", 2, 2, 2))
+    robot.put_later(keys.servo_command(32), servo("start", 3))
+    robot.conductor.tick()
+    await asyncio.sleep(0.1)
+    assert [frame for _, frame in robot.frames] == [moved(Op.START, 1, 1, 1), moved(Op.START, 2, 3, 2)]
+
+
+async def test_a_deadline_does_not_wait_for_a_tick_that_takes_long() -> None:
+    robot = await started_and_quiet(watchdog={"repeats": 0})
+    robot.put(LEG_3, leg("start", 1, 1, 1))
+    for _ in range(8):
+        robot.put_later(keys.leg_command(4), b"{")
+    robot.put_later(keys.leg_command(5), leg("start", 1, 1, 1))
+    robot.each_takes_ns = 40_000_000
+    robot.conductor.tick()
+    stopped_ms, started_ms = (at_ms for at_ms, _ in robot.frames[1:])
+    assert robot.frames[1][1] == stop_leg(3)
+    assert stopped_ms - robot.frames[0][0] == pytest.approx(280, abs=0.01), "after the seventh of nine messages"
+    assert started_ms > stopped_ms
+
+
+async def test_what_a_deadline_stops_within_a_tick_is_not_started_by_what_the_tick_had_taken() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 1, 1, 1))
+    for _ in range(8):
+        robot.put_later(keys.leg_command(4), b"{")
+    answers = robot.ask_later(LEG_3, leg("start", 2, 2, 2))
+    robot.each_takes_ns = 40_000_000
+    robot.conductor.tick()
+    assert [ack.reason for ack in answers] == [Reason.SERVO_STOPPED]
+    assert robot.controller.energised == set()
+
+
+async def test_a_stop_for_one_servo_of_a_leg_stops_only_that() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 1, 1, 1))
+    robot.put(keys.servo_command(32), servo("stop"))
+    assert robot.frames[-1][1] == OneServo(32, STOP)
+    assert robot.controller.energised == {31, 33}
+
+
+async def test_frame_records_say_why_each_frame_was_written() -> None:
+    robot = await started_and_quiet(telemetry={"frames": True}, watchdog={"repeats": 1})
+    robot.put(LEG_3, leg("start", 1, 1, 1))
+    await asyncio.sleep(1)
+    robot.put(keys.ESTOP)
+    robot.conductor.shut_down()
+    assert [record.cause for record in robot.records] == [
+        Cause.COMMAND,
+        Cause.WATCHDOG,
+        Cause.REPEAT,
+        *[Cause.ESTOP] * 6,
+        *[Cause.SHUTDOWN] * 6,
+    ]
+    assert [bytes.fromhex(record.bytes) for record in robot.records] == [data for _, data in robot.controller.transfers]
+    assert [record.monotonic_ns for record in robot.records] == [at_ns for at_ns, _ in robot.controller.transfers]
+
+
+async def test_two_laptops_on_one_leg_are_both_named() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    robot.put(LEG_3, leg("set", 2, 2, 3, source="anna"))
+    assert not robot.events(Kind.SOURCE_CHANGED), "the leg was nobody's before"
+    assert robot.conductor.state().legs[2].source == "anna"
+    robot.put(LEG_3, leg("set", 3, 2, 3), source="0123abc")
+    (event,) = robot.events(Kind.SOURCE_CHANGED)
+    assert (event.source, event.detail) == ("0123abc", "leg 3 is commanded by 0123abc, and was by anna")
+    assert event.legs == (3,)
+    robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3, "source": "ben"})
+    assert robot.events(Kind.SOURCE_CHANGED)[-1].detail == "leg 3 is commanded by ben, and was by 0123abc"
+    assert [each.source for each in robot.conductor.state().legs] == [None, None, "ben", None, None, None]
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    assert len(robot.events(Kind.SOURCE_CHANGED)) == 2, "a stopped leg is taken from nobody"
+    await asyncio.sleep(1)
+    assert robot.conductor.state().legs[2].source is None, "the watchdog has stopped it"
+
+
+@pytest.mark.parametrize("stop", ["delete", "put"])
+async def test_a_stop_without_a_name_takes_a_leg_from_nobody(stop: str) -> None:
+    """A delete carries no name: it may be that of the script whose setpoints had one."""
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="my script"))
+    if stop == "delete":
+        robot.put(LEG_3, verb=Verb.DELETE)
+    else:
+        robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3})
+    assert not robot.events(Kind.SOURCE_CHANGED)
+    assert robot.conductor.state().legs[2].source is None
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="my script"))
+    robot.put(LEG_3, leg("set", 1, 2, 3))
+    (event,) = robot.events(Kind.SOURCE_CHANGED)
+    assert event.detail == "leg 3 is commanded by somebody without a name, and was by my script", "it moves"
+
+
+async def test_a_fight_for_a_leg_is_told_ten_times_a_second_and_source() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    for number in range(100):
+        await asyncio.sleep(0.005)
+        robot.put(LEG_3, leg("set", 1, 2, 3, source=("anna", "ben")[number % 2]))
+    events = robot.events(Kind.SOURCE_CHANGED)
+    assert [len([e for e in events if e.source == name]) for name in ("anna", "ben")] == [10, 10]
+    await asyncio.sleep(0.2)
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    await asyncio.sleep(0.5)
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    robot.put(LEG_3, leg("set", 1, 2, 3, source="ben"))
+    assert robot.events(Kind.SOURCE_CHANGED)[-1].left_out == 40
+
+
+async def test_no_kind_of_event_is_left_out_for_another_kinds_sake() -> None:
+    """Two people fight for a leg, and then one of them takes the lease and calibrates."""
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
+    for number in range(40):
+        robot.put(LEG_3, leg("set", 1, 2, 3, source=("ben", "anna")[number % 2]))
+        robot.put(LEG_3, b"{", source="ben")
+    assert robot.lease("acquire", "anna").accepted
+    token = robot.lease("take", "ben").lease
+    assert token is not None
+    robot.calibrate({"servos": {"41": {"trim_deg": 1}}, "source": "ben", "lease": token})
+    for kind in (Kind.LEASE_ACQUIRED, Kind.LEASE_TAKEN, Kind.CALIBRATED):
+        assert [event.left_out for event in robot.events(kind)] == [0], kind
+    await asyncio.sleep(1)
+    robot.put(LEG_3, b"{", source="ben")
+    assert robot.events()[-1].left_out == 30, "of its own kind alone"
+
+
+async def test_many_made_up_names_hide_no_other_kind_and_bring_no_more_than_their_share() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    for number in range(2000):
+        robot.lease("ask", f"nobody {number}")  # rejected: nobody holds it
+    assert len(robot.events(Kind.COMMAND_REJECTED)) <= (SOURCES + 1) * TOLD_PER_S
+    robot.lease("acquire", "anna")
+    robot.lease("take", "ben")
+    assert [event.kind for event in robot.events()[-2:]] == [Kind.LEASE_ACQUIRED, Kind.LEASE_TAKEN]
+
+
+@pytest.mark.parametrize(("payload", "source"), [
+    (b'{"source": "anna", "why": ["smoke"]}', "anna"),
+    (b'{"source": 7}', "0123abc"),
+    (b'{"source": "' + b"x" * 65 + b'"}', "0123abc"),
+    (b"\xff", "0123abc"),
+])  # fmt: skip
+async def test_who_requested_an_emergency_stop_is_told(payload: bytes, source: str) -> None:
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(keys.ESTOP, payload, source="0123abc")
+    assert robot.events(Kind.ESTOP_ENGAGED)[0].source == source
+    assert robot.conductor.state().estop_source == source
+
+
+async def test_rejections_are_told_ten_times_a_second_and_source_and_counted_in_full() -> None:
+    robot = await started_and_quiet()
+    for _ in range(100):
+        robot.put(LEG_3, b"{", source="noisy")
+        robot.put(LEG_3, b"{", source="other") if robot.conductor.metrics.rejected.total() == 51 else None
+        await asyncio.sleep(0.001)
+    assert len([event for event in robot.events() if event.source == "noisy"]) == 10
+    assert len([event for event in robot.events() if event.source == "other"]) == 1
+    await asyncio.sleep(1)
+    robot.put(LEG_3, b"{", source="noisy")
+    assert robot.events()[-1].left_out == 90
+    assert "90" not in robot.events()[-1].detail
+    assert robot.conductor.state().commands.rejected == 102
+
+
+async def test_a_rejection_names_the_legs_of_its_command_and_none_where_it_could_not_be_read() -> None:
+    robot = await started_and_quiet(limits={"max_age_ms": 100})
+    setpoint = {"servos": [servo("set", 90)] * 3}
+    robot.put(keys.LEGS_COMMAND, {"legs": {"5": setpoint, "2": setpoint}})
+    robot.put(keys.servo_command(41), servo("set", 90))
+    robot.put(LEG_3, b"{")
+    robot.put(LEG_3, leg("start", 1, 1, 181))
+    robot.put("hexapod/leg/7/cmd", leg("start", 1, 1, 1), target=None)
+    robot.put(keys.RESET, b"{")
+    robot.calibrate({"servos": {"41": {"trim_deg": 1}}, "landing": {"11": 45}, "revision": 9})
+    assert [event.legs for event in robot.events(Kind.COMMAND_REJECTED)] == [(2, 5), (4,), (), (), (), (), (1, 4)]
+    robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=1000.0))
+    await asyncio.sleep(0.2)
+    robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=1001.0))
+    assert [(event.reason, event.legs) for event in robot.events()[-1:]] == [(Reason.STALE, (3,))]
+
+
+@pytest.mark.parametrize(("scope", "legs"), [("leg", [(2,), (5,)]), ("robot", [tuple(LEGS), tuple(LEGS)])])
+async def test_a_watchdog_event_names_the_legs_that_are_stopped(scope: str, legs: list[tuple[int, ...]]) -> None:
+    robot = await started_and_quiet(watchdog={"scope": scope})
+    setpoint = {"servos": [servo("start", 90)] * 3}
+    robot.put(keys.LEGS_COMMAND, {"legs": {"5": setpoint, "2": setpoint}})
+    await asyncio.sleep(1)
+    assert [event.legs for event in robot.events(Kind.WATCHDOG_EXPIRED)] == legs
+
+
+async def test_the_state_says_what_was_last_written() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 1, 2, 3.25))
+    await asyncio.sleep(0.1)
+    state = robot.conductor.state()
+    third = state.legs[2]
+    assert (third.leg, third.watchdog) == (3, WatchdogState.ARMED)
+    assert third.age_ms == pytest.approx(100)
+    assert [(report.id, report.running, report.angle_deg) for report in third.servos] == [
+        (31, True, 1.0),
+        (32, True, 2.0),
+        (33, True, 3.25),
+    ]
+    assert state.legs[0].age_ms is None
+    assert state.commands.accepted == 1
+    assert state.spi.frames == 6 * 4 + 1
+
+
+async def test_an_answer_that_cannot_be_sent_harms_nobody() -> None:
+    robot: Robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 1, 2, 3), verb=Verb.GET, reply=lambda _: None)
+    assert robot.controller.energised == {31, 32, 33}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    "key", ["hexapod/leg/{}/cmd", "hexapod/{}/cmd", "hexapod/" + "x" * 86 + "{}/cmd", "{0}/{0}/cmd"]
+)
+async def test_a_rejection_repeats_no_token_that_stands_in_a_key(key: str) -> None:
+    robot = Robot()
+    token = "0123456789abcdef" * 2
+    ack = robot.ask(key.format(token), {})
+    robot.conductor.answers.reject_unread(key.format(token), None, "nothing reads this key")
+    rejections = robot.events(Kind.COMMAND_REJECTED)
+    assert len(rejections) == 2
+    assert not any(token in report.model_dump_json() for report in (ack, *rejections))

@@ -1,0 +1,398 @@
+"""Watchdog, emergency stop, faults and the end, from a received message to the controller, in virtual time."""
+
+import asyncio
+from itertools import pairwise
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.robot.core.message import Verb
+from gateway.robot.protocol.frames import STOP, OneServo, Op, stop_leg
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.runtime.conductor import REOPEN_S
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.robot import MS, Robot, leg, servo, started, started_and_quiet
+
+pytestmark = pytest.mark.virtual_time
+
+LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
+START = leg("start", 90, 90, 90)
+ALL_STOPS = [stop_leg(number) for number in LEGS]
+
+
+async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.2)
+    robot.put(LEG_3, leg("set", 91, 91, 91))
+    await asyncio.sleep(1)
+    (last_ms, _), *stops = robot.frames[1:]
+    assert [frame for _, frame in stops] == [stop_leg(3)] * 4
+    assert [at_ms - last_ms for at_ms, _ in stops] == pytest.approx([250, 270, 290, 310], abs=0.01)
+    (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
+    assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
+    state = robot.conductor.state()
+    assert state.legs[2].watchdog == "expired"
+    assert state.watchdog.expirations == 1
+    assert state.watchdog.stop_latency_us.max is not None
+
+
+async def test_rejected_commands_do_not_feed_the_watchdog() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    for _ in range(30):
+        await asyncio.sleep(0.01)
+        robot.put(LEG_3, b"{")
+        robot.put(LEG_3, leg("start", 90, 90, 181))
+        robot.put(LEG_1, leg("set", 1, 1, 1))
+    assert robot.frames[1][1] == stop_leg(3)
+    assert robot.frames[1][0] - robot.frames[0][0] == pytest.approx(250, abs=0.01)
+
+
+async def test_after_the_watchdog_only_a_start_moves_and_it_ends_the_repeats() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.255)
+    assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
+    assert robot.ask(LEG_3, START).accepted
+    for _ in range(10):
+        await asyncio.sleep(0.02)
+        robot.put(LEG_3, leg("set", 1, 1, 1))
+    assert [frame.is_stop for _, frame in robot.frames[:3]] == [False, True, False]
+    assert not any(frame.is_stop for _, frame in robot.frames[3:])
+
+
+async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latches() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.001)
+    waiting = robot.get(LEG_3, leg("set", 10, 10, 10))
+    ack = robot.ask(keys.ESTOP, b"\xff garbage", encoding="image/png", size=10_000)
+    assert (ack.accepted, ack.stop_frames, ack.estop) == (True, 6, 1)
+    assert ack.latency_us is not None
+    assert [frame for _, frame in robot.frames[1:]] == ALL_STOPS
+    assert [answer.reason for answer in waiting] == [Reason.ESTOPPED]
+    assert robot.ask(LEG_3, START).reason == Reason.ESTOPPED
+    assert robot.ask(LEG_3, leg("stop")).reason == Reason.ESTOPPED
+    again = robot.ask(keys.ESTOP)
+    assert (again.stop_frames, again.estop) == (6, 2), "engaging twice sends the Stops again"
+    assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [Kind.ESTOP_ENGAGED]
+    await asyncio.sleep(1)
+    assert robot.ask(keys.RESET, {"estop": robot.conductor.state().estop, "source": "anna", "sent_ms": 1}).accepted
+    assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
+    assert robot.ask(LEG_3, START).accepted
+    assert robot.events()[-2].kind == Kind.ESTOP_RESET
+
+
+async def test_a_reset_with_nothing_latched_is_accepted_and_changes_nothing() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    assert robot.ask(keys.RESET).accepted
+    assert robot.ask(keys.RESET, {"force": True}).reason == Reason.INVALID
+    assert robot.controller.energised == {31, 32, 33}
+
+
+@pytest.mark.parametrize("each_takes_ms", [0, 3])
+@pytest.mark.parametrize("reset", [{"estop": 1}, {}])
+async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
+    each_takes_ms: int, reset: dict[str, int]
+) -> None:
+    robot = await started_and_quiet()
+    robot.each_takes_ns = each_takes_ms * MS
+    robot.put_later(LEG_1, START)
+    robot.put_later(keys.ESTOP)
+    robot.put_later(keys.RESET, reset)
+    robot.conductor.tick()
+    assert robot.mode == Mode.ESTOPPED
+
+
+async def test_a_reset_leaves_only_the_latest_emergency_stop() -> None:
+    robot = await started_and_quiet()
+    assert robot.conductor.state().estop == 0
+    robot.put(keys.ESTOP)
+    robot.put(keys.ESTOP)
+    older = robot.ask(keys.RESET, {"estop": 1})
+    assert (older.reason, older.detail) == (
+        Reason.ESTOPPED,
+        "a newer emergency stop was requested: estop is 1, and the latest is 2",
+    )
+    for payload in (b"", b"{}", {"source": "anna"}):
+        assert robot.ask(keys.RESET, payload).reason == Reason.ESTOPPED
+    await asyncio.sleep(1.99)
+    assert robot.ask(keys.RESET).reason == Reason.ESTOPPED
+    assert robot.mode == Mode.ESTOPPED
+    await asyncio.sleep(0.01)
+    assert robot.ask(keys.RESET).accepted
+
+
+async def test_of_a_put_and_a_get_of_one_key_nobody_knows_which_is_older() -> None:
+    robot = await started_and_quiet()
+    robot.put_later(LEG_3, leg("stop"))
+    (rejected,) = robot.get(LEG_3, START)
+    assert rejected.reason == Reason.SERVO_STOPPED
+    assert not robot.controller.energised
+    await asyncio.sleep(0.1)
+    robot.put_later(LEG_3, leg("stop"))
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == {31, 32, 33}, "two of one channel are in order"
+
+
+async def test_a_servo_that_is_stopped_again_and_again_does_not_keep_its_legs_others_running() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    for _ in range(30):
+        await asyncio.sleep(0.01)
+        robot.put(keys.servo_command(32), {"op": "stop"})
+        robot.put(keys.servo_command(31), verb=Verb.DELETE)
+        robot.put(LEG_1, leg("start", 90, 90, 90))
+    assert robot.controller.energised == {11, 12, 13}
+    (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
+    assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
+
+
+async def test_a_start_of_an_instant_that_is_still_open_does_not_come_after_its_stop() -> None:
+    robot = await started_and_quiet()
+    instant_open = True
+    robot.conductor.instant_open = lambda: instant_open
+    robot.put(keys.servo_command(31), servo("stop"))
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == set()
+    instant_open = False
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == {31, 32, 33}
+
+
+# ---- messages that were lost in a flood of their key
+
+
+def lost(robot: Robot, key: str) -> None:
+    robot.put_later(key, verb=Verb.LOST)
+
+
+@pytest.mark.parametrize("left", [[], [leg("set", 1, 1, 1)], [b"{"], [leg("start", 200, 1, 1)]])
+@pytest.mark.parametrize("key", [LEG_3, keys.LEGS_COMMAND, keys.servo_command(32)])
+async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left: list[object]) -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_1, START)
+    robot.put(LEG_3, START)
+    lost(robot, key)
+    for payload in left:
+        robot.put_later(key, payload)
+    robot.conductor.tick()
+    named = {LEG_3: {31, 32, 33}, keys.LEGS_COMMAND: {11, 12, 13, 31, 32, 33}}.get(key, {32})
+    assert robot.controller.energised == {11, 12, 13, 31, 32, 33} - named
+    (event,) = robot.events(Kind.OVERFLOW)
+    assert (event.reason, event.key, event.source) == (Reason.OVERFLOW, key, None)
+    assert event.legs == tuple(sorted({servo_id // 10 for servo_id in named}))
+    assert "lost on the way to the gateway" in event.detail
+    await asyncio.sleep(0.1)
+    for servo_id in (11, 12, 13, 31, 32, 33):
+        robot.put(keys.servo_command(servo_id), servo("start", 5))
+        await asyncio.sleep(0.02)
+    assert robot.controller.energised == {11, 12, 13, 31, 32, 33}, "it may be started again"
+
+
+async def test_a_start_that_is_newer_than_what_was_lost_keeps_its_servos_running() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.transfers.clear()
+    lost(robot, LEG_3)
+    robot.put_later(LEG_3, START)
+    robot.put(LEG_3, leg("set", 80, 80, 80))
+    assert robot.controller.energised == {31, 32, 33}
+    assert not [frame for _, frame in robot.frames if frame.is_stop]
+    assert not robot.events(Kind.OVERFLOW)
+    lost(robot, LEG_3)
+    robot.put(LEG_3, {"servos": [servo("start", 1), servo("set", 1), servo("set", 1)]})
+    assert robot.controller.energised == {31}
+
+
+async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_for_it() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, leg("start", 90, 90, 90, source="anna"))
+    waiting = robot.get(LEG_3, leg("set", 91, 91, 91, source="anna"))
+    assert not waiting, "its leg's rate slot has not come"
+    robot.controller.transfers.clear()
+    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
+    robot.conductor.tick()
+    assert [frame for _, frame in robot.frames] == [stop_leg(3)]
+    assert [ack.reason for ack in waiting] == [Reason.OVERFLOW]
+    assert not robot.events(Kind.SOURCE_CHANGED)
+    state = robot.conductor.state()
+    assert state.legs[2].source is None
+    assert (state.commands.overflows, state.commands.lost) == (1, 50)
+    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
+    robot.conductor.tick()
+    assert len(robot.events(Kind.OVERFLOW)) == 1, "nothing ran any more"
+    assert robot.conductor.state().commands.overflows == 2
+
+
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
+async def test_a_start_by_another_way_does_not_undo_a_stop_that_may_have_been_lost(verb: Verb) -> None:
+    """Nobody knows which of the two is older."""
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    lost(robot, LEG_3)
+    other = keys.servo_command(31) if verb is Verb.PUT else LEG_3
+    robot.put(other, servo("start", 1) if verb is Verb.PUT else START, verb=verb)
+    assert robot.controller.energised == set()
+
+
+# ---- faults
+
+
+@pytest.mark.parametrize(("count", "for_ms"), [(1, 0), (10, 0), (0, 5000)])
+async def test_a_failing_bus_is_reopened_with_pauses_and_all_legs_stopped(count: int, for_ms: float) -> None:
+    robot = await started_and_quiet()
+    for number in LEGS:
+        robot.put(keys.leg_command(number), START)
+    await asyncio.sleep(0.001)
+    waiting = robot.get(LEG_3, leg("set", 10, 10, 10))
+    opened_before = len(robot.openings_ns)
+    robot.controller.transfers.clear()
+    fault_ns = robot.now_ns()
+    robot.controller.fail_next(count)
+    if for_ms:
+        robot.controller.fail_for_ms(for_ms)
+    rejected = robot.ask(keys.servo_command(11), {"op": "stop"})
+    assert rejected.reason == Reason.BUS_FAULT
+    assert [answer.reason for answer in waiting] == [Reason.BUS_FAULT]
+    assert robot.mode == Mode.BUS_FAULT
+    assert robot.ask(LEG_1, START).reason == Reason.BUS_FAULT
+    await asyncio.sleep(12)
+    assert robot.mode == Mode.IDLE
+    assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [
+        Kind.BUS_FAULT,
+        Kind.BUS_RECOVERED,
+    ]
+    # Nothing old is sent: the first that the controller hears again is a Stop, and so is everything else.
+    assert {frame for _, frame in robot.frames} - {OneServo(11, STOP)} == set(ALL_STOPS)
+    assert robot.controller.energised == set()
+    openings_ns = robot.openings_ns[opened_before:]
+    assert openings_ns[0] - fault_ns <= 100 * MS
+    pauses = [(later - earlier) / MS for earlier, later in pairwise([fault_ns, *openings_ns])]
+    assert pauses == pytest.approx([20] * len(pauses), abs=0.1), "no leg is known to be stopped meanwhile"
+    assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
+    assert robot.ask(LEG_3, START).accepted
+
+
+async def test_when_one_stop_fails_the_others_are_still_written() -> None:
+    robot = await started_and_quiet()
+    for number in LEGS:
+        robot.put(keys.leg_command(number), START)
+    robot.controller.fail_next(1)
+    ack = robot.ask(keys.ESTOP)
+    assert ack.stop_frames == 6, "also the one that failed"
+    assert robot.mode == Mode.BUS_FAULT
+    assert robot.controller.energised == set()
+    before = len(robot.frames)
+    await asyncio.sleep(REOPEN_S + 0.001)
+    assert [frame for _, frame in robot.frames[before:]] == ALL_STOPS
+    assert robot.mode == Mode.ESTOPPED
+
+
+async def test_an_emergency_stop_stays_latched_through_a_fault_and_tries_the_bus_at_once() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.fail_for_ms(300)
+    robot.put(LEG_3, leg("stop"))
+    assert robot.mode == Mode.BUS_FAULT
+    openings = len(robot.openings_ns)
+    ack = robot.ask(keys.ESTOP)
+    assert (ack.accepted, ack.stop_frames) == (True, 0)
+    assert len(robot.openings_ns) == openings + 1
+    assert robot.ask(keys.RESET).reason == Reason.BUS_FAULT
+    await asyncio.sleep(1)
+    assert robot.mode == Mode.ESTOPPED
+    assert robot.controller.energised == set()
+    assert robot.ask(LEG_3, START).reason == Reason.ESTOPPED
+
+
+async def test_an_emergency_stop_during_a_fault_that_has_just_ended_stops_at_once() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.fail_next(1)
+    robot.put(LEG_3, leg("stop"))
+    ack = robot.ask(keys.ESTOP)
+    assert ack.stop_frames == 6
+    assert robot.mode == Mode.ESTOPPED
+
+
+async def test_a_controller_that_hears_nothing_for_a_while_gets_the_repeats() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.silent_for_ms(270)
+    await asyncio.sleep(0.26)
+    assert robot.controller.energised == {31, 32, 33}
+    await asyncio.sleep(0.05)
+    assert robot.controller.energised == set()
+
+
+async def test_a_bus_that_cannot_be_opened_at_the_start_ends_the_start() -> None:
+    robot = Robot()
+    robot.controller.fail_next(100)
+    with pytest.raises(SpiError):
+        robot.conductor.start()
+
+
+# ---- the end
+
+
+async def test_the_end_stops_all_legs_repeats_it_and_rejects_everything() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    waiting = robot.get(LEG_3, leg("set", 1, 1, 1))
+    robot.conductor.shut_down()
+    assert [frame for _, frame in robot.frames[1:]] == ALL_STOPS
+    assert [answer.reason for answer in waiting] == [Reason.STOPPING]
+    assert robot.ask(LEG_3, START).reason == Reason.STOPPING
+    assert robot.ask(keys.ESTOP).stop_frames == 6
+    await asyncio.wait_for(robot.conductor.done.wait(), 1)
+    assert sum(frame.is_stop for _, frame in robot.frames) == 6 + 6 + 6 * 3
+    assert robot.mode == Mode.STOPPING
+
+
+async def test_the_end_during_a_fault_tries_once_more() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.fail_next(1)
+    robot.put(LEG_3, leg("stop"))
+    robot.conductor.shut_down()
+    assert robot.controller.energised == set()
+
+
+async def test_the_end_with_a_dead_bus_does_not_wait() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.fail_for_ms(60_000)
+    robot.put(LEG_3, leg("stop"))
+    robot.conductor.shut_down()
+    await asyncio.wait_for(robot.conductor.done.wait(), 0.001)
+    assert robot.mode == Mode.STOPPING
+
+
+async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_after_each_fault() -> None:
+    robot = started(spi={"framing": "length-prefixed"})
+    first = [data for _, data in robot.controller.transfers][:18]
+    assert first == [*Framing.LENGTH_PREFIXED.preamble, b"\x0e", stop_leg(1).to_bytes()]
+    await asyncio.sleep(1)
+    robot.put(LEG_3, START)
+    assert robot.controller.energised == {31, 32, 33}
+    robot.controller.transfers.clear()
+    robot.controller.fail_next(1)
+    robot.put(LEG_3, leg("set", 91, 91, 91))
+    await asyncio.sleep(0.1)
+    assert [data for _, data in robot.controller.transfers][:18] == first
+    assert robot.controller.energised == set()
+    assert robot.controller.corruptions.total() == 0
+
+
+async def test_no_servo_is_energised_by_anything_but_a_start() -> None:
+    robot = await started_and_quiet()
+    for op in ("set", "stop"):
+        robot.put(LEG_3, leg(op, *([90] * 3 if op == "set" else [])))
+    robot.put(keys.RESET)
+    assert robot.controller.energised == set()
+    assert not any(op.op is Op.START for _, frame in robot.frames for _, op in frame.servos)

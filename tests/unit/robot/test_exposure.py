@@ -1,0 +1,254 @@
+"""Which configurations let a stranger command the robot: rejected, unless somebody says that it is meant."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway.errors import ConfigError
+from gateway.robot.edge import exposure
+from gateway.robot.edge.session import service_config
+from gateway.robot.settings import ZenohSettings
+
+MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}
+
+
+def config(**settings: Any) -> zenoh.Config:
+    made = zenoh.Config()
+    for key, value in {"mode": "peer", **settings}.items():
+        made.insert_json5(key, json.dumps(value))
+    return made
+
+
+def rejected(*listen: str, **settings: Any) -> bool:
+    try:
+        exposure.check(config(**{"listen/endpoints": list(listen), **settings}), allow_insecure=False)
+    except ConfigError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/127.0.0.1:7447",
+        "tcp/127.8.9.10:7447",
+        "tcp/[::1]:7447",
+        "tcp/[::ffff:127.0.0.1]:7447",
+        "tcp/localhost:7447",
+        "udp/127.0.0.1:7447",
+        "ws/127.0.0.1:7447",
+        "tls/127.0.0.1:7447",
+        "tcp/127.0.0.1:7447#iface=lo",
+        "tcp/127.0.0.1:7447#bind=127.0.0.1:7448",
+        "tcp/127.0.0.1:7447?x=a:b",
+        "tcp/127.0.0.1:7447?rel=1",
+        "unixsock-stream//run/gateway.sock",
+    ],
+)
+def test_this_machine_alone_needs_nothing(endpoint: str) -> None:
+    assert not rejected(endpoint)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/0.0.0.0:7447",
+        "tcp/[::]:7447",
+        "tcp/[::ffff:192.0.2.7]:7447",
+        "tcp/192.0.2.7:7447",
+        "tcp/192.0.2.7:7447#iface=lo",
+        "tcp/169.254.1.2:7447",
+        "tcp/[fe80::1]:7447",
+        "udp/0.0.0.0:7447",
+        "ws/0.0.0.0:80",
+        "quic/0.0.0.0:7447",
+        "tls/0.0.0.0:7447",
+        "tcp/robot.local:7447",
+        "tcp/localhost.example.com:7447",
+        "tcp/127.0.0.1.example.com:7447",
+        "serial//dev/ttyUSB0",
+        "vsock/-1:17000",
+        "carrier-pigeon/127.0.0.1:1",
+    ],
+)
+def test_whatever_else_is_open_to_strangers(endpoint: str) -> None:
+    assert exposure.is_open_to_anyone(endpoint, config())
+    assert not exposure.is_local(endpoint)
+
+
+@pytest.mark.parametrize(
+    ("listen", "settings", "expected"),
+    [
+        (["tls/0.0.0.0:7447"], MTLS, False),
+        (["quic/0.0.0.0:7447"], MTLS, False),
+        (["tcp/0.0.0.0:7447"], MTLS, True),
+        (["tls/0.0.0.0:7447", "tcp/0.0.0.0:7448"], MTLS, True),
+        (["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"], MTLS, False),
+        (["tls/0.0.0.0:7447"], {**MTLS, "transport/link/tls/enable_mtls": False}, True),
+        (["tls/0.0.0.0:7447"], {"transport/link/tls/enable_mtls": True}, True),
+        (["tls/0.0.0.0:7447#enable_mtls=false"], MTLS, True),
+        (["tls/0.0.0.0:7447#root_ca_certificate_file=/mine.pem"], MTLS, True),
+    ],
+)
+def test_tls_with_client_certificates(listen: list[str], settings: dict[str, Any], expected: bool) -> None:
+    assert rejected(*listen, **settings) is expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("anna:secret\n", False), ("", True), ("\n\n", True), ("anna\n", True), (":secret\n", True), ("anna:\n", True)],
+)
+def test_passwords_and_that_an_empty_dictionary_is_none(tmp_path: Path, text: str, expected: bool) -> None:
+    users = tmp_path / "users.txt"
+    users.write_text(text)
+    assert rejected("tcp/0.0.0.0:7447", **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "expected"),
+    [
+        ("udp/224.0.0.225:7447", True),
+        ("udp/224.0.0.225:7447#iface=eth0", True),
+        ("udp/[ff02::1]:7447", True),
+        ("udp/[::ffff:224.0.0.225]:7447", True),
+        ("udp/group.example.com:7447", True),
+        ("udp/192.0.2.7:7447", False),
+        ("udp/[::]:7447", False),
+    ],
+)
+def test_nobody_asks_a_multicast_group_for_a_password(tmp_path: Path, endpoint: str, expected: bool) -> None:
+    users = tmp_path / "users.txt"
+    users.write_text("anna:secret\n")
+    assert rejected(endpoint, **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
+
+
+def test_endpoints_by_mode() -> None:
+    by_mode = {"listen/endpoints": {"peer": ["tcp/127.0.0.1:1"], "router": ["tcp/0.0.0.0:1"]}}
+    exposure.check(config(**by_mode), allow_insecure=False)
+    with pytest.raises(ConfigError):
+        exposure.check(config(**by_mode, mode="router"), allow_insecure=False)
+
+
+def test_the_rejection_says_how_to_go_on() -> None:
+    with pytest.raises(ConfigError) as error:
+        exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"]}), allow_insecure=False)
+    assert "\n" not in str(error.value)
+    for word in ("tcp/0.0.0.0:7447", "certs init", "zenoh.config", "zenoh.allow_insecure"):
+        assert word in str(error.value)
+
+
+def test_the_rejection_knows_that_there_are_certificates() -> None:
+    with pytest.raises(ConfigError, match="so write tls/ before the address") as error:
+        exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"], **MTLS}), allow_insecure=False)
+    assert "certs init" not in str(error.value)
+
+
+def test_allow_insecure_is_a_warning_each_time(caplog: pytest.LogCaptureFixture) -> None:
+    exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"]}), allow_insecure=True)
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert "anyone who reaches tcp/0.0.0.0:7447 can move the robot" in record.message
+
+
+def test_listening_nowhere_and_dialling_nobody_is_a_mistake() -> None:
+    with pytest.raises(ConfigError, match="nobody could reach the gateway"):
+        service_config(ZenohSettings(listen=()))
+    service_config(ZenohSettings(listen=(), connect=("tcp/127.0.0.1:7447",)))
+
+
+def test_what_makes_one_wonder_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    rule = {"id": "r", "permission": "deny", "flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"]}
+    odd = {"listen/endpoints": [], "connect/endpoints": ["tcp/192.0.2.1:7447"], "access_control": {"rules": [rule]}}
+    exposure.check(config(**odd), allow_insecure=False)
+    assert "192.0.2.1:7447 is dialled without TLS" in caplog.text
+    assert "access_control has rules, but is not enabled" in caplog.text
+
+
+NAME_UNCHECKED = {"transport/link/tls/verify_name_on_connect": False}
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "settings", "expected"),
+    [
+        ("tcp/192.0.2.1:7447", {}, True),
+        ("tcp/router.local:7447", MTLS, True),
+        ("tcp/127.0.0.1:7447", {}, False),
+        ("tls/192.0.2.1:7447", MTLS, False),
+        ("quic/192.0.2.1:7447", MTLS, False),
+        ("tls/192.0.2.1:7447", {**MTLS, **NAME_UNCHECKED}, True),
+        ("tls/192.0.2.1:7447#verify_name_on_connect=false", MTLS, True),
+    ],
+)
+def test_whom_it_dials(
+    caplog: pytest.LogCaptureFixture, endpoint: str, settings: dict[str, Any], expected: bool
+) -> None:
+    exposure.check(
+        config(**{"listen/endpoints": [], "connect/endpoints": [endpoint], **settings}), allow_insecure=False
+    )
+    assert ("is dialled without TLS" in caplog.text) is expected
+
+
+@pytest.mark.parametrize("way", ["multicast", "gossip"])
+@pytest.mark.parametrize(("links", "expected"), [(None, True), (["tls", "tcp"], True), (["tls", "quic"], False)])
+def test_dialling_whom_it_finds_is_said(
+    caplog: pytest.LogCaptureFixture, way: str, links: list[str] | None, expected: bool
+) -> None:
+    found = {"listen/endpoints": ["tcp/127.0.0.1:7447"], f"scouting/{way}/enabled": True}
+    exposure.check(config(**found, **{"transport/link/protocols": links}), allow_insecure=False)
+    assert ("dials whoever it finds" in caplog.text) is expected
+
+
+def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
+    made = service_config(ZenohSettings())
+    assert exposure.listen_endpoints(made) == ["tcp/127.0.0.1:7447"]
+    assert json.loads(made.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(made.get_json("scouting/gossip/enabled")) is False
+
+
+def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "zenoh.json5"
+    path.write_text("{ scouting: { multicast: { enabled: true } } }")
+    made = service_config(ZenohSettings(config=str(path)))
+    assert json.loads(made.get_json("scouting/multicast/enabled")) is True
+    assert json.loads(made.get_json("scouting/gossip/enabled")) is False
+    assert "dials whoever it finds" in caplog.text
+
+
+def test_rules_without_the_robots_namespace_are_rejected() -> None:
+    """Nobody could command that robot, nor stop it."""
+
+    def with_rules(*keys: str, enabled: bool = True, **more: Any) -> bool:
+        rule = {"id": "in", "permission": "allow", "flows": ["ingress"], "messages": ["put"], "key_exprs": list(keys)}
+        control = {"enabled": enabled, "default_permission": "deny", "rules": [rule], "subjects": [], "policies": []}
+        return rejected("tcp/127.0.0.1:7447", **{"access_control": control, "namespace": "robot-1", **more})
+
+    assert with_rules("hexapod/estop/cmd")
+    assert with_rules("robot-10/hexapod/estop/cmd")
+    assert not with_rules("robot-1/hexapod/estop/cmd")
+    assert not with_rules("**/hexapod/estop/cmd")
+    assert not with_rules("hexapod/estop/cmd", namespace=None)
+    assert not with_rules("robot-1/hexapod/estop/cmd", "@/router/**"), "one key of its own is enough"
+    assert not with_rules("hexapod/estop/cmd", enabled=False), "Zenoh ignores them"
+
+
+def test_no_message_is_put_together_beyond_the_limit(tmp_path: Path) -> None:
+    """Whatever the Zenoh file says; without one, too."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ transport: { link: { rx: { max_message_size: 400000000 } } } }")
+    for path in ("", str(file)):
+        made = service_config(ZenohSettings(config=path))
+        assert made.get_json("transport/link/rx/max_message_size") == "65536"
+
+
+def test_places_are_bounded(tmp_path: Path) -> None:
+    """With more, visitors would have all file descriptors; a Zenoh file may give them less."""
+    file = tmp_path / "zenoh.json5"
+    for said, there_are in (("", 64), ("max_sessions: 999", 64), ("max_sessions: 12", 12)):
+        file.write_text(f"{{ transport: {{ unicast: {{ {said} }} }} }}")
+        made = service_config(ZenohSettings(config=str(file)))
+        assert made.get_json("transport/unicast/max_sessions") == str(there_are)
+        assert made.get_json("transport/unicast/accept_timeout") == "2000"

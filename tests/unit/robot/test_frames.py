@@ -1,0 +1,282 @@
+"""Frames to bytes and back: the published vectors, one byte off, each field out of range, and every legal frame."""
+
+import json
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.robot.protocol.frames import (
+    STOP,
+    Frame,
+    FrameError,
+    OneLeg,
+    OneServo,
+    Op,
+    ServoOp,
+    centidegrees,
+    decode,
+    leg_of,
+    servo_ids_of,
+    stop_leg,
+)
+from schemas.robot import SERVO_IDS
+
+VECTORS: dict[str, Any] = json.loads((Path(__file__).parents[2] / "data" / "frames.json").read_text())
+LEGAL: list[dict[str, Any]] = VECTORS["legal"]
+ILLEGAL: list[dict[str, str]] = VECTORS["illegal"]
+
+START_90 = ServoOp(Op.START, 90_00)
+ONE_SERVO = bytes.fromhex("06 02 0b 01 5a 00")
+ONE_LEG = bytes.fromhex("0e 01 0b 01 5a 00 0c 02 00 00 0d 03 2d 00")
+NAMES_A_BYTE = re.compile(r"^byte \d+ is (missing|too many|\d+ \(0x[0-9a-f]{2}\))")
+
+servo_ops = st.one_of(
+    st.just(STOP), st.builds(ServoOp, st.sampled_from([Op.START, Op.SET]), st.integers(min_value=0, max_value=180_00))
+)
+frames: st.SearchStrategy[Frame] = st.one_of(
+    st.builds(OneServo, st.sampled_from(SERVO_IDS), servo_ops),
+    st.builds(OneLeg, st.integers(min_value=1, max_value=6), st.tuples(servo_ops, servo_ops, servo_ops)),
+)
+
+
+def servo_op(described: dict[str, Any]) -> ServoOp:
+    return ServoOp(Op[described["op"].upper()], centidegrees(described.get("angle_deg", 0)))
+
+
+def frame_of(vector: dict[str, Any]) -> Frame:
+    if vector["frame"] == "ONE LEG":
+        first, second, third = (servo_op(described) for described in vector["servos"])
+        return OneLeg(vector["leg"], (first, second, third))
+    return OneServo(vector["servo"], servo_op(vector))
+
+
+def with_byte(data: bytes, number: int, value: int) -> bytes:
+    """`data` with its byte `number`, counted from 1, replaced."""
+    return data[: number - 1] + bytes((value,)) + data[number:]
+
+
+def test_the_ids_are_leg_then_joint() -> None:
+    assert SERVO_IDS == (11, 12, 13, 21, 22, 23, 31, 32, 33, 41, 42, 43, 51, 52, 53, 61, 62, 63)
+    assert [leg_of(servo_id) for servo_id in SERVO_IDS] == [1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 5, 5, 5, 6, 6, 6]
+    assert servo_ids_of(3) == (31, 32, 33)
+
+
+@pytest.mark.parametrize("servo_id", [*range(-1, 11), 14, 20, 24, 64, 70, 71, 256 + 11])
+def test_ids_that_no_servo_has(servo_id: int) -> None:
+    with pytest.raises(FrameError, match=f"servo id is {servo_id}; a servo id is leg 1-6 then joint 1-3"):
+        leg_of(servo_id)
+    with pytest.raises(FrameError, match=f"servo id is {servo_id};"):
+        OneServo(servo_id, STOP)
+
+
+@pytest.mark.parametrize("leg", [-1, 0, 7, 11])
+def test_legs_that_do_not_exist(leg: int) -> None:
+    with pytest.raises(FrameError, match=f"leg is {leg}; it is 1 to 6"):
+        servo_ids_of(leg)
+    with pytest.raises(FrameError, match=f"leg is {leg}; it is 1 to 6"):
+        stop_leg(leg)
+
+
+@pytest.mark.parametrize("vector", LEGAL, ids=lambda vector: vector["bytes"])
+def test_legal_vectors_both_ways(vector: dict[str, Any]) -> None:
+    data = bytes.fromhex(vector["bytes"])
+    frame = frame_of(vector)
+    assert frame.to_bytes() == data
+    assert decode(data) == frame
+    assert type(frame).from_bytes(data) == frame
+
+
+@pytest.mark.parametrize("vector", ILLEGAL, ids=lambda vector: vector["why"])
+def test_illegal_vectors_are_rejected_by_name_of_the_byte(vector: dict[str, str]) -> None:
+    with pytest.raises(FrameError, match=NAMES_A_BYTE):
+        decode(bytes.fromhex(vector["bytes"]))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ("06 02 0e 01 5a 00", "byte 3 is 14 (0x0e); a servo id is leg 1-6 then joint 1-3, such as 13"),
+        ("06 02 0b 04 5a 00", "byte 4 is 4 (0x04); an OP is 1 (Start), 2 (Stop) or 3 (Set)"),
+        ("06 02 0b 03 b5 00", "byte 5 is 181 (0xb5); INT PART is 0 to 180 whole degrees"),
+        ("06 02 0b 03 b4 01", "byte 6 is 1 (0x01) after 180 whole degrees; the largest angle is 180.00"),
+        ("06 02 0b 03 5a", "byte 6 is missing; a ONE SERVO frame has 6 bytes"),
+        ("06 02 0b 03 5a 00 00", "byte 7 is too many; a ONE SERVO frame has 6 bytes, here are 7"),
+        ("", "byte 1 is missing; a frame starts with FRAME LEN and FRAME TYPE"),
+        ("06", "byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"),
+        (
+            "0e 01 0b 01 5a 00 0c 01 5a 00 17 01 5a 00",
+            "byte 11 is 23 (0x17) in place of 13; a ONE LEG frame holds joints 1, 2, 3 of one leg",
+        ),
+    ],
+)
+def test_messages(data: str, message: str) -> None:
+    with pytest.raises(FrameError) as rejection:
+        decode(bytes.fromhex(data))
+    assert str(rejection.value) == message
+
+
+@pytest.mark.parametrize("vector", LEGAL, ids=lambda vector: vector["bytes"])
+def test_one_byte_short_and_one_long(vector: dict[str, Any]) -> None:
+    data = bytes.fromhex(vector["bytes"])
+    with pytest.raises(FrameError, match=rf"^byte {len(data)} is missing"):
+        decode(data[:-1])
+    with pytest.raises(FrameError, match=rf"^byte {len(data) + 1} is too many"):
+        decode(data + b"\x00")
+
+
+@pytest.mark.parametrize("base", [ONE_SERVO, ONE_LEG], ids=["ONE SERVO", "ONE LEG"])
+def test_every_value_of_every_byte(base: bytes) -> None:
+    """Each byte takes all 256 values; what is accepted is what the specification lists, and else that byte is named."""
+    for number in range(1, len(base) + 1):
+        field, record = (number - 3) % 4, (number - 3) // 4
+        op = base[3 + 4 * record]
+        for value in range(256):
+            changed = with_byte(base, number, value)
+            if number <= 2:
+                legal = value == base[number - 1]
+            elif field == 0:
+                legal = value in SERVO_IDS if len(base) == 6 else value == base[number - 1]
+            elif field == 1:
+                legal = value in (1, 2, 3)
+            else:
+                legal = op == Op.STOP or value <= (180 if field == 2 else 99)
+            if legal:
+                decode(changed)
+            else:
+                named = number
+                if (number, value) in ((2, 1), (2, 2)):
+                    named = 1  # the other frame's type: it is FRAME LEN that does not fit
+                elif number == 3 and value in (21, 31, 41, 51, 61):
+                    named = 7  # another leg's joint 1: it is joint 2 that does not fit
+                with pytest.raises(FrameError, match=rf"^byte {named} is"):
+                    decode(changed)
+
+
+def test_the_largest_angle() -> None:
+    assert decode(bytes.fromhex("06 02 0b 03 b4 00")) == OneServo(11, ServoOp(Op.SET, 180_00))
+    assert decode(bytes.fromhex("06 02 0b 03 b3 63")) == OneServo(11, ServoOp(Op.SET, 179_99))
+
+
+@given(st.integers(0, 255), st.integers(0, 255))
+def test_the_angle_of_a_stop_has_no_meaning(whole_deg: int, hundredths: int) -> None:
+    """Read as anything, written as zero."""
+    frame = decode(bytes((6, 2, 32, 2, whole_deg, hundredths)))
+    assert frame == OneServo(32, STOP)
+    assert frame.to_bytes() == bytes.fromhex("06 02 20 02 00 00")
+
+
+@pytest.mark.parametrize("order", [(12, 11, 13), (13, 12, 11), (11, 13, 12), (21, 12, 13), (11, 11, 11)])
+def test_a_leg_in_another_order_is_rejected(order: tuple[int, int, int]) -> None:
+    data = bytes((14, 1)) + b"".join(bytes((servo_id, 1, 90, 0)) for servo_id in order)
+    with pytest.raises(FrameError, match=NAMES_A_BYTE):
+        decode(data)
+
+
+@pytest.mark.parametrize("leg", range(1, 7))
+def test_stop_leg_stops_three(leg: int) -> None:
+    frame = stop_leg(leg)
+    assert frame.is_stop
+    assert frame.servos == ((10 * leg + 1, STOP), (10 * leg + 2, STOP), (10 * leg + 3, STOP))
+
+
+def test_a_frame_is_a_stop_only_if_all_of_it_is() -> None:
+    assert OneServo(32, STOP).is_stop
+    assert not OneServo(32, START_90).is_stop
+    assert not OneLeg(1, (STOP, STOP, START_90)).is_stop
+    assert not OneLeg(1, (ServoOp(Op.SET, 0), STOP, STOP)).is_stop
+    assert OneServo(32, START_90).servos == ((32, START_90),)
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "expected"),
+    [(0, 0), (0.004, 0), (0.01, 1), (12.34, 12_34), (89.999, 90_00), (90.29, 90_29), (150.86, 150_86), (180, 180_00)],
+)
+def test_centidegrees(angle_deg: float, expected: int) -> None:
+    assert centidegrees(angle_deg) == expected
+
+
+@given(st.integers(0, 180_00))
+def test_every_hundredth_survives_the_way_over_a_float(angle_cdeg: int) -> None:
+    assert centidegrees(angle_cdeg / 100) == angle_cdeg
+    assert centidegrees(float(f"{angle_cdeg // 100}.{angle_cdeg % 100:02d}")) == angle_cdeg
+
+
+@given(st.floats(0, 180))
+def test_rounded_to_the_nearest(angle_deg: float) -> None:
+    assert abs(centidegrees(angle_deg) - 100 * angle_deg) <= 0.5
+
+
+@pytest.mark.parametrize("angle", [-1, 180_01, True, 90.0, "90", None])
+def test_an_angle_is_whole_hundredths_in_range(angle: Any) -> None:
+    with pytest.raises(FrameError, match="angle is"):
+        ServoOp(Op.SET, angle)
+
+
+@pytest.mark.parametrize("op", [0, 1, 2, 4, True, "stop", None])
+def test_an_operation_is_an_op(op: Any) -> None:
+    with pytest.raises(FrameError, match="operation is"):
+        ServoOp(op)
+
+
+def test_a_stop_has_no_angle() -> None:
+    with pytest.raises(FrameError, match="a Stop has none"):
+        ServoOp(Op.STOP, 1)
+
+
+@pytest.mark.parametrize("commands", [(), (STOP, STOP), (STOP,) * 4, [STOP] * 3, (STOP, STOP, None), STOP])
+def test_a_leg_takes_three_operations(commands: Any) -> None:
+    with pytest.raises(FrameError, match="commands are"):
+        OneLeg(1, commands)
+
+
+@pytest.mark.parametrize("bad", [True, 1.0, "1", None])
+def test_ids_and_legs_are_whole_numbers(bad: Any) -> None:
+    with pytest.raises(FrameError):
+        OneLeg(bad, (STOP, STOP, STOP))
+    with pytest.raises(FrameError):
+        OneServo(bad, STOP)
+    with pytest.raises(FrameError, match="it is a ServoOp"):
+        OneServo(11, bad)
+
+
+@given(frames)
+def test_every_legal_frame_survives_the_wire(frame: Frame) -> None:
+    data = frame.to_bytes()
+    assert data[0] == len(data)
+    assert decode(data) == frame
+    assert type(frame).from_bytes(data) == frame
+
+
+@given(st.binary(max_size=80))
+def test_arbitrary_bytes_are_a_frame_or_a_frame_error(data: bytes) -> None:
+    with suppress(FrameError):
+        assert len(decode(data).to_bytes()) == len(data)
+
+
+@given(frames, st.data())
+def test_a_frame_with_changed_bytes_is_a_frame_or_a_frame_error(frame: Frame, data: st.DataObject) -> None:
+    changed = bytearray(frame.to_bytes())
+    for number in data.draw(st.lists(st.integers(0, len(changed) - 1), min_size=1, max_size=3)):
+        changed[number] = data.draw(st.integers(0, 255))
+    try:
+        again = decode(bytes(changed)).to_bytes()
+    except FrameError:
+        return
+    for index, (one, other) in enumerate(zip(again, changed, strict=True)):
+        if one != other:  # only a Stop's angle may be read as something else than it is
+            assert (index - 2) % 4 >= 2
+            assert changed[index - (index - 2) % 4 + 1] == Op.STOP
+
+
+@given(st.binary(max_size=20))
+def test_from_bytes_reads_its_own_type_only(data: bytes) -> None:
+    for own, other in ((OneLeg, ONE_SERVO), (OneServo, ONE_LEG)):
+        with pytest.raises(FrameError, match=r"^byte 1 is"):
+            own.from_bytes(other)
+        with suppress(FrameError):
+            assert own.from_bytes(data) == decode(data)

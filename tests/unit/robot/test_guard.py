@@ -1,0 +1,213 @@
+"""The guard at the device's edge: a batch passes if and only if the framing makes all of it of legal frames."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.errors import SpiError
+from gateway.robot.protocol.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi import Batch, Transfer
+from gateway.robot.spi.guard import GuardedDevice, IllegalTransferError
+from gateway.robot.spi.simulator import SimulatedController
+from schemas.robot import LEGS, SERVO_IDS
+from tests.support.unshared import UnsharedDevice
+from tests.unit.robot.test_frames import ILLEGAL, frames
+
+PREFIXED = Framing.LENGTH_PREFIXED
+STOP_1 = stop_leg(1).to_bytes()
+START_11 = OneServo(11, ServoOp(Op.START, 90_00)).to_bytes()
+STOP_WITH_ANGLE = bytes.fromhex("06 02 20 02 5a 00")
+ZERO = b"\0"
+
+
+class Recorder(UnsharedDevice):
+    """An SPI device that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.batches: list[Batch] = []
+        self.closed = 0
+
+    def transfer(self, batch: Batch) -> None:
+        self.batches.append(batch)
+
+    def stop_servos_at_work(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def passes(framing: Framing, *data: bytes) -> bool:
+    """Whether a batch of these transfers reaches the device; as a whole, or not at all."""
+    device = Recorder()
+    batch = [Transfer(each, 7) for each in data]
+    try:
+        GuardedDevice(device, framing).transfer(batch)
+    except IllegalTransferError:
+        assert device.batches == []
+        return False
+    assert device.batches == [batch]
+    return True
+
+
+def is_canonical(data: bytes) -> bool:
+    try:
+        return decode(data).to_bytes() == data
+    except FrameError:
+        return False
+
+
+def legal(framing: Framing, data: list[bytes]) -> bool:
+    """The rule, said in another way: cut into zeros and frames, nothing is left."""
+    left = list(data)
+    while left:
+        first = left.pop(0)
+        if framing is PREFIXED:
+            if first == ZERO:
+                continue
+            if not (left and len(first) == 1 and first[0] == len(left[0])):
+                return False
+            first = left.pop(0)
+        if not is_canonical(first):
+            return False
+    return True
+
+
+bytes_near_a_frame = st.one_of(
+    st.binary(max_size=20),
+    st.builds(
+        lambda frame, index, value: bytes(value if i == index else byte for i, byte in enumerate(frame.to_bytes())),
+        frames,
+        st.integers(0, 13),
+        st.integers(0, 255),
+    ),
+)
+parts = st.one_of(
+    frames.map(lambda frame: [frame.to_bytes()]),
+    frames.map(lambda frame: list(PREFIXED.transfers(frame.to_bytes()))),
+    bytes_near_a_frame.map(lambda data: [data]),
+    bytes_near_a_frame.map(lambda data: [bytes((min(len(data), 255),)), data]),
+    st.sampled_from([[ZERO], [ZERO] * 16, [b"\x06"], [b"\x0e"], [bytes(16)], [STOP_1], [START_11]]),
+)
+
+
+@given(st.lists(parts, min_size=1, max_size=6), st.sampled_from(Framing))
+def test_legal_frames_pass_and_nothing_else(batch: list[list[bytes]], framing: Framing) -> None:
+    data = [each for part in batch for each in part]
+    assert passes(framing, *data) is legal(framing, data)
+
+
+@given(bytes_near_a_frame)
+def test_one_transfer(data: bytes) -> None:
+    assert passes(Framing.PLAIN, data) is is_canonical(data)
+    assert passes(PREFIXED, data) is (data == ZERO)
+    for announced in (6, 14):
+        assert passes(PREFIXED, bytes((announced,)), data) is (is_canonical(data) and len(data) == announced)
+
+
+def test_the_two_lengths_that_may_be_announced() -> None:
+    for length in range(1, 256):
+        body = START_11 if length == 6 else STOP_1
+        assert passes(PREFIXED, bytes((length,)), body) is (length in (6, 14))
+
+
+def test_an_announcement_and_its_body_are_in_one_batch() -> None:
+    assert not passes(PREFIXED, b"\x0e")
+    assert not passes(PREFIXED, b"\x0e", STOP_1, b"\x06")
+    assert not passes(PREFIXED, STOP_1)
+    assert not passes(PREFIXED, b"\x0e", ZERO)
+    assert passes(PREFIXED, ZERO, b"\x0e", STOP_1, ZERO)
+
+
+@given(st.lists(frames, max_size=5))
+def test_all_that_a_framing_makes_passes(sent: list[Frame]) -> None:
+    for framing in Framing:
+        expected = [data for frame in sent for data in framing.transfers(frame.to_bytes())]
+        assert passes(framing, *framing.preamble, *expected)
+
+
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("vector", ILLEGAL, ids=lambda vector: vector["why"])
+def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, vector: dict[str, str]) -> None:
+    data = bytes.fromhex(vector["bytes"])
+    announcement = [b"\x0e" if len(data) == 14 else b"\x06"] if framing is PREFIXED else []
+    assert not passes(framing, *announcement, data)
+    assert not passes(framing, *framing.transfers(STOP_1), *announcement, data)
+    assert not passes(framing, *announcement, data, *framing.transfers(STOP_1))
+
+
+@pytest.mark.parametrize("op", [Op.START, Op.SET])
+@pytest.mark.parametrize(
+    ("angle_cdeg", "avoided"), [(0, False), (99, False), (1_00, True), (2_50, True), (3_99, True), (4_00, False)]
+)
+def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle_cdeg: int, *, avoided: bool) -> None:
+    servo, elsewhere = ServoOp(op, angle_cdeg), ServoOp(op, 90_00)
+    for frame in (
+        OneServo(63, servo),
+        OneLeg(6, (servo, elsewhere, elsewhere)),
+        OneLeg(6, (elsewhere, STOP, servo)),
+    ):
+        batch = [Transfer(data, 0) for each in (stop_leg(1), frame) for data in PREFIXED.transfers(each.to_bytes())]
+        GuardedDevice(Recorder(), PREFIXED).transfer(batch)
+        device = Recorder()
+        guarded = GuardedDevice(device, PREFIXED, (1_00, 4_00))
+        if avoided:
+            with pytest.raises(IllegalTransferError, match=f"to {angle_cdeg / 100:g} degrees, which is never sent"):
+                guarded.transfer(batch)
+        else:
+            guarded.transfer(batch)
+        assert device.batches == ([] if avoided else [batch])
+
+
+def test_no_stop_is_rejected_for_its_angle() -> None:
+    """A Stop's angle is written as 0, which this interval contains."""
+    stops: list[Frame] = [*(stop_leg(leg) for leg in LEGS), *(OneServo(servo, STOP) for servo in SERVO_IDS)]
+    for stop in stops:
+        device = Recorder()
+        GuardedDevice(device, Framing.PLAIN, (0, 180_01)).transfer([Transfer(stop.to_bytes(), 0)])
+        assert len(device.batches) == 1
+
+
+def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
+    with pytest.raises(IllegalTransferError, match="06 02 20 02 00 00"):
+        GuardedDevice(Recorder(), Framing.PLAIN).transfer([Transfer(STOP_WITH_ANGLE, 0)])
+
+
+def test_plain_has_no_preamble_and_no_announcements() -> None:
+    for data in (ZERO, bytes(16), b"\x0e", b"\x06", b""):
+        assert not passes(Framing.PLAIN, data)
+
+
+@pytest.mark.parametrize("zeros", [bytes(length) for length in range(2, 20)], ids=len)
+def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> None:
+    assert not passes(PREFIXED, zeros)
+    assert not passes(PREFIXED, ZERO, zeros)
+    for announcement in (b"\x06", b"\x0e"):
+        assert not passes(PREFIXED, announcement, zeros)
+
+
+def test_a_device_s_fault_comes_through_and_changes_nothing() -> None:
+    controller = SimulatedController(PREFIXED)
+    guarded = GuardedDevice(controller, PREFIXED)
+    batch = [Transfer(data, 0) for data in (b"\x0e", STOP_1)]
+    controller.fail_next(1)
+    with pytest.raises(SpiError):
+        guarded.transfer(batch)
+    guarded.transfer(batch)
+    assert controller.executed == 1
+
+
+def test_a_bug_is_not_an_spi_error() -> None:
+    """Else a bug would be taken for a fault of the bus, and tried again for ever."""
+    assert not issubclass(IllegalTransferError, SpiError)
+    assert issubclass(IllegalTransferError, RuntimeError)
+
+
+def test_the_rest_is_the_device_s() -> None:
+    device = Recorder()
+    guarded = GuardedDevice(device, Framing.PLAIN)
+    guarded.close()
+    assert device.closed == 1
+    assert guarded.stop_servos_at_work()
+    assert guarded.most_transfers == device.most_transfers

@@ -1,0 +1,335 @@
+"""From bytes to what somebody wants, or why not: each rule by its own sentence, and any bytes at all."""
+
+import json
+from decimal import Decimal
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from gateway.robot.core.intake import Intent, Rejection, decode, stop_all_of, too_large
+from gateway.robot.protocol.frames import STOP as STOP_OP
+from gateway.robot.protocol.frames import Op, ServoOp
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.keys import ESTOP, CommandKey
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Reason
+from tests.fuzz.targets import ENCODINGS, KEYS, MAX_DETAIL, check_intake
+from tests.support.bad_commands import FAULTS
+from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, START_90, STOP, as_json, legal, parsed
+
+JSON = "application/json"
+
+
+def rejection(key: CommandKey, payload: object, encoding: str = JSON) -> Rejection:
+    """The answer to a bad command; text and bytes go as they are, anything else as JSON."""
+    data = payload if isinstance(payload, bytes) else payload.encode() if isinstance(payload, str) else as_json(payload)
+    answer = decode(key, data, encoding)
+    assert isinstance(answer, Rejection), answer
+    return answer
+
+
+def servo_op(payload: str) -> ServoOp:
+    """What a payload on a servo's key asks for."""
+    answer = decode(SERVO_32, payload.encode(), JSON)
+    assert isinstance(answer, Intent), answer
+    ((servo_id, op),) = answer.targets
+    assert servo_id == 32
+    return op
+
+
+# ---- what is good
+
+
+def test_a_servo() -> None:
+    payload = as_json({"op": "set", "angle_deg": 90.29, "source": "laptop", "sent_ms": 12.5})
+    assert decode(SERVO_32, payload, JSON) == Intent(((32, ServoOp(Op.SET, 90_29)),), "laptop", 12.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "command"),
+    [(SERVO_32, STOP), (SERVO_32, START_90), (LEG_3, LEG), (LEGS_KEY, {"legs": {"1": LEG}}), (RESET_KEY, {})],
+    ids=str,
+)
+def test_the_token_of_a_lease_which_no_repr_shows(key: CommandKey, command: dict[str, Any]) -> None:
+    token = "0123456789abcdef" * 2
+    answer = decode(key, as_json(command | {"lease": token}), JSON)
+    assert isinstance(answer, Intent)
+    assert answer.lease == token
+    assert token not in repr(answer)
+
+
+def test_a_leg() -> None:
+    assert decode(LEG_3, as_json(LEG), JSON) == Intent(
+        ((31, ServoOp(Op.START, 90_00)), (32, STOP_OP), (33, ServoOp(Op.SET, 45_25)))
+    )
+
+
+def test_several_legs_in_their_order_whatever_the_payloads() -> None:
+    answer = decode(LEGS_KEY, as_json({"source": "x", "legs": {"6": LEG, "2": LEG}}), JSON)
+    assert isinstance(answer, Intent)
+    assert [servo_id for servo_id, _ in answer.targets] == [21, 22, 23, 61, 62, 63]
+    assert answer.source == "x"
+
+
+@pytest.mark.parametrize("payload", [b"", b"{}", b" { } "])
+def test_a_reset(payload: bytes) -> None:
+    assert decode(RESET_KEY, payload, JSON) == Intent()
+
+
+def test_a_reset_says_which_emergency_stop_it_leaves_who_sends_it_and_when() -> None:
+    payload = {"estop": 7, "source": "anna", "sent_ms": 12.5}
+    assert decode(RESET_KEY, as_json(payload), JSON) == Intent((), "anna", 12.5, 7)
+    assert decode(RESET_KEY, as_json({"estop": 0}), JSON) == Intent(estop=0)
+
+
+def test_what_only_stops() -> None:
+    stop, start = (11, STOP_OP), (12, ServoOp(Op.START, 90_00))
+    assert Intent((stop, stop)).only_stops
+    assert not Intent((stop, start)).only_stops
+    assert not Intent((start,)).only_stops
+    assert not Intent(estop=1).only_stops, "a reset may be delayed, and is then rejected"
+
+
+@pytest.mark.parametrize("payload", [b"", b"{", b"\xff" * 5000, b'{"op": "stop"}'])
+@pytest.mark.parametrize("encoding", ["", JSON, "image/png"])
+def test_an_emergency_stop_is_one_whatever_it_carries(payload: bytes, encoding: str) -> None:
+    assert decode(parsed(ESTOP), payload, encoding) == Intent()
+
+
+@pytest.mark.parametrize("encoding", ["application/json", "zenoh/bytes"])
+def test_the_encodings_that_are_read(encoding: str) -> None:
+    assert decode(SERVO_32, as_json(STOP), encoding) == Intent(((32, STOP_OP),))
+
+
+@given(legal)
+def test_any_legal_command_is_what_its_json_says(command: tuple[str, dict[str, Any]]) -> None:
+    key, payload = command
+    answer = decode(parsed(key), as_json(payload), JSON)
+    assert check_intake(parsed(key), as_json(payload), answer) == "intent"
+    assert isinstance(answer, Intent)
+    assert answer.source == payload.get("source")
+    assert answer.sent_ms == payload.get("sent_ms")
+    again = decode(parsed(key), json.dumps(payload, indent=4).encode(), "zenoh/bytes")
+    assert again == answer
+
+
+@pytest.mark.parametrize(
+    ("angle", "cdeg"),
+    [
+        *(("0", 0), ("-0", 0), ("-0.0", 0), ("1e-400", 0), ("-1e-400", 0), ("0.004999", 0), ("0.005001", 1)),
+        *(("90.29", 90_29), ("89.999", 90_00), ("1E2", 100_00), ("1.1e1", 11_00), ("0.29", 29), ("1.15", 1_15)),
+        *(("179.994", 179_99), ("179.996", 180_00), ("180", 180_00), ("180.0", 180_00), ("180.00000000000001", 180_00)),
+        ("0." + "9" * 3900, 1_00),
+    ],
+)
+def test_angles_are_rounded_to_the_nearest_hundredth(angle: str, cdeg: int) -> None:
+    assert servo_op(f'{{"op": "start", "angle_deg": {angle}}}') == ServoOp(Op.START, cdeg)
+
+
+@given(st.decimals(0, 180, allow_nan=False, places=6))
+def test_no_hundredth_is_nearer(angle_deg: Decimal) -> None:
+    op = servo_op(f'{{"op": "set", "angle_deg": {angle_deg}}}')
+    assert abs(Decimal(op.angle_cdeg) / 100 - angle_deg) <= Decimal("0.005")
+
+
+def test_a_hundredth_stays_what_it_is() -> None:
+    for cdeg in range(180_01):
+        assert servo_op(f'{{"op": "set", "angle_deg": {cdeg / 100}}}').angle_cdeg == cdeg
+
+
+# ---- what is rejected before it is read
+
+
+def test_the_largest_payload_and_one_byte_more() -> None:
+    payload = as_json(STOP)
+    largest = payload + b" " * (MAX_PAYLOAD_BYTES - len(payload))
+    assert decode(SERVO_32, largest, JSON) == Intent(((32, STOP_OP),))
+    assert len(largest) == 4096
+    assert rejection(SERVO_32, largest + b" ") == too_large(4097)
+    assert too_large(4097) == Rejection(Reason.TOO_LARGE, "the payload has 4097 bytes; at most 4096 are read")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "named"),
+    [
+        ("text/plain", "text/plain"),
+        ("application/json;charset=utf-8", '"application/json;charset=utf-8"'),
+        ("Application/JSON", "Application/JSON"),
+        ("", '""'),
+        ("text/json\n\x1b[2J", r'"text/json\n\u001b[2J"'),
+        ("x" * 5000, '"' + "x" * 39 + "…"),
+    ],
+)
+def test_other_encodings(encoding: str, named: str) -> None:
+    assert rejection(SERVO_32, STOP, encoding) == Rejection(
+        Reason.BAD_ENCODING, f"the encoding is {named}; it must be application/json, or left out"
+    )
+
+
+def test_the_order_of_reasons() -> None:
+    """Each payload has this fault and all that follow."""
+    not_json_of_unknown_fields = b"{" + b'"x": 1,' * 200
+    assert rejection(SERVO_32, b"{" * 4097, "text/plain").reason is Reason.TOO_LARGE
+    assert rejection(SERVO_32, not_json_of_unknown_fields, "text/plain").reason is Reason.BAD_ENCODING
+    assert rejection(SERVO_32, not_json_of_unknown_fields).reason is Reason.MALFORMED
+    assert rejection(SERVO_32, b'{"x": 1, "op": "stop"').reason is Reason.MALFORMED
+    assert rejection(SERVO_32, b'{"x": 1, "op": "stop"}').reason is Reason.INVALID
+
+
+# ---- what is no JSON
+
+NOT_JSON = {
+    "empty": b"",
+    "spaces": b"  \n",
+    "cut off": b'{"op": "stop"',
+    "two documents": b'{"op": "stop"} {"op": "stop"}',
+    "a NUL after it": b'{"op": "stop"}\0',
+    "a trailing comma": b'{"op": "stop",}',
+    "single quotes": b"{'op': 'stop'}",
+    "a comment": b'{"op": "stop"} // now',
+    "a byte order mark": b'\xef\xbb\xbf{"op": "stop"}',
+    "UTF-16": '{"op": "stop"}'.encode("utf-16"),
+    "UTF-32": '{"op": "stop"}'.encode("utf-32-le"),
+    "Latin-1": '{"op": "stop", "source": "Jürgen"}'.encode("latin-1"),
+    "an overlong encoding": b'{"op": "stop", "source": "\xc0\xaf"}',
+    "a surrogate in UTF-8": b'{"op": "stop", "source": "\xed\xa0\x80"}',
+    "a lone surrogate": b'{"op": "stop", "source": "\\ud800"}',
+    "a lone surrogate in a name": b'{"\\udfff": 1, "op": "stop"}',
+    "a line break in a string": b'{"op": "stop", "source": "a\nb"}',
+    "an unknown escape": b'{"op": "stop", "source": "\\x41"}',
+    "deep arrays": b"[" * 4096,
+    "deep arrays, closed": b'{"op": "stop", "source": ' + b"[" * 2000 + b"]" * 2000 + b"}",
+    "deep objects": b'{"op":' * 600,
+    "a plus sign": b'{"op": "set", "angle_deg": +1}',
+    "leading zeros": b'{"op": "set", "angle_deg": 090}',
+    "a bare point": b'{"op": "set", "angle_deg": .5}',
+    "a point at the end": b'{"op": "set", "angle_deg": 5.}',
+    "hexadecimal": b'{"op": "set", "angle_deg": 0x5A}',
+    "no value": b'{"op": "set", "angle_deg": }',
+    "a misspelt constant": b'{"op": "set", "angle_deg": nan}',
+    "TOML": b'op = "stop"',
+}
+
+
+@pytest.mark.parametrize("payload", NOT_JSON.values(), ids=NOT_JSON)
+def test_what_is_no_json(payload: bytes) -> None:
+    for key in (SERVO_32, LEG_3, LEGS_KEY, RESET_KEY):
+        if key == RESET_KEY and not payload:
+            continue
+        answer = rejection(key, payload)
+        assert answer.reason is Reason.MALFORMED
+        assert answer.detail.startswith("the payload is not JSON: ")
+        check_intake(key, payload, answer)
+
+
+def test_where_the_json_ends() -> None:
+    assert (
+        rejection(SERVO_32, b'{"op": ').detail
+        == "the payload is not JSON: EOF while parsing a value at line 1 column 7"
+    )
+
+
+# ---- what is JSON, but no command
+
+
+@pytest.mark.parametrize(("key", "payload", "detail"), FAULTS, ids=lambda value: repr(value)[:50])
+def test_what_is_no_command(key: CommandKey, payload: object, detail: str) -> None:
+    answer = rejection(key, payload)
+    assert answer == Rejection(Reason.INVALID, detail)
+    check_intake(key, b"", answer)
+
+
+# ---- deletes
+
+
+def test_a_delete_stops_what_its_key_names() -> None:
+    assert stop_all_of(SERVO_32) == Intent(((32, STOP_OP),))
+    assert stop_all_of(LEG_3) == Intent(((31, STOP_OP), (32, STOP_OP), (33, STOP_OP)))
+    assert stop_all_of(LEGS_KEY) == Intent(tuple((servo_id, STOP_OP) for servo_id in SERVO_IDS))
+
+
+def test_a_delete_never_resets() -> None:
+    assert stop_all_of(RESET_KEY) == Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
+
+
+@pytest.mark.parametrize(
+    ("ops", "expected"),
+    [
+        ((STOP, STOP, STOP), True),
+        ((STOP, STOP, START_90), False),
+        ((START_90, STOP, STOP), False),
+        ((STOP, {"op": "set", "angle_deg": 1}, STOP), False),
+    ],
+)
+def test_what_only_stops_is_taken_however_old_and_nothing_else_is(ops: tuple[object, ...], expected: bool) -> None:
+    answer = decode(LEG_3, as_json({"servos": ops}), JSON)
+    assert isinstance(answer, Intent)
+    assert answer.only_stops is expected
+
+
+# ---- anything at all
+
+json_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=80)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=5),
+        st.dictionaries(st.one_of(st.text(max_size=80), st.sampled_from(["op", "servos", "legs", "1"])), inner),
+    ),
+)
+
+
+@given(st.sampled_from(KEYS), st.one_of(st.binary(), st.binary(max_size=5000)), st.sampled_from(ENCODINGS))
+@example(LEGS_KEY, b"[" * MAX_PAYLOAD_BYTES, JSON)
+def test_any_bytes_are_an_intent_or_a_rejection(key: CommandKey, payload: bytes, encoding: str) -> None:
+    check_intake(key, payload, decode(key, payload, encoding))
+
+
+@given(st.sampled_from(KEYS), st.text(max_size=10_000))
+def test_any_encoding_is_one_or_rejected_in_a_short_line(key: CommandKey, encoding: str) -> None:
+    check_intake(key, b"{}", decode(key, b"{}", encoding))
+
+
+@given(st.sampled_from(KEYS), json_values)
+def test_any_json_is_an_intent_or_a_rejection(key: CommandKey, value: object) -> None:
+    payload = json.dumps(value).encode()
+    check_intake(key, payload, decode(key, payload, JSON))
+
+
+@given(legal, st.data())
+def test_a_legal_command_with_one_value_replaced(command: tuple[str, dict[str, Any]], data: st.DataObject) -> None:
+    key, payload = command
+    changed = json.loads(json.dumps(payload))
+    inner: Any = changed
+    while isinstance(inner, dict | list) and inner:
+        place: Any = data.draw(st.sampled_from(sorted(inner) if isinstance(inner, dict) else range(len(inner))))
+        if not isinstance(inner[place], dict | list) or data.draw(st.booleans()):
+            inner[place] = data.draw(json_values)
+            break
+        inner = inner[place]
+    raw = json.dumps(changed).encode()
+    check_intake(parsed(key), raw, decode(parsed(key), raw, JSON))
+
+
+def test_the_longest_answer_is_well_below_the_bound() -> None:
+    """Every part at its worst: a deep place, an echoed value in escapes, a count."""
+    value = "\u2028" * 600
+    longest = max(
+        (rejection(LEGS_KEY, {"legs": {"6": {"servos": [{"op": value}] * 3}}}),
+         rejection(LEGS_KEY, {"legs": {"6": {"servos": [STOP | {value: 1}] * 3}}}),
+         rejection(LEGS_KEY, {"legs": {"6": {"servos": [{"op": "set", "angle_deg": value[:90]}] * 3}}}),
+         rejection(SERVO_32, STOP, value)),
+        key=lambda answer: len(answer.detail),
+    )  # fmt: skip
+    assert len(longest.detail) < MAX_DETAIL // 1.5
+
+
+def test_a_start_with_all_fields_is_not_taken_for_too_many() -> None:
+    """The fullest legal command: six legs, three moves each, a source of nothing but colons."""
+    leg = {"servos": [START_90] * 3}
+    full = {"legs": {str(number): leg for number in range(1, 7)}, "source": ":" * 64, "sent_ms": 1}
+    full["lease"] = "0" * 32
+    answer = decode(LEGS_KEY, as_json(full), JSON)
+    assert isinstance(answer, Intent)
+    assert len(answer.targets) == 18

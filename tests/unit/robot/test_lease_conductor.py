@@ -1,0 +1,219 @@
+"""Who is driving, from the payload on `hexapod/lease/cmd` to the answer, the frames, the events and the state."""
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+
+from gateway.robot.core.message import Verb
+from schemas import keys
+from schemas.lease import LeaseAck
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.robot import Robot, leg, started_and_quiet
+
+LEG_3 = keys.leg_command(3)
+START, SET, STOP = leg("start", 90, 90, 90), leg("set", 45, 45, 45), leg("stop")
+pytestmark = pytest.mark.virtual_time
+
+
+def with_token(command: dict[str, Any], ack: LeaseAck) -> dict[str, Any]:
+    return {**command, "lease": ack.lease}
+
+
+async def driven_by_anna(**sections: Any) -> tuple[Robot, LeaseAck]:
+    robot = await started_and_quiet(**sections)
+    ack = robot.lease("acquire", "anna")
+    assert robot.ask(LEG_3, with_token(START, ack)).accepted
+    return robot, ack
+
+
+async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> None:
+    robot, ack = await driven_by_anna()
+    assert (ack.accepted, ack.holder, ack.ttl_ms, ack.verified) == (True, "anna", 1000, False)
+    assert ack.lease is not None
+    (event,) = robot.events(Kind.LEASE_ACQUIRED)
+    assert (event.source, event.key, event.detail) == ("anna", keys.LEASE, "anna has acquired the lease")
+    await asyncio.sleep(0.1)
+    lease = robot.conductor.state().lease
+    assert (lease.holder, lease.verified, lease.asked_by) == ("anna", False, None)
+    assert lease.held_s == pytest.approx(0.1, abs=1e-6)
+    assert lease.expires_in_ms == pytest.approx(900, abs=0.001)
+
+
+async def test_others_are_rejected_with_her_name_and_their_stops_are_taken() -> None:
+    robot, ack = await driven_by_anna()
+    rejected = robot.ask(LEG_3, SET)
+    assert (rejected.reason, rejected.detail) == (Reason.NOT_HOLDER, "anna holds the lease")
+    assert robot.events(Kind.COMMAND_REJECTED)[-1].reason == Reason.NOT_HOLDER
+    assert robot.ask(keys.RESET, {}).reason == Reason.NOT_HOLDER
+    await asyncio.sleep(0.05)
+    assert robot.ask(LEG_3, with_token(SET, ack)).accepted
+    assert robot.ask(LEG_3, STOP).accepted
+    robot.put(keys.ESTOP)
+    assert robot.mode == Mode.ESTOPPED
+    assert robot.ask(keys.RESET, with_token({"estop": 1}, ack)).accepted
+
+
+async def test_somebody_elses_start_undoes_no_stop_that_may_have_been_lost() -> None:
+    robot, _ = await driven_by_anna()
+    robot.put_later(LEG_3, verb=Verb.LOST)
+    robot.put(LEG_3, START)
+    assert robot.events(Kind.COMMAND_REJECTED)[0].reason == Reason.NOT_HOLDER
+    assert robot.controller.energised == set()
+
+
+async def test_takeover() -> None:
+    for takeover, reason in (("stop", None), ("never", Reason.LEASE_DENIED)):
+        robot, ack = await driven_by_anna(lease={"takeover": takeover})
+        before = len(robot.frames)
+        taken = robot.lease("take", "bert")
+        assert taken.reason == reason
+        stops = [frame for _, frame in robot.frames[before:] if frame.is_stop]
+        assert len(stops) == (6 if reason is None else 0)
+        await asyncio.sleep(0.05)
+        assert robot.ask(LEG_3, with_token(SET, ack)).accepted is (reason is not None)
+        assert taken.holder == ("bert" if reason is None else "anna")
+
+
+async def test_required() -> None:
+    for required, reason in ((False, None), (True, Reason.NO_LEASE)):
+        robot = await started_and_quiet(lease={"required": required})
+        assert robot.ask(LEG_3, START).reason == reason
+        assert robot.ask(LEG_3, STOP).accepted
+
+
+@pytest.mark.parametrize("ttl_ms", [200, 1000, 10_000])
+async def test_ttl_ms(ttl_ms: float) -> None:
+    robot, ack = await driven_by_anna(lease={"ttl_ms": ttl_ms})
+    assert ack.ttl_ms == ttl_ms
+    await asyncio.sleep(ttl_ms / 1000 - 0.01)
+    assert not robot.events(Kind.LEASE_EXPIRED)
+    await asyncio.sleep(0.02)
+    assert [event.source for event in robot.events(Kind.LEASE_EXPIRED)] == ["anna"]
+    assert robot.conductor.state().lease.holder is None
+    assert robot.ask(LEG_3, with_token(START, ack)).reason == Reason.NOT_HOLDER
+
+
+async def test_a_handover_while_the_legs_go_on() -> None:
+    robot, anna = await driven_by_anna()
+    assert robot.lease("ask", "bert").holder == "anna"
+    assert robot.conductor.state().lease.asked_by == "bert"
+    assert robot.lease("release", lease=anna.lease, to="bert").holder == "bert"
+    state = robot.conductor.state().lease
+    assert (state.holder, state.held_s) == ("bert", None)
+    bert = robot.lease("acquire", "bert")
+    await asyncio.sleep(0.1)
+    assert robot.ask(LEG_3, with_token(SET, bert)).accepted
+    assert not [frame for _, frame in robot.frames if frame.is_stop]
+    assert robot.ask(LEG_3, with_token(SET, anna)).reason == Reason.NOT_HOLDER
+
+
+async def test_a_takeover_whose_stops_cannot_be_written_is_granted_and_the_fault_told() -> None:
+    robot, _ = await driven_by_anna()
+    robot.controller.fail_next(1)
+    assert robot.lease("take", "bert").accepted
+    assert robot.events(Kind.BUS_FAULT)
+    await asyncio.sleep(0.1)
+    assert robot.conductor.state().lease.holder == "bert"
+    assert robot.controller.energised == set()
+
+
+async def test_changes_are_told_ten_times_a_second_source_and_kind() -> None:
+    robot = await started_and_quiet()
+    for _ in range(100):
+        ack = robot.lease("acquire", "anna")
+        robot.lease("release", lease=ack.lease)
+    assert {kind: len(robot.events(kind)) for kind in (Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED)} == {
+        Kind.LEASE_ACQUIRED: 10,
+        Kind.LEASE_RELEASED: 10,
+    }
+    assert len(robot.events()) == 20
+    assert robot.conductor.supervisor.lease.changes[Kind.LEASE_ACQUIRED] == 100
+
+
+async def test_a_restart_forgets_it() -> None:
+    robot, ack = await driven_by_anna()
+    restarted = await started_and_quiet()
+    assert restarted.ask(LEG_3, with_token(START, ack)).reason == Reason.NOT_HOLDER
+    assert restarted.ask(LEG_3, START).accepted
+    assert robot.conductor.state().lease.holder is None, "she has been silent for a second"
+
+
+# ---- requests that are none
+
+TOKEN = "0123456789abcdef" * 2
+BAD: list[tuple[bytes, Reason, str]] = [
+    (b"", Reason.MALFORMED, "the payload is not JSON"),
+    (b"{", Reason.MALFORMED, "the payload is not JSON"),
+    (b"[]", Reason.INVALID, "do must be"),
+    (b'{"do": "grab"}', Reason.INVALID, "do must be"),
+    (b'{"do": 1}', Reason.INVALID, "do must be"),
+    (b'{"source": "anna"}', Reason.INVALID, "do must be"),
+    (b'{"do": "acquire"}', Reason.INVALID, "source is missing"),
+    (b'{"do": "acquire", "source": ""}', Reason.INVALID, "source is missing, or not"),
+    (b'{"do": "acquire", "source": "' + b"x" * 65 + b'"}', Reason.INVALID, "source is missing, or not"),
+    (b'{"do": "acquire", "source": "anna", "proof": {}}', Reason.INVALID, "proof.nonce is missing"),
+    (b'{"do": "renew"}', Reason.INVALID, "lease is missing"),
+    (json.dumps({"do": "renew", "lease": TOKEN[:-1]}).encode(), Reason.INVALID, "lease is missing, or not"),
+    (json.dumps({"do": "renew", "lease": TOKEN + "0"}).encode(), Reason.INVALID, "lease is missing, or not"),
+    (json.dumps({"do": "renew", "lease": TOKEN.upper()}).encode(), Reason.INVALID, "lease is missing, or not"),
+    (json.dumps({"do": "renew", "lease": TOKEN}).encode(), Reason.NOT_HOLDER, "this is not the token"),
+    (json.dumps({"do": "release", "lease": TOKEN, "to": 7}).encode(), Reason.INVALID, "to is missing, or not"),
+    (json.dumps({"do": "renew", "lease": TOKEN, TOKEN: 1}).encode(), Reason.INVALID, "a field that is not known"),
+    (json.dumps({"do": TOKEN}).encode(), Reason.INVALID, "do must be"),
+    (json.dumps({"do": "acquire", "source": {"a": TOKEN}}).encode(), Reason.INVALID, "source is missing, or not"),
+]
+
+
+@pytest.mark.parametrize(("payload", "reason", "detail"), BAD, ids=lambda value: repr(value)[:60])
+async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
+    payload: bytes, reason: Reason, detail: str
+) -> None:
+    robot = await started_and_quiet()
+    answers: list[bytes] = []
+    robot.desk.read(payload, robot.now_ns(), answers.append)()
+    ack = LeaseAck.model_validate_json(answers[0])
+    assert (ack.accepted, ack.reason) == (False, reason)
+    assert ack.detail is not None
+    assert detail in ack.detail
+    (event,) = robot.events(Kind.COMMAND_REJECTED)
+    assert (event.key, event.reason) == (keys.LEASE, reason)
+    assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
+
+
+async def test_a_put_is_no_request() -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.LEASE, {"do": "acquire", "source": "anna"}, target=None)
+    (event,) = robot.events()
+    assert (event.reason, event.detail) == (
+        Reason.INVALID,
+        "hexapod/lease/cmd takes get only: its answer is for one alone",
+    )
+
+
+async def test_no_report_has_the_token() -> None:
+    robot, anna = await driven_by_anna(telemetry={"frames": True})
+    robot.lease("ask", "bert")
+    robot.ask(LEG_3, {"servos": 1, "lease": anna.lease})
+    robot.ask(LEG_3, {"servos": anna.lease})
+    robot.ask(LEG_3, [with_token(SET, anna)])
+    robot.ask(LEG_3, {str(anna.lease): 1})
+    robot.lease("take", "bert")
+    robot.ask(LEG_3, with_token(SET, anna))
+    out = "".join(report.model_dump_json() for _, report in robot.reports) + robot.conductor.state().model_dump_json()
+    assert anna.lease is not None
+    assert anna.lease not in out
+    assert "anna" in out
+
+
+@pytest.mark.parametrize("framing", ["plain", "length-prefixed"])
+async def test_it_expires_in_time_while_the_bus_is_at_fault(framing: str) -> None:
+    robot = await started_and_quiet(spi={"framing": framing})
+    assert robot.lease("acquire", "anna").accepted
+    robot.controller.fail_next(1000)
+    robot.put(LEG_3, STOP)
+    assert robot.mode == Mode.BUS_FAULT
+    await asyncio.sleep(1.001)
+    assert robot.mode == Mode.BUS_FAULT
+    assert [event.source for event in robot.events(Kind.LEASE_EXPIRED)] == ["anna"]

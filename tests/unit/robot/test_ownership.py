@@ -1,0 +1,370 @@
+"""Who owns the state: a gateway's threads, in many of the orders in which they can meet."""
+
+import asyncio
+import random
+import threading
+import weakref
+from collections.abc import Callable
+from functools import partial
+from typing import Any, cast
+
+import pytest
+
+from gateway.robot.core.message import Reply
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge.inbox import Inbox
+from gateway.robot.edge.receiver import MOST_LOOKS, ReceiverThread
+from gateway.robot.host.ownership import Ownership, OwnersTimer
+from gateway.robot.protocol.frames import decode
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.service import rules
+from gateway.robot.settings import Settings
+from gateway.robot.spi.bus import bus_for
+from schemas import keys
+from schemas.telemetry import GatewayState, Mode
+from tests.support.interleaved import (
+    PATIENCE_S,
+    Payload,
+    Ring,
+    Rings,
+    Sample,
+    Stage,
+    SteppedController,
+    SteppedLock,
+    SteppedLoop,
+)
+
+START = Payload(b'{"servos": [' + b", ".join([b'{"op": "start", "angle_deg": 90}'] * 3) + b"]}")
+RECEIVERS = ("estop-put", "estop-get", "wakeup-put", "wakeup-get", "state-get")
+ORDERS = 150
+
+
+class Question:
+    """A query for the state."""
+
+    key_expr = keys.STATE
+
+    def __init__(self, answers: list[bytes]) -> None:
+        self._answers = answers
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def reply(self, _key: str, payload: bytes, *, encoding: str) -> None:
+        del encoding
+        self._answers.append(payload)
+
+
+class Gateway:
+    """A conductor and an inbox, with the threads that the service gives them, on a stage."""
+
+    def __init__(self, order: int) -> None:
+        chance = random.Random(order)  # noqa: S311  (orders, no secrets)
+        # Threads that are mostly preferred, and threads that are hardly ever, make the rarest orders.
+        weights = {name: chance.choice((1, 1, 10, 100)) for name in (*RECEIVERS, "loop", "zenoh", "end")}
+        self._looks = 0
+        self.stage = Stage(lambda names: chance.choices(names, [weights[name] for name in names])[0])
+        self.loop = SteppedLoop(self.stage)
+        self.rings = Rings(self.stage)
+        self.controller = SteppedController(self.stage, self.now_ns)
+        self.settings = Settings.model_validate({"spi": {"frame_gap_us": 0}})
+        self.answers: list[bytes] = []
+        self.noted: list[int] = []
+        """How many frames had been written when an emergency stop's own thread heard it."""
+
+    def now_ns(self) -> int:
+        self._looks += 1  # no two instants are the same by accident
+        return round(self.loop.now_s * 1e9) + self._looks
+
+    def publish(self, key: str, report: object) -> None:
+        """Nobody listens."""
+
+    def begin(self) -> None:
+        """On the loop's thread, as the service does it."""
+        loop = cast(asyncio.AbstractEventLoop, self.loop)
+        bus = bus_for(self.settings.spi, lambda: self.controller, clock=self.now_ns)
+        supervisor = Supervisor(rules(self.settings))
+        self.conductor = Conductor(
+            self.settings, supervisor, bus, self, loop, clock=self.now_ns, simulated=True, owner=self.owner()
+        )
+        with self.conductor.owner:
+            self.conductor.start()
+            self.inbox = Inbox(
+                cast(Any, self.rings),
+                loop,
+                self.conductor.owner,
+                on_wakeup=self.conductor.tick,
+                on_estop=lambda received: self.conductor.tick((received,)),
+                on_state_query=self._answer,
+            )
+            self.conductor.take = self.inbox.take
+        self.rings.puts[keys.ESTOP][0].on_receive = lambda: self.noted.append(len(self.controller.transfers))
+
+    def owner(self) -> Ownership:
+        return Ownership(cast(Any, lambda: SteppedLock(self.stage)))
+
+    def _answer(self, reply: Reply) -> None:
+        self.conductor.answer_state(reply)
+
+    def play(self, *then: Callable[[], None]) -> None:
+        """The whole of it, until nothing is left to happen."""
+        self.stage.start("loop", self.loop.run, prepare=self.begin)
+        for each in then:
+            self.stage.start(each.__name__, each)
+        self.stage.run(1 + len(RECEIVERS) + len(then))
+        assert not self.stage.failures
+        assert not self.loop.failures
+        self.stage.end()
+        for thread in self.inbox._receivers:
+            thread.thread.join(PATIENCE_S)
+        for sender in (self.inbox._replies, self.inbox._estop_replies):
+            sender.close()
+
+    # ---- what Zenoh's threads do: two deliveries of each message, one after the other
+
+    def put(self, key: str, payload: Payload) -> None:
+        for ring in (*self.rings.puts[key], *self.rings.puts[keys.ALL_COMMANDS]):
+            self.stage.point()
+            ring.items.append(Sample(key, payload))
+
+    def ask_state(self) -> None:
+        self.stage.point()
+        self.rings.gets[keys.STATE][0].items.append(Question(self.answers))
+
+    @property
+    def kinds(self) -> list[bool]:
+        """Of each frame written, whether it is a Stop."""
+        return [decode(data).is_stop for _, data in self.controller.transfers]
+
+
+@pytest.mark.parametrize("order", range(ORDERS))
+def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command(order: int) -> None:
+    gateway = Gateway(order)
+
+    def zenoh() -> None:
+        gateway.put(keys.leg_command(1), START)
+        gateway.put(keys.leg_command(2), START)
+        gateway.put(keys.leg_command(3), START)
+        gateway.ask_state()
+        gateway.put(keys.ESTOP, Payload())
+        gateway.put(keys.leg_command(4), START)
+
+    gateway.play(zenoh)
+    assert gateway.conductor.supervisor.mode is Mode.ESTOPPED
+    assert gateway.controller.energised == set()
+    assert gateway.conductor.supervisor.estops == 1, "noted once, served once"
+    (noted,) = gateway.noted
+    assert gateway.kinds[noted:].count(False) <= 1, "the frame that was under way"
+    assert [GatewayState.model_validate_json(answer).protocol for answer in gateway.answers] == ["1.0.0"]
+
+
+@pytest.mark.parametrize("order", range(ORDERS))
+def test_no_deadline_is_overslept_whichever_thread_set_it(order: int) -> None:
+    gateway = Gateway(order)
+
+    def zenoh() -> None:
+        gateway.put(keys.leg_command(1), START)
+        gateway.put(keys.leg_command(2), START)
+
+    gateway.play(zenoh)
+    assert gateway.conductor.supervisor.expirations == 2
+    assert gateway.controller.energised == set()
+    late_us = gateway.conductor.metrics.watchdog_stops.max_us
+    assert late_us is not None
+    assert late_us < 1, "time passes only when the loop waits for it"
+
+
+@pytest.mark.parametrize("order", range(ORDERS))
+def test_after_the_end_nothing_is_written(order: int) -> None:
+    gateway = Gateway(order)
+    written: list[int] = []
+
+    def zenoh() -> None:
+        gateway.put(keys.leg_command(1), START)
+        gateway.put(keys.ESTOP, Payload())
+        gateway.put(keys.leg_command(2), START)
+
+    def end() -> None:
+        with gateway.conductor.owner:
+            assert gateway.conductor.shut_down()
+            written.append(len(gateway.controller.transfers))
+        with gateway.conductor.owner:
+            gateway.conductor.close()
+            written.append(len(gateway.controller.transfers))
+
+    gateway.play(zenoh, end)
+    assert gateway.controller.energised == set()
+    assert all(gateway.kinds[written[0] :])
+    assert len(gateway.controller.transfers) == written[1]
+    assert gateway.conductor.bus.errors == 0, "nobody tried, either"
+
+
+# ---- the lock, the timers and the threads by themselves
+
+
+def test_whoever_waits_is_next_although_the_owner_takes_it_again_at_once() -> None:
+    owners: list[str] = []
+
+    def choose(names: list[str]) -> str:
+        """The patient thread comes as far as it can while the other owns the state; else that one goes before it."""
+        owned = cast(Any, owner)._state.held_by == "greedy"
+        return "patient" if names == ["patient"] or (owned and "patient" in names) else "greedy"
+
+    def greedy() -> None:
+        for _ in range(20):
+            with owner:
+                owners.append("greedy")
+
+    def patient() -> None:
+        with owner:
+            owners.append("patient")
+
+    stage = Stage(choose)
+    owner = Ownership(cast(Any, lambda: SteppedLock(stage)))
+    stage.start("greedy", greedy)
+    stage.start("patient", patient)
+    stage.run(2)
+    assert not stage.failures
+    assert owners == ["greedy", "patient", *["greedy"] * 19]
+
+
+def called_s(*due_s: float | None, elsewhere: bool) -> tuple[list[float], int]:
+    """When a timer calls back that is set to these times one after the other (None: cancelled), and the wakeups."""
+    stage = Stage(lambda names: names[0])
+    stage.over = True  # nobody interferes
+    loop = SteppedLoop(stage)
+    found: list[float] = []
+    timer = OwnersTimer(cast(asyncio.AbstractEventLoop, loop), Ownership(), lambda: found.append(loop.now_s))
+
+    def set_it() -> None:
+        for each_s in due_s:
+            if each_s is None:
+                timer.cancel()
+            else:
+                timer.set(each_s)
+            assert timer.armed is (each_s is not None)
+
+    if elsewhere:
+        thread = threading.Thread(target=set_it)
+        thread.start()
+        thread.join()
+    else:
+        set_it()
+    while loop.step():
+        pass
+    assert not timer.armed
+    return found, loop.wakeups
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+@pytest.mark.parametrize(
+    ("due_s", "called", "wakeups"),
+    [
+        ([5], [5], 1),
+        ([5, 3], [3], 2),
+        ([3, 5, 7], [7], 1),
+        ([5, 3, 4], [4], 2),
+        ([5, None], [], 1),
+        ([5, None, 8], [8], 1),
+        ([5, None, 2], [2], 2),
+        ([0.5], [1.0], 1),
+    ],
+)
+def test_a_timer_calls_back_at_its_latest_time_and_wakes_the_loop_for_earlier_ones_only(
+    elsewhere: bool, due_s: list[float | None], called: list[float], wakeups: int
+) -> None:
+    assert called_s(*due_s, elsewhere=elsewhere) == (called, wakeups if elsewhere else 0)
+
+
+def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
+    stage = Stage(lambda names: names[0])
+    stage.over = True
+    loop = SteppedLoop(stage)
+    found: list[float] = []
+
+    def call() -> None:
+        found.append(loop.now_s)
+        if len(found) < 3:
+            timer.set(loop.now_s + 1)
+
+    timer = OwnersTimer(cast(asyncio.AbstractEventLoop, loop), Ownership(), call)
+    timer.set(2)
+    while loop.step():
+        pass
+    assert found == [2, 3, 4]
+
+
+def receiver(note: Callable[[object, int], Callable[[], None]]) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
+    """One whose ring has a message, which is heard at the stage's first point."""
+    stage = Stage(lambda names: names[0])
+    loop, ring = SteppedLoop(stage), Ring(stage)
+    ring.items += [b"", b""]
+    made = ReceiverThread(
+        "receiver", cast(Any, ring), cast(asyncio.AbstractEventLoop, loop), Ownership(), cast(Any, note)
+    )
+    return made, stage, loop, ring
+
+
+@pytest.mark.parametrize("where", ["before it owns the state", "as its owner"])
+def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(where: str) -> None:
+    error = RuntimeError("planted")
+
+    def fail() -> None:
+        raise error
+
+    def note(*_: object) -> Callable[[], None]:
+        if where.startswith("before"):
+            fail()
+        return fail
+
+    made, stage, loop, ring = receiver(note)
+    stage.run(1)
+    assert not ring.items
+    while loop.step():
+        pass
+    assert loop.failures == [error, error]
+    assert made.goes_on()
+    stage.end()
+    made.thread.join(PATIENCE_S)
+    assert not made.goes_on()
+
+
+def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> None:
+    stuck, entered = threading.Event(), threading.Event()
+
+    def wait() -> None:
+        entered.set()
+        stuck.wait(PATIENCE_S)
+
+    made, stage, _, _ = receiver(lambda *_: wait)
+    assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "that nothing comes is no reason"
+    runs = threading.Thread(target=lambda: stage.run(1))
+    runs.start()
+    assert entered.wait(PATIENCE_S)
+    assert [made.goes_on() for _ in range(MOST_LOOKS + 1)] == [True] * MOST_LOOKS + [False]
+    stuck.set()
+    runs.join(PATIENCE_S)
+    assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "nor that nothing comes any more"
+    stage.end()
+
+
+def test_a_receiver_thread_keeps_nothing_of_a_message_while_it_waits_for_the_next() -> None:
+    """Whoever asks waits as long as anybody holds the query."""
+
+    class Query:
+        pass
+
+    def answer(_query: object) -> None:
+        pass
+
+    made, stage, _, ring = receiver(lambda item, _: partial(answer, item))
+    ring.items.clear()
+    ring.items.append(Query())
+    held = weakref.ref(ring.items[0])
+    stage.run(1)
+    assert held() is None
+    stage.end()
+    made.thread.join(PATIENCE_S)

@@ -1,0 +1,200 @@
+"""When a leg may send, and what: rate slots, merging, and the queue of starts."""
+
+import random
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.robot.core.pacing import NS_PER_MS, RateSlots, StartQueue, merged
+from gateway.robot.protocol.frames import STOP, Op, ServoOp
+
+START_90, START_45 = ServoOp(Op.START, 90_00), ServoOp(Op.START, 45_00)
+SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)
+
+
+@pytest.mark.parametrize(
+    ("older", "newer", "expected"),
+    [
+        (SET_90, SET_45, SET_45),
+        (START_90, START_45, START_45),
+        (START_90, SET_45, START_45),
+        (SET_90, START_45, START_45),
+        (START_90, STOP, STOP),
+        (STOP, START_45, START_45),
+    ],
+)
+def test_the_newest_target_counts_and_a_waiting_start_stays_a_start(
+    older: ServoOp, newer: ServoOp, expected: ServoOp
+) -> None:
+    assert merged(older, newer) == expected
+
+
+def sent(period_ns: int, arrivals_ns: list[int]) -> list[tuple[int, int]]:
+    """When frames go out, and which arrival each carries: the newest. Whoever is pending is looked at when due."""
+    slots = RateSlots(period_ns)
+    frames: list[tuple[int, int]] = []
+    pending: int | None = None
+    for number, now_ns in enumerate(arrivals_ns):
+        if pending is not None and slots.next_ns < now_ns:
+            frames.append((slots.next_ns, pending))
+            slots.take(slots.next_ns)
+        pending = number
+        if slots.is_open(now_ns):
+            frames.append((now_ns, pending))
+            slots.take(now_ns)
+            pending = None
+    if pending is not None:
+        frames.append((slots.next_ns, pending))
+    return frames
+
+
+def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
+    """When frames go out."""
+    return [at_ns for at_ns, _ in sent(period_ns, arrivals_ns)]
+
+
+def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
+    """Nothing was sent for long: no more than three, and no burst."""
+    assert sent_at(100, [1000, 1001, 1026, 1051, 1052]) == [1000, 1025, 1050, 1100]
+
+
+def test_a_flood_is_sent_once_a_period_after_what_the_bucket_held() -> None:
+    assert sent_at(100, list(range(1000, 1500, 5))) == [1000, 1025, 1050, 1100, 1200, 1300, 1400, 1500]
+
+
+def test_only_the_newest_goes_out() -> None:
+    assert sent(100, list(range(1000, 1300, 10))) == [
+        (1000, 0),
+        (1025, 2),
+        (1050, 5),
+        (1100, 10),
+        (1200, 20),
+        (1300, 29),
+    ]
+
+
+def test_slots_that_nobody_used_are_skipped() -> None:
+    """After ten periods there are three slots, not ten."""
+    arrivals_ns = [1000, *range(2020, 2500, 5)]
+    assert sent_at(100, arrivals_ns) == [1000, 2020, 2045, 2070, 2120, 2220, 2320, 2420, 2520]
+
+
+def test_a_period_that_has_no_quarter_is_rounded_up() -> None:
+    """Never closer than a quarter."""
+    assert sent_at(101, [1000, 1001]) == [1000, 1026]
+
+
+def test_slots_come_on_their_grid_while_the_bucket_is_empty() -> None:
+    """Who looks late does not push the later ones back."""
+    slots = RateSlots(100)
+    for now_ns in (1000, 1025, 1050):
+        slots.take(now_ns)
+    slots.take(1190)
+    assert (slots.is_open(1214), slots.is_open(1215)) == (False, True)
+    slots.take(1215)
+    assert slots.next_ns == 1300
+
+
+def jittered(period_ns: int, jitter_ns: int, count: int, seed: int) -> list[int]:
+    """A stream at the limit, delivered early or late by up to the jitter, in order as a TCP link keeps it."""
+    rng = random.Random(seed)  # noqa: S311
+    arrivals_ns: list[int] = []
+    for number in range(count):
+        at_ns = 10**9 + number * period_ns + rng.randint(-jitter_ns, jitter_ns)
+        arrivals_ns.append(max(at_ns, arrivals_ns[-1] if arrivals_ns else 0))
+    return arrivals_ns
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_stream_at_the_limit_passes_with_the_jitter_of_wifi(seed: int) -> None:
+    """50 Hz, 15 ms early or late. None waits but for the spacing, so at most 5 ms; a few that come together are one."""
+    arrivals_ns = jittered(20 * NS_PER_MS, 15 * NS_PER_MS, 3000, seed)
+    frames = sent(20 * NS_PER_MS, arrivals_ns)
+    assert max(at_ns - arrivals_ns[number] for at_ns, number in frames) <= 5 * NS_PER_MS
+    assert len(frames) > 0.99 * len(arrivals_ns)
+
+
+@pytest.mark.parametrize("jitter_ms", [0, 1, 5, 7])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_stream_at_the_limit_passes_as_it_is_when_its_frames_stay_apart(jitter_ms: int, seed: int) -> None:
+    arrivals_ns = jittered(20 * NS_PER_MS, jitter_ms * NS_PER_MS, 3000, seed)
+    assert sent_at(20 * NS_PER_MS, arrivals_ns) == arrivals_ns
+
+
+@pytest.mark.parametrize("late_ns", range(0, 790, 7))
+def test_a_stream_at_the_rate_goes_on_in_time_after_a_stall(late_ns: int) -> None:
+    """One is late, and what was due meanwhile comes with it, as from a socket. Two periods later all is well."""
+    due = range(1000, 3000, 100)
+    stalled = [max(time_ns, 1200 + late_ns) if time_ns >= 1200 else time_ns for time_ns in due]
+    on_time = [time_ns for time_ns in due if time_ns >= 1200 + late_ns + 200]
+    frames = sent_at(100, stalled)
+    assert [time_ns for time_ns in frames if time_ns >= on_time[0]] == on_time
+
+
+PERIODS_NS = st.sampled_from([1, 3, 40, 50, 101])
+ARRIVALS_NS = st.lists(st.integers(0, 60), min_size=1, max_size=80).map(
+    lambda gaps: [1000 + sum(gaps[: number + 1]) for number in range(len(gaps))]
+)
+
+
+@given(PERIODS_NS, ARRIVALS_NS)
+def test_no_window_of_time_holds_more_than_its_rate_and_three(period_ns: int, arrivals_ns: list[int]) -> None:
+    """Whatever comes. With `period_ns` a fiftieth of a second: at most 53 in any second."""
+    frames = sent_at(period_ns, arrivals_ns)
+    for first, start_ns in enumerate(frames):
+        for last in range(first, len(frames)):
+            assert last - first + 1 <= 3 + (frames[last] - start_ns) / period_ns
+
+
+@given(PERIODS_NS, ARRIVALS_NS)
+def test_two_frames_are_a_quarter_of_a_period_apart(period_ns: int, arrivals_ns: list[int]) -> None:
+    assert all(4 * (later - earlier) >= period_ns for earlier, later in pairwise(sent_at(period_ns, arrivals_ns)))
+
+
+@given(PERIODS_NS, ARRIVALS_NS)
+def test_the_newest_target_goes_out_within_a_period(period_ns: int, arrivals_ns: list[int]) -> None:
+    """Each arrival, or a newer one, is sent within a period of it; the last of all itself."""
+    frames = sent(period_ns, arrivals_ns)
+    for number, arrival_ns in enumerate(arrivals_ns):
+        assert any(at_ns <= arrival_ns + period_ns and newest >= number for at_ns, newest in frames)
+    assert frames[-1][1] == len(arrivals_ns) - 1
+
+
+@given(st.integers(2, 101), st.data())
+def test_in_the_long_run_more_than_the_rate_gets_exactly_the_rate(period_ns: int, data: st.DataObject) -> None:
+    """As soon as the bucket is empty, one frame in every period, to the nanosecond."""
+    gap_ns = data.draw(st.integers(1, period_ns - 1))
+    frames = sent_at(period_ns, list(range(1000, 1000 + 400 * period_ns, gap_ns)))
+    empty = 2 + 3 * period_ns // (period_ns - gap_ns)  # a stream that is only just too fast takes long to empty it
+    assert all(later - earlier == period_ns for earlier, later in pairwise(frames[empty:]))
+
+
+def test_a_queue_without_a_pause_lets_all_go() -> None:
+    queue = StartQueue(0)
+    for leg in (3, 1):
+        queue.join(leg)
+    assert queue.legs == []
+    for leg in (3, 1):
+        assert queue.admits(leg, 1000)
+        assert queue.due_ns(leg, 1234) == 1234
+        queue.started(leg, 1000)
+
+
+def test_a_queue_lets_one_leg_go_at_a_time_in_the_order_in_which_they_came() -> None:
+    queue = StartQueue(100)
+    for leg in (3, 1, 3, 2):
+        queue.join(leg)
+    assert queue.legs == [3, 1, 2]
+    assert not queue.admits(1, 1000)
+    assert queue.due_ns(1, 990) is None
+    assert queue.admits(3, 1000)
+    queue.started(3, 1000)
+    assert not queue.admits(1, 1099)
+    assert queue.due_ns(1, 990) == 1100
+    assert queue.due_ns(1, 1150) == 1150
+    assert queue.admits(1, 1100)
+    queue.leave(1)
+    queue.leave(6)
+    assert queue.admits(2, 1100)

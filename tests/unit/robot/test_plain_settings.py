@@ -1,0 +1,98 @@
+"""What `stop-servos` reads by itself is what the settings say, or is left to them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.robot import settings
+from gateway.robot.spi import plain_settings
+from gateway.robot.spi.plain_settings import LIMITS, NOT_FOR_STOPS, PlainRepeats, PlainSpi
+
+WHOLE = """
+[spi]
+framing = "length-prefixed"
+device = "/dev/spidev1.2"
+speed_hz = 500_000
+frame_gap_us = 60
+resync_ms = 0.5
+avoid_deg = [2.0, 3.0]
+[watchdog]
+timeout_ms = 300
+repeats = 7
+repeat_interval_ms = 33.5
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for variable in ("HEXAPOD_SPI__FRAMING", "HEXAPOD_WATCHDOG__REPEATS"):
+        monkeypatch.delenv(variable, raising=False)
+    return tmp_path / "gateway.toml"
+
+
+@pytest.mark.parametrize("text", [WHOLE, 'spi.framing = "plain"\n', 'spi.framing = "length-prefixed"\nwatchdog = {}\n'])
+def test_the_same_as_the_settings(file: Path, text: str) -> None:
+    """Its defaults, too, and no setting of the device is missing."""
+    file.write_text(text)
+    found = plain_settings.read(file)
+    assert found is not None
+    spi, repeats = found
+    theirs = settings.load(file)
+    assert spi._asdict() == {
+        name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields if name not in NOT_FOR_STOPS
+    }
+    assert repeats._asdict() == {name: getattr(theirs.watchdog, name) for name in PlainRepeats._fields}
+
+
+NOT_PLAIN = [
+    "",
+    "[spi]\n",
+    "spi = 3\n",
+    'spi.framing = "Plain"\n',
+    'spi.framing = "plain"\nspi.speed = 5\n',
+    'spi.framing = "plain"\nspi.speed_hz = "5"\n',
+    'spi.framing = "plain"\nspi.speed_hz = true\n',
+    'spi.framing = "plain"\nspi.speed_hz = 5.0\n',
+    'spi.framing = "plain"\nspi.frame_gap_us = nan\n',
+    'spi.framing = "plain"\nspi.device = "spidev0.0"\n',
+    'spi.framing = ["plain"]\n',
+    'spi.framing = "plain"\nwatchdog = 3\n',
+    'spi.framing = "plain"\nwatchdog.repeats = 2.5\n',
+    "no TOML",
+]
+
+
+@pytest.mark.parametrize("text", NOT_PLAIN, ids=repr)
+def test_what_is_not_plainly_right_is_left_to_the_settings(file: Path, text: str) -> None:
+    file.write_text(text)
+    assert plain_settings.read(file) is None
+
+
+def test_a_file_that_cannot_be_read(file: Path) -> None:
+    assert plain_settings.read(file) is None
+    file.write_bytes(b"\xff")
+    assert plain_settings.read(file) is None
+
+
+@pytest.mark.parametrize(("name", "end"), [(name, end) for name in LIMITS for end in (0, 1)])
+def test_the_limits_are_those_of_the_settings(file: Path, name: str, end: int) -> None:
+    """The last value that is allowed, and the next one, which is not."""
+    table = "spi" if name in PlainSpi._fields else "watchdog"
+    for beyond, allowed in ((0, True), (1, False)):
+        value = LIMITS[name][end] + beyond * (1 if end else -1)
+        file.write_text(f'spi.framing = "plain"\n{table}.{name} = {json.dumps(value)}\n')
+        assert (plain_settings.read(file) is not None) == allowed
+        if allowed:
+            settings.load(file)
+        else:
+            with pytest.raises(ConfigError, match=name):
+                settings.load(file)
+
+
+@pytest.mark.parametrize("variable", ["HEXAPOD_SPI__DEVICE", "HEXAPOD_WATCHDOG__REPEATS", "hexapod_spi__device"])
+def test_a_variable_that_overrides_the_file(file: Path, monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
+    file.write_text(WHOLE)
+    monkeypatch.setenv(variable, "/dev/other")
+    assert plain_settings.read(file) is None

@@ -1,0 +1,11 @@
+"""The bytes of one scene are those that were recorded; see `tests/support/scene_bytes.py`."""
+
+import pytest
+
+from gateway.robot.protocol.framing import Framing
+from tests.support.scene_bytes import path, transfers
+
+
+@pytest.mark.parametrize("framing", Framing)
+def test_the_bytes_of_a_scene_are_those_that_were_recorded(framing: Framing) -> None:
+    assert transfers(framing) == path(framing).read_text().splitlines()

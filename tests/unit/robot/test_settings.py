@@ -1,0 +1,261 @@
+"""Settings from a file and the environment: defaults, what overrides what, ranges (faults: test_settings_faults.py)."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from gateway.errors import ConfigError
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import ServoLimits, Settings
+from tests.support.settings_file import faults, load
+
+pytestmark = pytest.mark.usefixtures("_clean_environment")
+
+# The contract's, with the example of limits.servos taken out.
+CONTRACT = """
+[zenoh]
+listen = ["tcp/127.0.0.1:7447"]
+connect = []
+config = ""
+allow_insecure = false
+[spi]
+device = "/dev/spidev0.0"
+speed_hz = 2_500_000
+framing = "plain"
+frame_gap_us = 50
+batch = true
+resync_ms = 1000
+[limits]
+leg_rate_hz = 50.0
+max_age_ms = 500.0
+start_stagger_ms = 0
+[limits.servos]
+[watchdog]
+timeout_ms = 250.0
+scope = "leg"
+repeats = 3
+repeat_interval_ms = 20.0
+landing_ms = 0
+landing = {}
+[lease]
+required = false
+ttl_ms = 1000
+takeover = "stop"
+[calibration]
+path = ""
+[recorder]
+path = ""
+seconds = 60
+[telemetry]
+state_hz = 10.0
+frames = false
+metrics = ""
+[log]
+level = "info"
+format = "auto"
+"""
+
+
+# ---- where settings come from
+
+
+def test_the_defaults_are_the_contracts(file: Path) -> None:
+    assert Settings().model_dump(mode="json", exclude_none=True) == tomllib.loads(CONTRACT)
+    file.write_text(CONTRACT)
+    assert load(file) == load() == Settings()
+
+
+def test_an_empty_file_and_empty_tables_leave_the_defaults(file: Path) -> None:
+    for text in ("", "[spi]\n[limits.servos.11]\n[log]\n"):
+        file.write_text(text)
+        made = load(file)
+        assert made.model_copy(update={"limits": Settings().limits}) == Settings()
+        assert all(servo == ServoLimits(min_deg=0, max_deg=180) for servo in made.limits.servos.values())
+
+
+CHANGED = """
+[zenoh]
+listen = ["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"]
+connect = ["tcp/10.0.0.1:7447"]
+config = "/etc/zenoh.json5"
+allow_insecure = true
+[spi]
+device = "/dev/spidev1.1"
+speed_hz = 1
+framing = "length-prefixed"
+frame_gap_us = 0.5
+batch = false
+resync_ms = 0
+avoid_deg = []
+[limits]
+leg_rate_hz = 1000
+max_age_ms = 60000
+start_stagger_ms = 12.5
+servos = { 11 = { min_deg = 20.0, max_deg = 160.0 }, 63 = { max_deg = 90 } }
+[watchdog]
+timeout_ms = 20
+scope = "robot"
+repeats = 0
+repeat_interval_ms = 1
+landing_ms = 5000
+landing = { 11 = 90 }
+[lease]
+required = true
+ttl_ms = 200
+takeover = "never"
+[calibration]
+path = "/mnt/calibration.toml"
+[recorder]
+path = "/mnt/box"
+seconds = 10
+[telemetry]
+state_hz = 0
+frames = true
+metrics = "127.0.0.1:9464"
+[log]
+level = "debug"
+format = "json"
+"""
+
+
+def test_a_file_can_change_every_setting(file: Path) -> None:
+    file.write_text(CHANGED)
+    made, default = load(file), Settings()
+    for section in Settings.model_fields:
+        for name in type(getattr(made, section)).model_fields:
+            assert getattr(getattr(made, section), name) != getattr(getattr(default, section), name), name
+    assert made.spi.framing is Framing.LENGTH_PREFIXED
+    assert made.zenoh.listen == ("tls/0.0.0.0:7447", "tcp/127.0.0.1:7448")
+    assert made.limits.servos == {"11": ServoLimits(min_deg=20, max_deg=160), "63": ServoLimits(max_deg=90)}
+    assert made.spi.frame_gap_us == 0.5
+
+
+def as_variables(values: dict[str, Any], prefix: str = "HEXAPOD") -> dict[str, str]:
+    """The variables that say what `values` say."""
+    made: dict[str, str] = {}
+    for name, value in values.items():
+        variable = f"{prefix}{'_' if prefix == 'HEXAPOD' else '__'}{name.upper()}"
+        if isinstance(value, dict):
+            made |= as_variables(value, variable)
+        else:
+            made[variable] = str(value).lower() if isinstance(value, bool) else str(value).replace("'", '"')
+    return made
+
+
+def test_the_environment_can_change_every_setting_too(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text(CHANGED)
+    for variable, text in as_variables(tomllib.loads(CHANGED)).items():
+        monkeypatch.setenv(variable, text)
+    assert load() == load(file)
+    file.write_text(CONTRACT)
+    assert load(file) == load()
+
+
+def test_the_environment_overrides_the_file_value_by_value(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text('[spi]\ndevice = "/dev/a"\nspeed_hz = 7\n[zenoh]\nlisten = ["a"]\n[limits.servos.11]\nmin_deg = 5')
+    monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/b")
+    monkeypatch.setenv("HEXAPOD_ZENOH__LISTEN", '["b", "c"]')
+    monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MAX_DEG", "6")
+    made = load(file)
+    assert (made.spi.device, made.spi.speed_hz) == ("/dev/b", 7)
+    assert made.zenoh.listen == ("b", "c")
+    assert made.limits.servos == {"11": ServoLimits(min_deg=5, max_deg=6)}
+
+
+def test_the_default_file_is_read_if_it_exists(tmp_path: Path) -> None:
+    assert load() == Settings()
+    (tmp_path / "default.toml").write_text("[watchdog]\ntimeout_ms = 99\n")
+    assert load().watchdog.timeout_ms == 99
+    (tmp_path / "default.toml").write_text("[watchdog]\ntimeout_ms = 9\n")
+    assert faults()[0].startswith(f"{tmp_path}/default.toml: watchdog.timeout_ms: 9 ")
+
+
+def test_settings_are_frozen() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        Settings().watchdog.timeout_ms = 10_000
+    sections: list[BaseModel] = [getattr(Settings(), name) for name in Settings.model_fields]
+    assert all(section.model_config["frozen"] for section in [*sections, ServoLimits()])
+
+
+# ---- values out of range, or anything
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "spi.speed_hz": (1, 20_000_000),
+    "spi.frame_gap_us": (0, 1000),
+    "spi.resync_ms": (0, 10_000),
+    "limits.leg_rate_hz": (1, 1000),
+    "limits.max_age_ms": (0, 60_000),
+    "limits.start_stagger_ms": (0, 2000),
+    "limits.servos.32.min_deg": (0, 180),
+    "limits.servos.32.max_deg": (0, 180),
+    "limits.servos.32.max_speed_deg_s": (0, 1000),
+    "watchdog.timeout_ms": (20, 10_000),
+    "watchdog.repeats": (0, 100),
+    "watchdog.repeat_interval_ms": (1, 1000),
+    "watchdog.landing_ms": (0, 5000),
+    "lease.ttl_ms": (200, 10_000),
+    "recorder.seconds": (10, 600),
+    "telemetry.state_hz": (0, 1000),
+}
+
+
+@pytest.mark.parametrize("place", RANGES)
+def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    low, high = RANGES[place]
+    variable = f"HEXAPOD_{place.upper().replace('.', '__')}"
+    for value in (low, high):
+        file.write_text(f"{place} = {value}")
+        load(file)
+        monkeypatch.setenv(variable, str(value))
+        assert load() == load(file)
+        monkeypatch.delenv(variable)
+    for value, limit in ((low - 1, f"greater than or equal to {low}"), (high + 1, f"less than or equal to {high}")):
+        file.write_text(f"{place} = {value}")
+        assert faults(file) == [f"file: {place}: {value} will not do: input should be {limit}"]
+        monkeypatch.setenv(variable, str(value))
+        assert faults() == [f'{variable}: "{value}" will not do: input should be {limit}']
+        monkeypatch.delenv(variable)
+
+
+def test_every_number_has_a_range_that_is_tested() -> None:
+    numbers = {
+        f"{section}.{name}"
+        for section in Settings.model_fields
+        for name, value in getattr(Settings(), section)
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    assert numbers | {f"limits.servos.32.{name}" for name in ServoLimits.model_fields} == RANGES.keys()
+
+
+toml_values = st.recursive(
+    st.one_of(st.booleans(), st.integers(), st.floats(), st.text(st.characters(codec="ascii", categories=["L", "N"]))),
+    lambda inner: st.lists(inner, max_size=3),
+    max_leaves=4,
+)
+PLACES = [f"{section}.{name}" for section in Settings.model_fields for name, _ in getattr(Settings(), section)]
+
+
+@given(st.dictionaries(st.sampled_from([*PLACES, "limits.servos.11.min_deg", "spi.x", "x"]), toml_values, max_size=4))
+@hypothesis_settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_values_are_settings_or_faults(file: Path, values: dict[str, Any]) -> None:
+    file.write_text("".join(f"{place} = {_toml(value)}\n" for place, value in values.items()))
+    try:
+        load(file)
+    except ConfigError as error:
+        lines = str(error).split("\n")
+    else:
+        return
+    assert all(line.isprintable() and line.startswith(f"{file}: ") for line in lines)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else repr(value)

@@ -1,0 +1,411 @@
+"""The simulated controller against what was measured with the published firmware, on a virtual clock."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi.simulator import ServoState, SimulatedController, pulse_us
+from schemas.robot import SERVO_IDS
+from tests.unit.robot.test_frames import LEGAL, frames
+
+MS = 1_000_000  # ns
+PREAMBLE = bytes(16)
+START_11 = bytes.fromhex("06 02 0b 01 5a 00")
+STOP_11 = bytes.fromhex("06 02 0b 02 00 00")
+START_LEG_1 = bytes.fromhex("0e 01 0b 01 5a 00 0c 01 5a 00 0d 01 5a 00")
+
+
+class Bench:
+    """A controller, its clock, and what it said."""
+
+    def __init__(self, framing: Framing, *, tick_phase_ns: int = 0) -> None:
+        self.framing = framing
+        self.now_ns = 5_000_000 * MS
+        self.slept_s: list[float] = []
+        self.said: list[str] = []
+        self.controller = SimulatedController(
+            framing,
+            clock=lambda: self.now_ns,
+            sleep=self.sleep,
+            on_change=self.said.append,
+            tick_phase_ns=tick_phase_ns,
+        )
+
+    def sleep(self, duration_s: float) -> None:
+        self.slept_s.append(duration_s)
+        self.now_ns += round(duration_s * 1e9)
+
+    def transfer(self, *transfers: str | bytes) -> None:
+        for data in transfers:
+            self.controller.take(bytes.fromhex(data) if isinstance(data, str) else data)
+
+    def send(self, *sent: bytes) -> None:
+        for frame in sent:
+            self.transfer(*self.framing.transfers(frame))
+
+    def servo(self, servo_id: int) -> ServoState:
+        return self.controller.servos[servo_id]
+
+
+@pytest.fixture
+def plain() -> Bench:
+    return Bench(Framing.PLAIN)
+
+
+@pytest.fixture
+def prefixed() -> Bench:
+    return Bench(Framing.LENGTH_PREFIXED)
+
+
+@pytest.fixture(params=list(Framing))
+def bench(request: pytest.FixtureRequest) -> Bench:
+    return Bench(request.param)
+
+
+# ---- legal frames
+
+
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("vector", LEGAL, ids=lambda vector: vector["bytes"])
+def test_vectors_set_their_pulses(framing: Framing, vector: dict[str, Any]) -> None:
+    bench = Bench(framing)
+    bench.send(bytes.fromhex(vector["bytes"]))
+    commands = dict(decode(bytes.fromhex(vector["bytes"])).servos)
+    moved = [servo_id for servo_id, command in commands.items() if command.op is not Op.STOP]
+    assert [bench.servo(servo_id).pulse_us for servo_id in moved] == vector["pulse_us"]
+    assert [servo_id for servo_id in SERVO_IDS if bench.servo(servo_id).pulse_us is not None] == moved
+    assert bench.controller.energised == {servo_id for servo_id in moved if commands[servo_id].op is Op.START}
+    assert bench.controller.executed == 1
+    assert not bench.controller.corruptions
+
+
+@pytest.mark.parametrize("framing", Framing)
+@given(st.lists(frames, max_size=20))
+def test_any_sequence_of_legal_frames(framing: Framing, sent: list[Frame]) -> None:
+    bench = Bench(framing)
+    energised: set[int] = set()
+    pulses: dict[int, int] = {}
+    for frame in sent:
+        bench.send(frame.to_bytes())
+        for servo_id, command in frame.servos:
+            if command.op is Op.STOP:
+                energised.discard(servo_id)
+                continue
+            if command.op is Op.START:
+                energised.add(servo_id)
+            pulses[servo_id] = pulse_us(*divmod(command.angle_cdeg, 100))
+    assert bench.controller.energised == energised
+    assert {servo_id: servo.pulse_us for servo_id, servo in bench.controller.servos.items() if servo.pulse_us} == pulses
+    assert bench.controller.executed == len(sent)
+    assert not bench.controller.corruptions
+
+
+def test_set_on_a_stopped_servo_moves_the_compare_register_and_nothing_else(bench: Bench) -> None:
+    bench.send(OneServo(11, ServoOp(Op.SET, 180_00)).to_bytes())
+    bench.now_ns += 5_000 * MS
+    assert bench.servo(11) == ServoState(energised=False, pulse_us=2550, angle_deg=90.0)
+
+
+def test_stop_keeps_the_pulse_and_the_place(bench: Bench) -> None:
+    bench.send(OneServo(11, ServoOp(Op.START, 180_00)).to_bytes())
+    bench.now_ns += 100 * MS
+    bench.send(STOP_11)
+    bench.now_ns += 5_000 * MS
+    assert bench.servo(11).energised is False
+    assert bench.servo(11).pulse_us == 2550
+    assert bench.servo(11).angle_deg == pytest.approx(90 + 35.3, abs=0.1)
+
+
+def test_a_servo_moves_at_60_degrees_in_170_ms(bench: Bench) -> None:
+    bench.send(OneServo(11, ServoOp(Op.START, 0)).to_bytes())
+    for after_ms, expected_deg in ((0, 90.0), (85, 60.0), (170, 30.0), (255, 0.0), (1_000, 0.0)):
+        bench.now_ns = 5_000_000 * MS + after_ms * MS
+        assert bench.servo(11).angle_deg == pytest.approx(expected_deg, abs=1e-6)
+    bench.send(OneServo(11, ServoOp(Op.SET, 180_00)).to_bytes())
+    bench.now_ns += 340 * MS
+    assert bench.servo(11).angle_deg == pytest.approx(120.0, abs=1e-6)
+    bench.now_ns += 1_000 * MS
+    assert bench.servo(11).angle_deg == 180.0
+
+
+@given(st.integers(0, 180_00))
+def test_pulse_is_within_a_microsecond_of_the_line(angle_cdeg: int) -> None:
+    exact_us = 544 + angle_cdeg / 100 * (2550 - 544) / 180
+    assert exact_us - 1 < pulse_us(*divmod(angle_cdeg, 100)) <= exact_us + 0.001
+
+
+def test_single_precision_is_part_of_the_result() -> None:
+    """136.66° is at 2066.9998 µs: of the 18001 angles the only one at which single precision is seen."""
+    assert pulse_us(136, 66) == 2067
+
+
+def test_what_is_said_of_a_frame(bench: Bench) -> None:
+    leg = OneLeg(1, (ServoOp(Op.START, 90_00), ServoOp(Op.SET, 45_25), ServoOp(Op.STOP)))
+    bench.send(leg.to_bytes())
+    assert bench.said == [
+        "servo 11 started at 90.00°, 1547 µs; servo 12 set to 45.25°, 1048 µs, and stays off; servo 13 stopped"
+    ]
+
+
+# ---- one stream of bytes, in and out of sync
+
+
+def test_bare_frames_execute_nothing_on_the_published_firmware(prefixed: Bench) -> None:
+    """One frame, or all of them together: consumed as a length and a misaligned body."""
+    for vector in LEGAL:
+        alone = Bench(Framing.LENGTH_PREFIXED)
+        alone.transfer(vector["bytes"])
+        prefixed.transfer(vector["bytes"])
+        assert alone.controller.executed == prefixed.controller.executed == 0
+    assert prefixed.controller.energised == frozenset()
+
+
+def test_six_bare_stops_execute_nothing_on_the_published_firmware(prefixed: Bench) -> None:
+    prefixed.send(START_LEG_1)
+    prefixed.transfer(*(stop_leg(leg).to_bytes() for leg in range(1, 7)))
+    assert prefixed.controller.energised == {11, 12, 13}
+
+
+@pytest.mark.parametrize("framing", Framing)
+@given(st.lists(frames, min_size=1, max_size=6), st.data())
+def test_chip_select_plays_no_part(framing: Framing, sent: list[Frame], data: st.DataObject) -> None:
+    """The same bytes in other portions do the same."""
+    stream = b"".join(transfer for frame in sent for transfer in framing.transfers(frame.to_bytes()))
+    whole, portioned = Bench(framing), Bench(framing)
+    whole.transfer(stream)
+    while stream:
+        length = data.draw(st.integers(1, len(stream)))
+        portioned.transfer(stream[:length])
+        stream = stream[length:]
+    assert portioned.controller.servos == whole.controller.servos
+    assert portioned.controller.executed == whole.controller.executed == len(sent)
+
+
+def test_an_awaited_body_then_the_preamble_then_a_stop(prefixed: Bench) -> None:
+    """As checked with the compiled firmware: 14 awaited bytes, then the zeros, then a Stop: the Stop is executed."""
+    prefixed.send(START_11)
+    prefixed.transfer("0e", PREAMBLE)
+    prefixed.send(STOP_11)
+    assert prefixed.controller.energised == frozenset()
+    assert prefixed.controller.executed == 2
+
+
+def test_without_the_preamble_that_stop_is_swallowed(prefixed: Bench) -> None:
+    prefixed.send(START_11)
+    prefixed.transfer("0e")
+    prefixed.send(STOP_11)
+    assert prefixed.controller.energised == {11}
+
+
+@pytest.mark.parametrize("announced", ["06", "0e", ""])
+def test_the_preamble_changes_nothing_by_itself(prefixed: Bench, announced: str) -> None:
+    prefixed.transfer(announced, PREAMBLE)
+    assert prefixed.controller.executed == 0
+    prefixed.send(START_11)
+    assert prefixed.controller.energised == {11}
+
+
+def test_zeros_complete_half_a_body_with_zero_degrees(prefixed: Bench) -> None:
+    """Measured: `06 | 06 02 0b 01` and the zeros start servo 11 at 0°. So the preamble wants whole transfers."""
+    prefixed.transfer("06", "06 02 0b 01", PREAMBLE)
+    assert prefixed.controller.energised == {11}
+    assert prefixed.servo(11).pulse_us == 544
+
+
+def test_a_length_of_zero_is_ignored(bench: Bench) -> None:
+    bench.transfer(bytes(40))
+    bench.send(START_11)
+    assert bench.controller.executed == 1
+    assert not bench.controller.corruptions
+
+
+def test_a_lost_byte_misaligns_until_a_second_has_passed(plain: Bench) -> None:
+    plain.controller.lose_bytes(1)
+    plain.send(START_11, START_11, START_11)
+    assert plain.controller.executed == 0
+    plain.now_ns += 1_000 * MS
+    plain.send(START_11)
+    assert plain.controller.executed == 1
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 5, 7, 13, 15, 64])
+def test_other_lengths_are_awaited_and_then_ignored(bench: Bench, length: int) -> None:
+    body = b"\x02" * 64
+    if bench.framing is Framing.PLAIN:
+        bench.transfer(bytes((length,)) + body[: length - 1])
+    else:
+        bench.transfer(bytes((length,)), body[:length])
+    bench.send(START_11)
+    assert bench.controller.executed == 1
+    assert not bench.controller.corruptions
+
+
+@pytest.mark.parametrize("frame_type", [0, 1, 3, 4, 255])
+def test_a_type_that_does_not_fit_the_length_is_ignored(bench: Bench, frame_type: int) -> None:
+    bench.send(bytes((6, frame_type)) + START_11[2:])
+    assert bench.controller.executed == 0
+    bench.send(START_11)
+    assert bench.controller.executed == 1
+
+
+# ---- the timeout
+
+
+def test_a_stalled_receive_is_given_up_after_1000_ms(bench: Bench) -> None:
+    bench.transfer("0e")
+    bench.now_ns += 1_000 * MS
+    bench.send(START_11)
+    assert bench.controller.energised == {11}
+
+
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("since_tick_ns", [0, 1, 500_000, 999_999])
+def test_it_counts_whole_ticks(framing: Framing, since_tick_ns: int) -> None:
+    """The tick in which the length comes counts, however much of it has gone: 999 to 1000 ms."""
+    give_up_ns = 1_000 * MS - since_tick_ns
+    for by_clock_ns, phase_ns in ((since_tick_ns, 0), (0, since_tick_ns)):
+        for early_ns, executed in ((0, 1), (1, 0)):
+            bench = Bench(framing, tick_phase_ns=phase_ns)
+            bench.now_ns += by_clock_ns
+            bench.transfer("0e")
+            bench.now_ns += give_up_ns - early_ns
+            bench.send(START_11)
+            assert bench.controller.executed == executed
+
+
+def test_until_then_the_next_frame_is_swallowed(bench: Bench) -> None:
+    bench.transfer("0e")
+    bench.now_ns += 1_000 * MS - 1
+    bench.send(START_11)
+    assert bench.controller.energised == frozenset()
+
+
+def test_the_second_counts_from_the_length_on(bench: Bench) -> None:
+    """The firmware's receive has one deadline; bytes that drip in do not move it."""
+    bench.transfer("0e")
+    bench.now_ns += 600 * MS
+    bench.transfer("0e 01")
+    bench.now_ns += 400 * MS
+    bench.send(START_11)
+    assert bench.controller.energised == {11}
+
+
+def test_half_a_start_given_up_starts_at_zero_on_the_published_firmware(prefixed: Bench) -> None:
+    """It ignores that the receive timed out and looks at its buffer, which was cleared before."""
+    prefixed.transfer("06", "06 02 0b 01 5a")
+    prefixed.now_ns += 999 * MS
+    assert prefixed.controller.energised == frozenset()
+    prefixed.now_ns += 1 * MS
+    assert prefixed.controller.energised == {11}
+    assert prefixed.servo(11).pulse_us == 1547
+
+
+def test_half_a_start_given_up_is_dropped_by_a_controller_after_the_document(plain: Bench) -> None:
+    plain.transfer("06 02 0b 01 5a")
+    plain.now_ns += 1_000 * MS
+    assert plain.controller.energised == frozenset()
+    plain.send(START_11)
+    assert plain.controller.executed == 1
+
+
+# ---- memory corruption
+
+
+@pytest.mark.parametrize("servo_id", [0, 10, 71, 99, 255])
+def test_ids_past_the_table_are_counted(bench: Bench, servo_id: int) -> None:
+    bench.send(bytes((6, 2, servo_id, 1, 90, 0)))
+    assert [what.startswith(f"servo id {servo_id} indexed") for what in bench.controller.corruptions] == [True]
+    assert bench.controller.energised == frozenset()
+
+
+@pytest.mark.parametrize(("servo_id", "driven_id"), [(14, 21), (20, 13), (70, 63)])
+def test_an_id_that_is_none_may_drive_another_servo(bench: Bench, servo_id: int, driven_id: int) -> None:
+    """The firmware's index, (leg - 1) * 3 + joint - 1, is within the table for these."""
+    bench.send(bytes((6, 2, servo_id, 1, 90, 0)))
+    assert bench.controller.corruptions == {f"servo id {servo_id} drove servo {driven_id}": 1}
+    assert bench.controller.energised == {driven_id}
+
+
+@pytest.mark.parametrize("servo_id", [1, 2, 3])
+@pytest.mark.parametrize("op", [1, 2, 3])
+def test_ids_of_1_to_3_kill_the_published_firmware_until_it_is_reset(prefixed: Bench, servo_id: int, op: int) -> None:
+    prefixed.send(START_LEG_1)
+    prefixed.send(bytes((6, 2, servo_id, op, 90, 0)))
+    assert prefixed.controller.dead == f"servo id {servo_id} with operation {op} is a null handle"
+    prefixed.now_ns += 2_000 * MS
+    prefixed.send(bytes((14, 1, 11, 2, 0, 0, 12, 2, 0, 0, 13, 2, 0, 0)))
+    assert prefixed.controller.energised == {11, 12, 13}, "nothing stops it any more"
+    prefixed.controller.reset()
+    assert prefixed.controller.energised == set()
+    prefixed.send(START_LEG_1)
+    assert prefixed.controller.energised == {11, 12, 13}
+
+
+@pytest.mark.parametrize(("servo_id", "op"), [(1, 0), (2, 4), (3, 14), (0, 1), (4, 1), (9, 3)])
+def test_other_ids_and_operations_do_not(prefixed: Bench, servo_id: int, op: int) -> None:
+    prefixed.send(bytes((6, 2, servo_id, op, 90, 0)))
+    assert prefixed.controller.dead is None
+
+
+def test_a_controller_after_the_document_does_not_die(plain: Bench) -> None:
+    plain.send(bytes((6, 2, 1, 1, 90, 0)))
+    assert plain.controller.dead is None
+
+
+def test_it_dies_of_the_65th_byte_of_a_body_and_not_of_its_announcement(prefixed: Bench) -> None:
+    """Two bare frames announce 90 bytes, which its timeout still ends; fifteen are too many."""
+    prefixed.transfer(bytes((90,)))
+    prefixed.transfer(bytes(64))
+    assert prefixed.controller.dead is None
+    prefixed.transfer(b"\0")
+    assert prefixed.controller.dead == "65 bytes in a buffer of 64 overwrote its SPI handle"
+
+
+def test_its_timeout_ends_a_long_body_that_is_not_there_yet(prefixed: Bench) -> None:
+    prefixed.transfer(bytes((90,)))
+    prefixed.transfer(bytes(64))
+    prefixed.now_ns += 1_000 * MS
+    prefixed.send(START_LEG_1)
+    assert prefixed.controller.energised == {11, 12, 13}
+
+
+def test_an_unknown_operation_touches_nothing(bench: Bench) -> None:
+    bench.send(bytes((6, 2, 0, 4, 90, 0)))
+    assert bench.said == ["operation 4 ignored"]
+    assert not bench.controller.corruptions
+
+
+@pytest.mark.parametrize(("length", "overruns"), [(64, False), (65, True), (255, True)])
+def test_lengths_over_the_buffer_are_counted(bench: Bench, length: int, overruns: bool) -> None:
+    bench.transfer(bytes((length,)))
+    assert bench.controller.corruptions.total() == overruns
+
+
+@pytest.mark.parametrize("framing", Framing)
+@given(st.lists(st.tuples(st.integers(0, 1_500), st.binary(max_size=70)), max_size=20))
+def test_no_bytes_at_any_time_make_it_raise(framing: Framing, sent: Iterable[tuple[int, bytes]]) -> None:
+    bench = Bench(framing)
+    for pause_ms, data in sent:
+        bench.now_ns += pause_ms * MS
+        bench.transfer(data)
+        assert all(0 <= servo.angle_deg <= 180 for servo in bench.controller.servos.values())
+
+
+@pytest.mark.parametrize("framing", Framing)
+@given(st.lists(st.tuples(st.integers(0, 400), st.sampled_from([b"\x06\x02", b"\x0e\x01", START_11, b"\x0b\x01"]))))
+def test_a_second_of_silence_brings_any_controller_back_in_step(
+    framing: Framing, sent: Iterable[tuple[int, bytes]]
+) -> None:
+    bench = Bench(framing)
+    for pause_ms, data in sent:
+        bench.now_ns += pause_ms * MS
+        bench.transfer(data)
+    assume(bench.controller.dead is None)
+    bench.now_ns += 1_000 * MS
+    bench.send(START_LEG_1)
+    assert bench.controller.energised >= {11, 12, 13}

@@ -1,0 +1,311 @@
+"""The supervisor under random commands, delays, faults and settings, with a controller that does what the frames say.
+
+The oracle judges every step; the controller says which servos are really energised. Time may jump over any number of
+deadlines, and any transfer may fail.
+"""
+
+from dataclasses import replace
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from gateway.errors import SpiError
+from gateway.robot.core.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.robot.core.events import (
+    Announce,
+    BusFailed,
+    BusOpened,
+    Calibrate,
+    Command,
+    Do,
+    Effect,
+    EmergencyStop,
+    Event,
+    Kept,
+    LeaseRequest,
+    Reset,
+    ShutDown,
+    StoppedOutside,
+    TimePassed,
+    Transmit,
+)
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.core.transitions import TRANSITIONS
+from gateway.robot.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi.simulator import SimulatedController
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Kind, Mode
+from tests.support.history import demand
+from tests.support.oracle import Oracle
+
+MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sampled_from([0, 45_00, 90_00, 180_00]))
+OPS = st.one_of(MOVES, MOVES, st.just(STOP))
+FEW_LEGS = st.sampled_from([1, 1, 2, 2, 3, 6])
+"""Mostly the same ones, so that commands meet."""
+WAITS_NS = st.one_of(
+    st.just(0),
+    st.integers(1, 25 * NS_PER_MS),
+    st.sampled_from([NS_PER_MS, 20 * NS_PER_MS, 40 * NS_PER_MS]),
+    st.integers(0, 700 * NS_PER_MS),
+)
+RULES = st.builds(
+    Rules,
+    timeout_ns=st.sampled_from([20, 50, 250]).map(lambda ms: ms * NS_PER_MS),
+    whole_robot=st.booleans(),
+    repeats=st.integers(0, 3),
+    repeat_interval_ns=st.sampled_from([1, 20, 300]).map(lambda ms: ms * NS_PER_MS),
+    period_ns=st.sampled_from([1, 20, 100, 1000]).map(lambda ms: ms * NS_PER_MS),
+    unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
+    start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
+    joint_limits_cdeg=st.sampled_from([{}, {11: (10_00, 90_00), 62: (0, 0)}]),
+    max_speed_cdeg_s=st.sampled_from([{}, {}, {11: 1, 12: 60_00, 21: 1000_00}]),
+    landing_ns=st.sampled_from([0, 0, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
+    landing_cdeg=st.sampled_from([{}, {11: 0, 12: 180_00, 21: 30_00, 62: 0}]),
+    lease_required=st.sampled_from([False, False, True]),
+    lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
+    lease_takeover=st.booleans(),
+)
+CALIBRATIONS = st.sampled_from(
+    [
+        Calibration(),
+        Calibration(),
+        Calibration(
+            5, {11: ServoCalibration(-10_00, inverted=True), 21: ServoCalibration(max_cdeg=90_00)}, {11: 30_00}
+        ),
+    ]
+)
+CHANGES = st.builds(
+    Change,
+    st.dictionaries(
+        st.sampled_from([11, 12, 21, 33]),
+        st.builds(
+            ServoChange,
+            st.sampled_from([None, 0, 5_00, -90_00, 90_01]),
+            st.sampled_from([None, True, False]),
+            st.sampled_from([None, 0, 0, 45_00]),
+            st.sampled_from([None, 180_00, 180_00, 90_00]),
+        ),
+        max_size=2,
+    ),
+    st.dictionaries(st.sampled_from([11, 62]), st.sampled_from([None, 0, 50_00]), max_size=1),
+)
+DRIVERS = st.sampled_from(["anna", "ben"])
+WHOSE = st.sampled_from(["now", "now", "now", "before", "nobody's"])
+"""Of the lease as it is now, as it was before, or of none."""
+
+
+def is_handover(effect: Effect) -> bool:
+    return isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED
+
+
+class SupervisorMachine(RuleBasedStateMachine):
+    """One supervisor, its judge and its robot."""
+
+    @initialize(
+        rules=RULES,
+        now_ns=st.sampled_from([1, NS_PER_MS, 3_600_000_000_000]),
+        calibration=CALIBRATIONS,
+        fault=st.sampled_from([None] * 9 + ["it cannot be read"]),
+    )
+    def make(self, rules: Rules, now_ns: int, calibration: Calibration, fault: str | None) -> None:
+        self.now_ns = now_ns
+        self.supervisor = Supervisor(rules)
+        self.nameless = Supervisor(rules)
+        """Takes the same, and hears of no source."""
+        for supervisor in (self.supervisor, self.nameless):
+            supervisor.calibrating.load(calibration, fault)
+        self.oracle = Oracle(rules, calibration=calibration, fault=fault)
+        self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
+        self.number = self.tokens = 0
+        self.carries = "now"
+        self.instant_ns: int | None = None
+        if self.now_ns > 1:  # else it may be opened later, or not at all
+            self.step(BusOpened())
+
+    def step(self, event: Event, wait_ns: int = 0) -> None:
+        """One step as the service takes it: write the frames, and tell of a transfer that failed."""
+        self.now_ns += wait_ns
+        mode = self.supervisor.mode
+        effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
+        without = replace(event, source=None) if isinstance(event, Command) else event
+        demand(
+            [effect for effect in effects if not is_handover(effect)]
+            == self.nameless.step(without, self.now_ns, self.instant_ns),
+            "who commands changes nothing but what is told of it",
+        )
+        demand(self.supervisor.due_ns == self.nameless.due_ns, "who commands changes no time")
+        demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
+        self.oracle.judge(
+            event,
+            self.now_ns,
+            effects,
+            mode=self.supervisor.mode,
+            due_ns=self.supervisor.due_ns,
+            estops=self.supervisor.estops,
+            instant_ns=self.instant_ns,
+        )
+        fault: SpiError | None = None
+        for effect in effects:
+            if isinstance(effect, Transmit) and (fault is None or effect.frame.is_stop):
+                data = effect.frame.to_bytes()
+                assert decode(data) == effect.frame
+                try:
+                    self.controller.take(data)
+                except SpiError as error:
+                    fault = error
+        if fault is not None:
+            self.step(BusFailed(str(fault)))
+
+    def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
+        if Command in TRANSITIONS[self.supervisor.mode]:
+            self.number += 1
+            source = ("anna", "ben", None)[self.number % 3]
+            self.step(Command(self.number, channel, targets, source, self.token(self.carries)), wait_ns)
+
+    def token(self, whose: str) -> str | None:
+        """None where there is no such lease."""
+        lease = self.oracle.lease
+        return {"now": lease.token, "before": lease.old_token, "nobody's": None}[whose]
+
+    @rule(whose=WHOSE)
+    def commands_carry(self, whose: str) -> None:
+        """From now on."""
+        self.carries = whose
+
+    @rule(do=st.sampled_from([Do.ACQUIRE, Do.ACQUIRE, Do.ASK, Do.TAKE]), name=DRIVERS, wait_ns=WAITS_NS)
+    def wants_the_lease(self, do: Do, name: str, wait_ns: int) -> None:
+        if LeaseRequest in TRANSITIONS[self.supervisor.mode]:
+            self.tokens += 1
+            self.step(LeaseRequest(do, name, fresh_token=f"{self.tokens:032x}"), wait_ns)
+
+    @rule(whose=WHOSE, to=st.one_of(st.none(), st.none(), DRIVERS), renew=st.booleans(), wait_ns=WAITS_NS)
+    def keeps_or_releases_it(self, whose: str, to: str | None, renew: bool, wait_ns: int) -> None:
+        if LeaseRequest in TRANSITIONS[self.supervisor.mode]:
+            do = Do.RENEW if renew else Do.RELEASE
+            self.step(LeaseRequest(do, token=self.token(whose), to=None if renew else to), wait_ns)
+
+    @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
+    def command_servo(self, servo_id: int, op: ServoOp, wait_ns: int) -> None:
+        self.command(f"servo/{servo_id}", ((servo_id, op),), wait_ns)
+
+    @rule(leg=FEW_LEGS, ops=st.one_of(st.tuples(OPS, OPS, OPS), OPS.map(lambda op: (op, op, op))), wait_ns=WAITS_NS)
+    def command_leg(self, leg: int, ops: tuple[ServoOp, ServoOp, ServoOp], wait_ns: int) -> None:
+        self.command(f"leg/{leg}", tuple(zip(servo_ids_of(leg), ops, strict=True)), wait_ns)
+
+    @rule(legs=st.sets(FEW_LEGS, min_size=1), op=OPS, other=OPS, wait_ns=WAITS_NS)
+    def command_legs(self, legs: set[int], op: ServoOp, other: ServoOp, wait_ns: int) -> None:
+        ops = {leg: op if leg % 2 else other for leg in legs}
+        targets = tuple((servo_id, ops[leg]) for leg in sorted(legs) for servo_id in servo_ids_of(leg))
+        self.command("legs", targets, wait_ns)
+
+    @rule(angle_cdeg=st.sampled_from([10_00, 80_00]), wait_ns=st.integers(0, 19 * NS_PER_MS))
+    def start_everything(self, angle_cdeg: int, wait_ns: int) -> None:
+        op = ServoOp(Op.START, angle_cdeg)
+        self.command("legs", tuple((servo_id, op) for leg in LEGS for servo_id in servo_ids_of(leg)), wait_ns)
+
+    @rule(
+        change=CHANGES,
+        older=st.sampled_from([None, None, 0, 1]),
+        default=st.sampled_from([False] * 9 + [True]),
+        wait_ns=WAITS_NS,
+    )
+    def calibrate(self, change: Change, older: int | None, default: bool, wait_ns: int) -> None:
+        if Calibrate in TRANSITIONS[self.supervisor.mode]:
+            self.number += 1
+            revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
+            lease = self.token(self.carries)
+            self.step(Calibrate(self.number, change, revision, default, lease=lease), wait_ns)
+
+    @precondition(lambda self: self.oracle.calibration.on_its_way is not None)
+    @rule(fault=st.sampled_from([None, None, "the disk is full"]), wait_ns=WAITS_NS)
+    def the_disk_answers(self, fault: str | None, wait_ns: int) -> None:
+        way = self.oracle.calibration.on_its_way
+        self.step(Kept(0 if way is None else way.number, fault), wait_ns)
+
+    @rule(wait_ns=WAITS_NS)
+    def time_passes(self, wait_ns: int) -> None:
+        self.step(TimePassed(), wait_ns)
+
+    @precondition(lambda self: self.supervisor.due_ns is not None)
+    @rule(late_ns=st.sampled_from([0, 0, 1, NS_PER_MS]))
+    def wake_up_when_due(self, late_ns: int) -> None:
+        due_ns = self.supervisor.due_ns
+        assert due_ns is not None
+        self.step(TimePassed(), max(0, due_ns - self.now_ns) + late_ns)
+        assert self.supervisor.due_ns is None or self.supervisor.due_ns > self.now_ns, "waking up makes progress"
+
+    @rule(rarely=st.integers(0, 3), wait_ns=WAITS_NS)
+    def emergency_stop(self, rarely: int, wait_ns: int) -> None:
+        if rarely == 0:
+            self.step(EmergencyStop("somebody"), wait_ns)
+
+    @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
+    def reset(self, newer: int | None, wait_ns: int) -> None:
+        if Reset in TRANSITIONS[self.supervisor.mode]:
+            self.number += 1
+            estop = None if newer is None else self.supervisor.estops + newer
+            self.step(Reset(self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
+
+    @rule()
+    def an_instant_begins(self) -> None:
+        """What comes from now on was collected together, and takes time to deal with."""
+        self.now_ns += 1
+        self.instant_ns = self.now_ns
+
+    @rule()
+    def an_instant_ends(self) -> None:
+        """What comes from now on came one by one."""
+        self.now_ns += 1
+        self.instant_ns = None
+
+    @rule(rarely=st.integers(0, 3), at_work=st.booleans(), wait_ns=WAITS_NS)
+    def stop_servos(self, rarely: int, at_work: bool, wait_ns: int) -> None:
+        if StoppedOutside in TRANSITIONS[self.supervisor.mode] and (rarely == 0 or not at_work):
+            self.step(StoppedOutside(at_work), wait_ns)
+
+    @rule(wait_ns=WAITS_NS)
+    def bus_opens(self, wait_ns: int) -> None:
+        if BusOpened in TRANSITIONS[self.supervisor.mode]:
+            self.controller.heal()
+            self.step(BusOpened(), wait_ns)
+
+    @rule(rarely=st.integers(0, 5), wait_ns=WAITS_NS)
+    def bus_fails(self, rarely: int, wait_ns: int) -> None:
+        if rarely == 0:
+            self.step(BusFailed("a test's fault"), wait_ns)
+
+    @rule(count=st.sampled_from([0, 0, 0, 1, 3]))
+    def transfers_will_fail(self, count: int) -> None:
+        self.controller.fail_next(count)
+
+    @rule(rarely=st.integers(0, 29), wait_ns=WAITS_NS)
+    def shut_down(self, rarely: int, wait_ns: int) -> None:
+        if rarely == 0:
+            self.step(ShutDown(), wait_ns)
+
+    @invariant()
+    def the_robot_is_as_everybody_believes(self) -> None:
+        assert not self.controller.corruptions
+        if self.supervisor.mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED):
+            running = {servo.servo_id for servo in self.supervisor.legs.servos.values() if servo.running}
+            assert self.controller.energised == running == self.oracle.energised
+
+    @invariant()
+    def what_is_due_is_known(self) -> None:
+        """A step looks only at the legs that it has changed; to look at all of them must come to the same."""
+        legs = self.supervisor.legs
+        kept = legs.due_ns, legs.repeat_ns, legs.at_rest
+        legs.look()
+        assert kept == (legs.due_ns, legs.repeat_ns, legs.at_rest)
+
+    @invariant()
+    def nothing_is_forgotten(self) -> None:
+        assert self.supervisor.legs._pending.keys() == self.oracle.pending.keys()
+
+
+TestSupervisorMachine = SupervisorMachine.TestCase
+TestSupervisorMachine.settings = settings(max_examples=150, stateful_step_count=60, deadline=None)

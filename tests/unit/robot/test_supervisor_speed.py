@@ -1,0 +1,128 @@
+"""A servo whose speed is limited goes to its target in steps, one in each rate slot. Each step is judged."""
+
+import pytest
+
+from gateway.robot.core.leg import Rules
+from tests.support.steps import Steps, leg_to, servo_to
+
+
+def speed_steps(deg_s: float = 100) -> Steps:
+    """Servo 31 runs at 90 degrees since 0 ms; leg 3 has a rate slot each 20 ms."""
+    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: round(deg_s * 100)}))
+    steps.command(1, leg_to(3, "start 90"))
+    return steps
+
+
+def angles(steps: Steps, until_ms: float) -> list[float]:
+    """What servo 31 is told as time passes."""
+    said: list[float] = []
+    while steps.due_ms is not None and steps.due_ms <= until_ms:
+        for line in steps.time(steps.due_ms):
+            words = line.split()
+            if words[:3] == ["command", "31", "set"]:
+                said.append(float(words[3]))
+            else:
+                assert words[0] != "command", line
+    return said
+
+
+def test_a_far_target_is_approached_and_reached() -> None:
+    steps = speed_steps()
+    assert steps.command(51, servo_to(31, "set 110")) == ["command 31 set 92", "completed 2"]
+    said = angles(steps, 300)
+    assert said == sorted(said)
+    assert said[-1] == 110
+    assert len(said) >= (110 - 92) / (100 / 50)
+
+
+def test_a_near_target_is_reached_at_once() -> None:
+    steps = speed_steps()
+    assert steps.command(51, servo_to(31, "set 91.9"))[0] == "command 31 set 91.9"
+    assert angles(steps, 200) == []
+
+
+def test_the_newest_target_counts() -> None:
+    steps = speed_steps()
+    steps.command(51, servo_to(31, "set 180"))
+    assert steps.command(71, servo_to(31, "set 85"))[0] == "command 31 set 90"
+    assert angles(steps, 300)[-1] == 85
+
+
+def test_a_start_of_a_servo_that_runs_is_no_way_round_it() -> None:
+    assert speed_steps().command(51, servo_to(31, "start 180"))[0] == "command 31 start 92"
+
+
+def test_a_start_of_one_that_does_not_run_goes_where_it_says() -> None:
+    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: 100}))
+    assert steps.command(1, servo_to(31, "start 180"))[0] == "command 31 start 180"
+
+
+def test_other_servos_are_as_quick_as_ever() -> None:
+    assert speed_steps().command(51, leg_to(3, "set 180"))[0] == "command 3 set 92 | set 180 | set 180"
+
+
+def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last() -> None:
+    steps = speed_steps()
+    steps.command(41, ((32, leg_to(3, "set 80")[1][1]), (33, leg_to(3, "set 80")[2][1])))
+    assert steps.command(51, servo_to(31, "set 180"))[0] == "command 31 set 91"
+
+
+def test_after_a_stall_it_does_not_leap() -> None:
+    """60 degrees a second, and nobody looked for 150 ms: 1.2 degrees, as with any other frame."""
+    steps = speed_steps(60)
+    assert steps.command(21, servo_to(31, "set 180"))[0] == "command 31 set 91.2"
+    assert steps.time(171) == ["command 31 set 92.4"]
+
+
+def across(user_deg: float, at_ms: float = 21) -> list[float]:
+    """What servo 31 is told on its way from 6 degrees at 50 degrees a second, where 1 to 4 are never sent."""
+    rules = Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00))
+    steps = Steps(rules)
+    steps.command(1, servo_to(31, "start 6"))
+    (said, *_) = steps.command(at_ms, servo_to(31, f"set {user_deg:g}"))
+    return [float(said.split()[-1]), *angles(steps, 1000)]
+
+
+def test_a_way_across_angles_that_are_never_sent_waits_before_them_until_it_would_be_beyond() -> None:
+    said = across(0)
+    assert said[:2] == [5, 4.3] or said[:2] == [5, 4.75]
+    assert {angle for angle in said if 0.99 < angle <= 4} == {4}, "the last angle before them"
+    assert said[-1] == 0
+    assert 4 <= len([angle for angle in said if angle == 4]) <= 4 * 4, "for as long as the way takes, in each rate slot"
+    assert not [angle for angle in said if 1 <= angle < 4]
+
+
+def test_a_target_before_them_is_simply_reached() -> None:
+    assert across(4)[-1] == 4
+
+
+def test_a_target_among_them_is_rejected() -> None:
+    steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)))
+    assert steps.command(1, servo_to(31, "start 3.99")) == ["rejected 1 joint_limit"]
+    assert steps.command(2, servo_to(31, "start 1")) == ["rejected 2 joint_limit"]
+    assert steps.command(3, servo_to(31, "start 4"))[0] == "command 31 start 4"
+    assert steps.command(50, servo_to(31, "set 0.99"))[0] == "command 31 set 0.99"
+
+
+@pytest.mark.parametrize("word", ["stop", "estop", "silence"])
+def test_a_stop_ends_it(word: str) -> None:
+    steps = speed_steps(10)
+    steps.command(51, servo_to(31, "set 180"))
+    if word == "stop":
+        steps.command(60, servo_to(31, "stop"))
+    elif word == "estop":
+        steps.estop(60)
+    else:
+        assert angles(steps, 400)
+        assert not steps.running
+    assert not angles(steps, 1000)
+    assert 31 not in steps.running
+
+
+def test_under_a_new_holder_of_the_lease_nothing_goes_on_to_where_somebody_else_sent_it() -> None:
+    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={11: 100_00}))
+    steps.command(10, servo_to(11, "start 0"))
+    assert steps.command(100, servo_to(11, "set 90")) == ["command 11 set 2", "completed 2"]
+    assert steps.lease(101, "acquire anna", fresh="a" * 32) == ["announce lease_acquired", "lease granted"]
+    assert steps.time(249) == []
+    assert steps.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
