@@ -22,17 +22,17 @@ from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge.calibration_desk import CalibrationDesk
-from gateway.robot.edge.doorkeeper import Doorkeeper
+from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
+from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.lease_desk import LeaseDesk, checker_of
+from gateway.robot.edge.lease_request_reader import LeaseRequestReader, checker_of
 from gateway.robot.edge.outbox import ZenohOutbox
 from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
-from gateway.robot.edge.strangers import Strangers
+from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.edge.upkeep import Upkeep
 from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
-from gateway.robot.host.calibration_keeper import CalibrationKeeper
+from gateway.robot.host.calibration_writer import CalibrationWriter
 from gateway.robot.host.descriptors import Spare
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
@@ -41,9 +41,9 @@ from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.ending import END_S, End, close_within, leave, stop_the_robot
 from gateway.robot.runtime.lease_answers import LeaseAnswers
 from gateway.robot.runtime.report import wall_clock
+from gateway.robot.runtime.shutdown import END_S, End, close_within, leave, stop_the_robot
 from gateway.robot.settings import Settings, ZenohSettings
 from gateway.robot.spi import SpiDevice
 from gateway.robot.spi.bus import bus_for
@@ -191,11 +191,11 @@ async def _run(
             conductor.announce_start()
             calibrations.announce_start()
         notifier.ready("takes commands")
-        doorkeeper, upkeep = _attendants(session, config, conductor, notifier)
+        connection_limiter, upkeep = _attendants(session, config, conductor, notifier)
         on_ready(config)
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
-            asyncio.create_task(_beat(notifier, conductor, inbox, Strangers(session), end)),
+            asyncio.create_task(_beat(notifier, conductor, inbox, UnknownKeys(session), end)),
         ]
         for task in tasks:
             task.add_done_callback(end.task_done)
@@ -211,7 +211,7 @@ async def _run(
             deadline - loop.time(),
             end.exit_code,
             outbox.close,
-            doorkeeper.close,
+            connection_limiter.close,
             upkeep.close,
             inbox.close,
             session.close,
@@ -234,7 +234,7 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
     conductor.supervisor.calibrating.load(calibration, fault)
     if fault is not None:
         logger.warning("%s; nothing is started until `%s`", fault, ACCEPT_DEFAULT)
-    return Calibrations(conductor, CalibrationKeeper(path, loop, conductor.owner).keep, loop)
+    return Calibrations(conductor, CalibrationWriter(path, loop, conductor.owner).keep, loop)
 
 
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
@@ -253,7 +253,7 @@ def _inbox(
     calibrations: Calibrations,
 ) -> Inbox:
     """What comes in, connected with the conductor."""
-    desk = LeaseDesk(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
+    desk = LeaseRequestReader(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
     inbox = Inbox(
         session,
         loop,
@@ -263,7 +263,7 @@ def _inbox(
         on_state_query=conductor.answer_state,
         readers={
             LEASE: desk.note,
-            CALIBRATION_CMD: CalibrationDesk(calibrations).note,
+            CALIBRATION_CMD: CalibrationRequestReader(calibrations).note,
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
         },
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -275,11 +275,11 @@ def _inbox(
 
 def _attendants(
     session: zenoh.Session, config: zenoh.Config, conductor: Conductor, notifier: SystemdNotifier
-) -> tuple[Doorkeeper, Upkeep]:
+) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that look after the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
     conductor.certificate = upkeep.certificate
-    return Doorkeeper(session, conductor.metrics.count_sessions), upkeep
+    return ConnectionLimiter(session, conductor.metrics.count_sessions), upkeep
 
 
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
@@ -291,7 +291,9 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
                 outbox.publish(STATE, conductor.state())
 
 
-async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, strangers: Strangers, end: End) -> None:
+async def _beat(
+    notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, unknown_keys: UnknownKeys, end: End
+) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
 
     While somebody keeps the state, this waits, so that systemd hears nothing either.
@@ -312,12 +314,12 @@ async def _beat(notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, s
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         lag_ns = round((loop.time() - due_s) * 1e9)
-        stranger = strangers.look()
+        found = unknown_keys.look()
         with conductor.owner:
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)
-            if stranger is not None:
-                conductor.answers.reject_unread(*stranger)
+            if found is not None:
+                conductor.answers.reject_unread(*found)
     end.because("a thread that waits for commands has ended")
 
 

@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway.limits import MAX_SESSIONS
-from gateway.robot.edge.doorkeeper import VISITORS
+from gateway.robot.edge.connection_limiter import VISITORS
 from gateway.robot.host.descriptors import NEEDED
 from schemas.telemetry import Mode
 from tests.hil.bed import SpiTestbed

@@ -18,7 +18,7 @@ from typing import Any, Self
 import pytest
 
 from gateway.client import Client
-from gateway.robot.host.outlet import KEPT
+from gateway.robot.host.log_writer import KEPT
 from schemas import keys
 from schemas.telemetry import Ack, Cause
 from tests.support.gateway_process import COMMAND, free_port, write_settings

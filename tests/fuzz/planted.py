@@ -11,10 +11,10 @@ from gateway.robot.core.events import (
     Rejected,
     Reset,
 )
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots, StartQueue
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Reason
 

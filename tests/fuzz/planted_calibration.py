@@ -6,9 +6,9 @@ from dataclasses import replace
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.events import Calibrate, Command, Effect, Kept, Rejected, Transmit
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Rules, Servo
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import Frame, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Reason

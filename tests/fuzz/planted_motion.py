@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import Effect
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, ServoOp
 from schemas.telemetry import Cause, Reason

@@ -17,7 +17,7 @@ from zlib import crc32
 
 from mcap.reader import make_reader
 
-from gateway.people.incidents import kept, reader
+from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, messages
 from gateway.people.incidents.story import story
@@ -102,9 +102,9 @@ def _measured(work: Callable[[bytes], Made], data: bytes, most: int) -> Made:
 # ---- reading
 
 
-def _parse(data: bytes) -> tuple[reader.Records, int, int] | None:
+def _parse(data: bytes) -> tuple[ring_reader.Records, int, int] | None:
     try:
-        return reader.parse(image_of(data))
+        return ring_reader.parse(image_of(data))
     except form.DamagedError:
         return None
 
@@ -133,7 +133,7 @@ def fuzz_ring(data: bytes) -> str:
 class _Told(NamedTuple):
     """What becomes of a ring's records."""
 
-    records: reader.Records
+    records: ring_reader.Records
     incidents: list[Incident]
     messages: list[list[Message]]
     stories: list[list[str]]
@@ -189,8 +189,8 @@ def fuzz_export(data: bytes) -> str:
     if told is None or not told.incidents:
         return "no incident"
     with _folder() as folder:
-        path = kept.keep(Path(folder), told.incidents[-1], told.records)
-        assert [each.name for each in kept.kept(Path(folder))] == [path.stem]
+        path = archive.keep(Path(folder), told.incidents[-1], told.records)
+        assert [each.name for each in archive.kept(Path(folder))] == [path.stem]
         with path.open("rb") as file:
             of_mcap = [(channel.topic, json.loads(message.data)) for _, channel, message in _iterate(file)]
         again = [each for each in read(path) if each.topic in TOPICS]
@@ -241,25 +241,25 @@ def _overwrite(path: Path, image: bytes) -> None:
 UNDER_WAY: Final = {"nothing": _nothing, "cut": _cut, "growing": _grow, "written to": _overwrite}
 
 
-def _read_while(path: Path, change: Callable[[], None]) -> reader.Content | None:
+def _read_while(path: Path, change: Callable[[], None]) -> ring_reader.Content | None:
     """Read it; the change comes when its size is known and nothing is read."""
 
     def changed(fd: int) -> bool:
         change()
         return written_by_anyone(fd)
 
-    reader.written_by_anyone = changed  # type: ignore[attr-defined]
+    ring_reader.written_by_anyone = changed  # type: ignore[attr-defined]
     try:
-        return reader.read(path)
-    except reader.NoRingError:
+        return ring_reader.read(path)
+    except ring_reader.NoRingError:
         return None
     finally:
-        reader.written_by_anyone = written_by_anyone  # type: ignore[attr-defined]
+        ring_reader.written_by_anyone = written_by_anyone  # type: ignore[attr-defined]
 
 
-def _check_same(image: bytes, seen: reader.Content | None) -> None:
+def _check_same(image: bytes, seen: ring_reader.Content | None) -> None:
     try:
-        records, damaged, missing = reader.parse(image)
+        records, damaged, missing = ring_reader.parse(image)
     except form.DamagedError:
         assert seen is None
         return
@@ -279,10 +279,10 @@ def _go_on(path: Path) -> str:
         for number in range(3):
             ring.append(form.MODE, number, form.mode(str(number)))
         ring.append(form.EVENT, 3, form.event("bus_fault", None, None, None, "x" * form.ROOM, 0))
-        assert reader.read(path).written
+        assert ring_reader.read(path).written
     finally:
         ring.close()
-    content = reader.read(path)
+    content = ring_reader.read(path)
     assert path.stat().st_size == header.file_bytes(slots)
     assert not content.written
     there = [(each.sequence, each.content) for each in content.records[-4:]]

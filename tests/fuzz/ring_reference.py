@@ -7,7 +7,7 @@ import struct
 from typing import Final
 from zlib import crc32
 
-from gateway.people.incidents.decoding import decode
+from gateway.people.incidents.ring_decoding import decode
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import header
 

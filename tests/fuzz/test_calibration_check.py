@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.supervisor import Supervisor
 from tests.fuzz import planted_calibration as planted
 from tests.support.history import Violation

@@ -74,9 +74,9 @@ WANTED = {
     ("simulator", "robot/spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
     # Of these, the fuzzer finds the first three by a change that knows the format, and the others with its seeds.
     ("ring", "robot/blackbox/format.py", "_HEAD.size <= length <= SLOT - _CRC.size", "_HEAD.size <= length"),
-    ("ring", "people/incidents/reader.py", "slot.sequence % slots == index", "slot.sequence"),
+    ("ring", "people/incidents/ring_reader.py", "slot.sequence % slots == index", "slot.sequence"),
     ("incidents", "people/incidents/incidents.py", "end_ns = min(max(end_ns,", "end_ns = min(max(0,"),
-    ("incidents", "people/incidents/decoding.py", "in facts.items()).encode()", "in facts.items())"),
+    ("incidents", "people/incidents/ring_decoding.py", "in facts.items()).encode()", "in facts.items())"),
     ("export", "people/incidents/incidents.py", "return max(0, ns + self", "return (ns + self"),
     ("ring-file", "robot/blackbox/ring.py", "                os.ftruncate(self._fd, 0)", "                pass"),
 ])  # fmt: skip

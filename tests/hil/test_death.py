@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from gateway.people.incidents import reader
+from gateway.people.incidents import ring_reader
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox.place import RING
 from gateway.robot.host.systemd import HANGS_AFTER
@@ -225,7 +225,7 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     these and their records. No record stands for a frame that was not written, and each frame that moves stands behind
     its command.
     """
-    content = reader.read(ring)
+    content = ring_reader.read(ring)
     assert not content.written
     assert content.damaged <= 1, "only the record that was being written"
     assert content.missing == 0

@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway.client import Client
-from gateway.people.incidents.kept import SUFFIX
+from gateway.people.incidents.archive import SUFFIX
 from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from tests.hil.bed import SpiTestbed, Transfer

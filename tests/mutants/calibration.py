@@ -12,7 +12,7 @@ _TESTS = (
 )
 
 REACH = Subject(
-    "gateway/robot/core/reach.py",
+    "gateway/robot/core/joint_limits.py",
     tests=_TESTS,
     mutants=(
         Mutant(

@@ -168,7 +168,7 @@ PROOF = Subject(
     ),
 )
 DESK = Subject(
-    "gateway/robot/edge/lease_desk.py",
+    "gateway/robot/edge/lease_request_reader.py",
     tests=(
         "tests/unit/people/test_lease_checker.py",
         "tests/unit/robot/test_lease_conductor.py",

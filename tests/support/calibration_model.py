@@ -6,8 +6,8 @@ from typing import Any, Final
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.calibration import Calibration, Change
 from gateway.robot.core.events import Calibrate, Event, Kept
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.calibration_history import CalibrationHistory
 

@@ -16,8 +16,8 @@ from pydantic import BaseModel
 from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge.calibration_desk import CalibrationDesk
-from gateway.robot.edge.lease_desk import LeaseDesk
+from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
+from gateway.robot.edge.lease_request_reader import LeaseRequestReader
 from gateway.robot.protocol.frames import Frame, decode
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
@@ -73,9 +73,9 @@ class Robot:
         self.conductor.take = self._take
         fresh = (f"{number:032x}" for number in itertools.count(1))
         answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
-        self.desk = LeaseDesk(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
+        self.desk = LeaseRequestReader(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
         self.calibrations = Calibrations(self.conductor, keep, self.loop)
-        self.calibration_desk = CalibrationDesk(self.calibrations)
+        self.calibration_request_reader = CalibrationRequestReader(self.calibrations)
         self._beat()
 
     def _beat(self) -> None:
@@ -165,7 +165,9 @@ class Robot:
         self._instants += 1
         answers: list[Ack] = []
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        deal = self.calibration_desk.read(data, lambda answer: answers.append(Ack.model_validate_json(answer)))
+        deal = self.calibration_request_reader.read(
+            data, lambda answer: answers.append(Ack.model_validate_json(answer))
+        )
         deal()
         return answers
 

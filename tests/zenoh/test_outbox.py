@@ -13,7 +13,7 @@ from zenoh.handlers import RingChannel
 from gateway.people.client.config import client_config
 from gateway.robot.edge.outbox import MOST_WAITING, ZenohOutbox
 from gateway.robot.edge.session import service_config
-from gateway.robot.edge.strangers import Strangers
+from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import open_session
 from schemas.keys import EVENT, STATE
@@ -25,7 +25,7 @@ def test_it_knows_whether_anyone_listens() -> None:
     outbox = ZenohOutbox()
     assert not outbox.anyone_listens(STATE)
     with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
-        strangers = Strangers(session)  # which hears all of hexapod/, and counts for nobody
+        unknown_keys = UnknownKeys(session)  # which hears all of hexapod/, and counts for nobody
         outbox.open(session)
         assert comes_to_say(outbox, listened_to=False)
         changes: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -39,7 +39,7 @@ def test_it_knows_whether_anyone_listens() -> None:
                 subscriber.undeclare()
                 assert not changes.get(timeout=10).matching
                 assert comes_to_say(outbox, listened_to=False)
-        assert strangers.look() is None
+        assert unknown_keys.look() is None
         listener.undeclare()
         outbox.close()
 
@@ -75,7 +75,7 @@ def test_what_is_published_while_too_much_waits_is_dropped_and_counted() -> None
     outbox = ZenohOutbox()
     with closing(open_session(service_config(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))))) as session:
         outbox.open(session)
-        held = Held()
+        held = HeldServo()
         outbox.publish(EVENT, held)
         assert held.begun.wait(10)
         for number in range(MOST_WAITING + 7):
@@ -91,7 +91,7 @@ class Numbered(BaseModel):
     number: int
 
 
-class Held(BaseModel):
+class HeldServo(BaseModel):
     """A report that takes until it is told to go on."""
 
     _begun: threading.Event = PrivateAttr(default_factory=threading.Event)

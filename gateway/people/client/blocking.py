@@ -13,8 +13,8 @@ import zenoh
 from pydantic import BaseModel, Field, ValidationError
 
 from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
+from gateway.people.client.close_at_exit import close_at_the_end
 from gateway.people.client.config import client_config
-from gateway.people.client.ending import close_at_the_end
 from gateway.people.client.hosts import Hosts
 from gateway.people.client.lease import Lease
 from gateway.people.client.lease_requests import LeaseRequests

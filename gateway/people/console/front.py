@@ -240,7 +240,7 @@ class Front:
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """asyncio's exception handler: one line, which another thread writes (`gateway.robot.host.outlet`).
+    """asyncio's exception handler: one line, which another thread writes (`gateway.robot.host.log_writer`).
 
     asyncio's own would render a traceback on the loop.
     """

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 from pydantic import AwareDatetime, Field
 
 from gateway.people.incidents.incidents import Incident
-from gateway.people.incidents.reader import Records
+from gateway.people.incidents.ring_reader import Records
 from gateway.people.recordings import Message
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox.recorder import ACCEPTED

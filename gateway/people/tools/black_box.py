@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.people.incidents import kept, reader
+from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find, is_id, time_of
-from gateway.people.incidents.keeper import LOOK_S, Keeper
 from gateway.people.incidents.messages import messages
 from gateway.people.incidents.story import NoStoryError, headline, story, what
+from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
 from gateway.people.tools.terminal import hint, this_command, visible
 from gateway.robot.blackbox import place
@@ -29,13 +29,13 @@ class _Found(NamedTuple):
     name: str
     path: Path | None
     incident: Incident | None
-    content: reader.Content | None
+    content: ring_reader.Content | None
 
 
 def list_all(settings: Settings) -> int:
     """Print the incidents, newest first. Exit code 0, also where there are none."""
     folder = _folder(settings)
-    found, said = _find(folder), kept.headlines(folder / place.INCIDENTS)
+    found, said = _find(folder), archive.headlines(folder / place.INCIDENTS)
     for each in reversed(found):
         when = time_of(each.name)
         size = f"{each.path.stat().st_size / 1000:.0f} kB" if each.path is not None else "in the ring"
@@ -90,7 +90,7 @@ def export(settings: Settings, name: str, file: Path) -> int:
 
 def _export(found: _Found, file: Path) -> None:
     if found.incident is not None and found.content is not None:
-        kept.write(file, found.incident, found.content.records, overwrite=False)
+        archive.write(file, found.incident, found.content.records, overwrite=False)
     elif found.path is not None:
         with file.open("xb") as copy:
             copy.write(found.path.read_bytes())
@@ -99,7 +99,7 @@ def _export(found: _Found, file: Path) -> None:
 def keep(settings: Settings, *, once: bool) -> int:
     """Keep incidents until SIGTERM; `once`: those that are in the ring now, also where more may still be added."""
     logging.basicConfig(level=settings.log.level.upper(), format="%(message)s")
-    keeper = Keeper(_folder(settings))
+    keeper = IncidentWatcher(_folder(settings))
     if once:
         keeper.keep_all()
         return 0
@@ -125,10 +125,10 @@ def _folder(settings: Settings) -> Path:
 
 def _find(folder: Path) -> list[_Found]:
     """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
-    found = {each.name: _Found(each.name, each.path, None, None) for each in kept.kept(folder / place.INCIDENTS)}
+    found = {each.name: _Found(each.name, each.path, None, None) for each in archive.kept(folder / place.INCIDENTS)}
     try:
-        content = reader.read(folder / place.RING)
-    except reader.NoRingError as error:
+        content = ring_reader.read(folder / place.RING)
+    except ring_reader.NoRingError as error:
         if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
             raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
         if not isinstance(error.__cause__, FileNotFoundError):
@@ -136,7 +136,7 @@ def _find(folder: Path) -> list[_Found]:
         return list(found.values())
     for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
         before = found.pop(incident.name, None)  # what is in the ring is newer than what is there no more
-        if before is None or not kept.is_kept(folder / place.INCIDENTS, incident):
+        if before is None or not archive.is_kept(folder / place.INCIDENTS, incident):
             path = None if before is None else before.path
             before = _Found(incident.name, path, incident, content)
         found[incident.name] = before

@@ -20,8 +20,8 @@ from gateway.geometry import load
 from gateway.people.client.blocking import Client
 from gateway.people.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
 from gateway.people.recordings import repair as repair_recording
-from gateway.people.tools.ending import on_end_signals
 from gateway.people.tools.reach import Connection
+from gateway.people.tools.signals import on_end_signals
 from gateway.people.tools.terminal import hint, say, this_command
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 

@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 
 from gateway.robot.core.calibration import Calibration, CalibrationError, changed_servos
 from gateway.robot.core.events import Announce, Calibrate, Completed, Effect, Keep, Kept, Rejected
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Servo
-from gateway.robot.core.reach import Reach
 from gateway.robot.protocol.frames import ServoOp
 from schemas.telemetry import Kind, Reason
 

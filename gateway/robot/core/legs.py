@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.speed import step
 from gateway.robot.protocol.frames import OP_SET, OP_STOP, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS

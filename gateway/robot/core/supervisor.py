@@ -57,11 +57,11 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
-from gateway.robot.core.reach import Reach
 from gateway.robot.core.transitions import TRANSITIONS, IllegalEvent
 from gateway.robot.protocol.frames import OP_SET, OP_STOP
 from schemas.robot import LEGS

@@ -41,7 +41,7 @@ class ZenohOutbox:
                 key,
                 encoding="application/json",
                 congestion_control=zenoh.CongestionControl.DROP,
-                allowed_destination=zenoh.Locality.REMOTE,  # the gateway hears all of `hexapod/` itself (strangers.py)
+                allowed_destination=zenoh.Locality.REMOTE,  # the gateway itself receives all keys (unknown_keys.py)
             )
             for key in PUBLISHED
         }

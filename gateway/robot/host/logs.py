@@ -15,13 +15,13 @@ from typing import Any, Final, Literal
 
 import structlog
 
-from gateway.robot.host.outlet import Outlet, Stream
+from gateway.robot.host.log_writer import LogWriter, Stream
 from gateway.robot.settings import LogSettings
 
 FLUSH_S: Final = 0.3
 """How long the end waits for unwritten lines: what the Stops leave of its second (docs/interface.md, Behaviour 7)."""
 
-_outlets: list[Outlet] = []
+_log_writers: list[LogWriter] = []
 
 
 def set_up(settings: LogSettings) -> None:
@@ -30,8 +30,8 @@ def set_up(settings: LogSettings) -> None:
     From now on two threads of this module write to stdout and stderr; nobody else waits for these.
     """
     render = _formatter(settings, os.isatty(2)).format
-    out, err = Outlet(1), Outlet(2, _with_priority(render) if _is_journal(2) else render)
-    _outlets[:] = [out, err]
+    out, err = LogWriter(1), LogWriter(2, _with_priority(render) if _is_journal(2) else render)
+    _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = Stream(out), Stream(err)
     atexit.register(close)
     root = logging.getLogger()
@@ -59,14 +59,14 @@ def _with_priority(render: Callable[[logging.LogRecord], str]) -> Callable[[logg
 def close(timeout_s: float = FLUSH_S) -> None:
     """Write the lines that wait, for at most this long."""
     end = time.monotonic() + timeout_s
-    for outlet in reversed(_outlets):
-        outlet.close(max(0.0, end - time.monotonic()))
-    _outlets.clear()
+    for log_writer in reversed(_log_writers):
+        log_writer.close(max(0.0, end - time.monotonic()))
+    _log_writers.clear()
 
 
 def dropped() -> int:
     """How many lines were not written, because nobody read what came before them."""
-    return sum(outlet.dropped for outlet in _outlets)
+    return sum(log_writer.dropped for log_writer in _log_writers)
 
 
 def keep_stacks() -> None:
@@ -86,15 +86,15 @@ def keep_stacks() -> None:
 
 
 class _Handler(logging.Handler):
-    """Puts records into the outlet's queue.
+    """Puts records into the log_writer's queue.
 
     `logging.handlers.QueueHandler` would render exceptions here, which reads files. It would also take a lock, which
     another thread may hold while it waits for a processor.
     """
 
-    def __init__(self, outlet: Outlet) -> None:
+    def __init__(self, log_writer: LogWriter) -> None:
         super().__init__()
-        self._outlet = outlet
+        self._log_writer = log_writer
 
     def handle(self, record: logging.LogRecord) -> bool:
         """Format the message now: its arguments may change later."""
@@ -103,7 +103,7 @@ class _Handler(logging.Handler):
         except Exception:
             self.handleError(record)
         else:
-            self._outlet.put(record)
+            self._log_writer.put(record)
         return True
 
 

@@ -40,11 +40,11 @@ from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.runtime.answers import Answers, legs_of
+from gateway.robot.runtime.event_publisher import Teller
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import limits_of, report
 from gateway.robot.runtime.sources import Sources
-from gateway.robot.runtime.teller import Teller
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys, telemetry

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.incidents.keeper import Keeper
+from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.tools import black_box
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
@@ -75,7 +75,7 @@ def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
     assert NAME not in said.out
     assert "another user has made this file, or may write to it" in said.err
     with caplog.at_level(logging.INFO):
-        assert not Keeper(folder).keep(whole_only=False)
+        assert not IncidentWatcher(folder).keep(whole_only=False)
     assert "another user has made this file" in caplog.text
     assert not (folder / place.INCIDENTS).exists()
 

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from gateway.errors import LeaseError, LeaseLostError, UnansweredError
 from gateway.people.tools.calibrate.guide import Guide
-from gateway.people.tools.calibrate.held import Held
+from gateway.people.tools.calibrate.held_servo import HeldServo
 from gateway.people.tools.calibrate.session import Session
 from gateway.people.tools.calibrate.view import picture
 from gateway.robot.core.calibration import Calibration, ServoCalibration
@@ -24,7 +24,7 @@ class Person:
         self.servos = Servos()
         self.robot = KeptCalibration(calibration)
         self.guide = Guide(calibration)
-        self.held = Held(self.servos, timeout_ms=20)
+        self.held = HeldServo(self.servos, timeout_ms=20)
         self.changed = threading.Event()
         self.session = Session(self.guide, self.held, self.robot, self.changed.set)
 

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from gateway.errors import SpiError
 from gateway.geometry import load
-from gateway.people.incidents import kept, reader
+from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
 from gateway.people.incidents.story import _WORSE, story, what
@@ -37,8 +37,8 @@ START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
 
 
-def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], reader.Content]:
-    content = reader.read(folder / place.RING)
+def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], ring_reader.Content]:
+    content = ring_reader.read(folder / place.RING)
     return find(content.records, written=content.written, now_ns=now_ns), content
 
 
@@ -131,8 +131,8 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
     silent = "a leg was silent, and was stopped: leg 3"
     worst = f"somebody requested an emergency stop (bert); also: {silent}"
     assert f": {worst}, at " in told(folder)[0]
-    kept.keep(folder / place.INCIDENTS, incident, content.records)
-    assert kept.headlines(folder / place.INCIDENTS) == {incident.name: worst}
+    archive.keep(folder / place.INCIDENTS, incident, content.records)
+    assert archive.headlines(folder / place.INCIDENTS) == {incident.name: worst}
     robot.conductor.recorder.close()
     assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
@@ -212,7 +212,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     robot.conductor.recorder.calibration(Calibration(2))  # of later frames
     await asyncio.sleep(10)
     (incident,), content = incidents(folder, robot.now_ns())
-    path = kept.keep(folder / place.INCIDENTS, incident, content.records)
+    path = archive.keep(folder / place.INCIDENTS, incident, content.records)
     told = list(read(path))
     (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
     assert way_down.endswith("leg 3 at 30 45 120")
@@ -323,7 +323,7 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     await happens(robot)
     robot.put(LEG_3, b"{")
     ((incident,), content) = incidents(folder)
-    path = kept.keep(folder / place.INCIDENTS, incident, content.records)
+    path = archive.keep(folder / place.INCIDENTS, incident, content.records)
     with path.open("rb") as file:
         seen: dict[str, int] = {}
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -357,7 +357,7 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     found, content = incidents(folder)
     assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
     assert content.damaged == 2
-    path = kept.keep(folder / place.INCIDENTS, found[0], content.records)
+    path = archive.keep(folder / place.INCIDENTS, found[0], content.records)
     assert "made up: " in "\n".join(story(list(read(path))))
 
 
@@ -369,12 +369,12 @@ KINDS: dict[type[form.Content], int] = {
 }
 
 
-def records(*contents: tuple[float, form.Content]) -> reader.Records:
+def records(*contents: tuple[float, form.Content]) -> ring_reader.Records:
     """Records at these seconds, behind the start of a gateway."""
     behind = [(1.0, form.Start(WALL_NS, {})), *contents]
     made = [form.Record(number, round(at_s * SECOND), content) for number, (at_s, content) in enumerate(behind, 1)]
     kinds = [KINDS[type(record.content)] for record in made]
-    return reader.Records([record.ns for record in made], kinds, made.__getitem__)
+    return ring_reader.Records([record.ns for record in made], kinds, made.__getitem__)
 
 
 def event(kind: str) -> form.EventTold:

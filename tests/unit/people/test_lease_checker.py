@@ -21,7 +21,7 @@ from gateway.people.client.proof import Identity
 from gateway.robot.core.events import LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import MOST_NONCES, NONCE_NS, Nonces
-from gateway.robot.edge.lease_desk import CHECKS_PER_S, LeaseDesk
+from gateway.robot.edge.lease_request_reader import CHECKS_PER_S, LeaseRequestReader
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 
@@ -258,7 +258,7 @@ class Desk:
     def __init__(self) -> None:
         self.asked = Asked()
         self.now_ns = 1_000_000_000_000
-        self.desk = LeaseDesk(self.asked, CHECKER, wall_clock=lambda: NOW)
+        self.desk = LeaseRequestReader(self.asked, CHECKER, wall_clock=lambda: NOW)
 
     def read(self, request: dict[str, Any]) -> bytes:
         answers: list[bytes] = []
@@ -348,7 +348,7 @@ def test_the_holder_of_a_token_proves_nothing() -> None:
 
 def test_without_a_ca_names_are_taken_as_they_are_and_no_nonce_is_needed() -> None:
     desk = Desk()
-    desk.desk = LeaseDesk(desk.asked, None, wall_clock=lambda: NOW)
+    desk.desk = LeaseRequestReader(desk.asked, None, wall_clock=lambda: NOW)
     assert json.loads(desk.read({"do": "challenge"})) == {"accepted": True}
     desk.claim("acquire", None)
     assert [(each.source, each.verified) for each in desk.asked.requests] == [("anna", False)]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from gateway.errors import SpiError
-from gateway.people.incidents import reader
+from gateway.people.incidents import ring_reader
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.recorder import RingRecorder, incident_id
@@ -40,7 +40,7 @@ def recorded(folder: Path, **sections: Any) -> Robot:
 
 
 def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
-    records = reader.read(folder / place.RING).records
+    records = ring_reader.read(folder / place.RING).records
     return [record.content for record in records if not types or isinstance(record.content, types)]
 
 
@@ -56,7 +56,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
         await asyncio.sleep(1)
     for _ in range(20_000):  # the ring comes round
         robot.conductor.recorder.mode(Mode.IDLE)
-    records = reader.read(folder / place.RING).records
+    records = ring_reader.read(folder / place.RING).records
     assert form.CALIBRATION not in records.kinds
     assert in_force(records, robot.now_ns()) == 2
     robot.conductor.recorder.close()
@@ -64,11 +64,11 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     before_ns = after.now_ns()
     await asyncio.sleep(1)
     after.conductor.recorder.calibration(Calibration())
-    records = reader.read(folder / place.RING).records
+    records = ring_reader.read(folder / place.RING).records
     assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
 
 
-def in_force(records: reader.Records, ns: int) -> int | None:
+def in_force(records: ring_reader.Records, ns: int) -> int | None:
     """The revision of what was in force."""
     found = records.calibration_at(ns)
     return None if found is None else found.revision
@@ -86,7 +86,7 @@ async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> N
     assert decode(frame.data).servos == angles
     assert frame.cause == Cause.COMMAND
     assert mode == form.ModeChange("active")
-    record = reader.read(folder / place.RING).records[before]
+    record = ring_reader.read(folder / place.RING).records[before]
     assert record.ns == 77, "the command's own time is its arrival"
 
 
@@ -149,11 +149,11 @@ async def test_nothing_is_recorded_between_a_stop_and_its_frame(
 async def test_a_setpoint_is_one_record_where_a_frame_is_one_call(folder: Path, framing: Framing, batch: bool) -> None:
     robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
     robot.put(LEG_3, START)
-    before = reader.read(folder / place.RING).records
+    before = ring_reader.read(folder / place.RING).records
     for angle in (0.01, 90, 180):
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
-    records = reader.read(folder / place.RING).records[len(before) :]
+    records = ring_reader.read(folder / place.RING).records[len(before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
     assert kinds == [form.CommandRecord, form.FrameWritten] * 3
     one = 1 if batch or framing is Framing.PLAIN else 2

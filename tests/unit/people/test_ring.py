@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.incidents import reader
-from gateway.people.incidents.reader import NoRingError
+from gateway.people.incidents import ring_reader
+from gateway.people.incidents.ring_reader import NoRingError
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import header
 from gateway.robot.blackbox.ring import Ring
@@ -57,7 +57,9 @@ def filled(path: Path, records: int, slots: int = 50) -> None:
 
 def modes(path: Path) -> list[int]:
     return [
-        int(record.content.mode) for record in reader.read(path).records if isinstance(record.content, form.ModeChange)
+        int(record.content.mode)
+        for record in ring_reader.read(path).records
+        if isinstance(record.content, form.ModeChange)
     ]
 
 
@@ -67,7 +69,7 @@ def test_everything_is_read_as_it_was_written(path: Path) -> None:
         ring.append(kind, ns, rest)
     ring.append(99, 0, b"of a later version")
     ring.close()
-    content = reader.read(path)
+    content = ring_reader.read(path)
     assert [record.content for record in content.records] == [wanted for *_, wanted in CONTENTS]
     assert [record.ns for record in content.records] == list(range(len(CONTENTS)))
     assert content.damaged == 0
@@ -85,7 +87,7 @@ def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
         ring.append(form.COMMAND, 0, form.command(1, "put", "key", text, None, ()))
         ring.append(form.EVENT, 0, form.event("kind", text, text, text, text * 100, 0))
     ring.close()
-    content = reader.read(path)
+    content = ring_reader.read(path)
     assert (len(content.records), content.damaged) == (8, 0)
 
 
@@ -102,7 +104,7 @@ def test_a_torn_record_is_left_out_and_written_over(path: Path) -> None:
     with path.open("r+b") as file:
         file.seek(form.HEADER_BYTES + 60 % 50 * form.SLOT + 20)
         file.write(b"torn")
-    content = reader.read(path)
+    content = ring_reader.read(path)
     assert modes(path) == list(range(11, 60))
     assert content.damaged == 1
     ring = Ring(path, 50)
@@ -117,14 +119,14 @@ def test_every_byte_counts(path: Path) -> None:
     """Each byte of a record changed once: it is never read as something else."""
     filled(path, 3)
     data = path.read_bytes()
-    whole, damaged, missing = reader.parse(data)
+    whole, damaged, missing = ring_reader.parse(data)
     assert damaged == missing == 0
     begin = form.HEADER_BYTES + 2 * form.SLOT
     used = 4 + 20 + len(b"2")
     for offset in range(used):
         changed = bytearray(data)
         changed[begin + offset] ^= 0x10
-        left, damaged, missing = reader.parse(bytes(changed))
+        left, damaged, missing = ring_reader.parse(bytes(changed))
         assert (list(left), damaged, missing) == ([record for record in whole if record.sequence != 2], 1, 1)
 
 
@@ -151,11 +153,11 @@ def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str
 
 def test_two_gateways_never_write_to_one_ring(path: Path) -> None:
     ring = Ring(path, 50)
-    assert reader.read(path).written
+    assert ring_reader.read(path).written
     with pytest.raises(OSError, match="another gateway writes to it"):
         Ring(path, 50)
     ring.close()
-    assert not reader.read(path).written
+    assert not ring_reader.read(path).written
     Ring(path, 50).close()
 
 
@@ -175,10 +177,10 @@ def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> 
 def test_a_reader_says_what_it_cannot_read(path: Path, tmp_path: Path) -> None:
     for bad, sentence in ((tmp_path / "none", "No such file"), (tmp_path, "it is no black box|Is a directory")):
         with pytest.raises(NoRingError, match=sentence):
-            reader.read(bad)
+            ring_reader.read(bad)
     os.mkfifo(path)
     with pytest.raises(NoRingError, match="it is no black box"):
-        reader.read(path)
+        ring_reader.read(path)
 
 
 def test_a_reader_never_fails_on_noise(path: Path) -> None:
@@ -192,7 +194,7 @@ def test_a_reader_never_fails_on_noise(path: Path) -> None:
             slot = form.HEADER_BYTES + chance.randrange(50) * form.SLOT
             rest = chance.randbytes(chance.randrange(form.ROOM + 1))
             form.put(changed, slot, chance.randrange(14), chance.randrange(100), 0, rest, bool(chance.randrange(2)))
-        records, damaged, _ = reader.parse(bytes(changed))
+        records, damaged, _ = ring_reader.parse(bytes(changed))
         assert len(records) + damaged <= 50
 
 
@@ -201,7 +203,7 @@ def test_what_is_left_of_an_older_round_or_in_a_wrong_place_says_nothing(path: P
     data = bytearray(path.read_bytes())
     for slot, sequence in ((10, 60), (11, 12)):
         form.put(data, form.HEADER_BYTES + slot * form.SLOT, form.MODE, sequence, 0, form.mode("old"))
-    records, damaged, missing = reader.parse(bytes(data))
+    records, damaged, missing = ring_reader.parse(bytes(data))
     assert [record.sequence for record in records] == [each for each in range(71, 121) if each not in (110, 111)]
     assert (damaged, missing) == (1, 2)
 
@@ -220,7 +222,7 @@ def test_a_setpoint_reads_as_the_two_records_that_it_stands_for(
     ring.put(body)
     ring.append(form.MODE, 0, form.mode("idle"))
     ring.close()
-    command, frame, mode = reader.read(path).records
+    command, frame, mode = ring_reader.read(path).records
     assert command == form.Record(1, 1000, form.CommandRecord(7, *said))
     assert frame == form.Record(1, 1000 + after_ns, form.FrameWritten(FRAME, "command", 45_000, 0, 7))
     assert mode.sequence == 2
@@ -244,5 +246,5 @@ def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
     for each in bad:
         image = bytearray(header.new(5).ljust(header.file_bytes(5), b"\0"))
         form.put(image, form.HEADER_BYTES + form.SLOT, form.CARRIED_OUT, 1, 0, each)
-        records, damaged, missing = reader.parse(bytes(image))
+        records, damaged, missing = ring_reader.parse(bytes(image))
         assert (len(records), damaged, missing) == (0, 1, 0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.incidents import kept, reader
+from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import MOST, find, is_id
 from gateway.people.incidents.messages import RECORDER, messages
 from gateway.people.recordings import read
@@ -52,7 +52,7 @@ def test_reading_a_ring_and_telling_an_incident_takes_little_more_memory_than_th
     path.write_bytes(ring_of(4_000, drive))
     tracemalloc.start()
     try:
-        content = reader.read(path)
+        content = ring_reader.read(path)
         incidents = find(content.records, written=False, now_ns=0)
         count = sum(1 for _ in messages(incidents[0], content.records))
         _, peak = tracemalloc.get_traced_memory()
@@ -66,14 +66,14 @@ def test_reading_a_ring_and_telling_an_incident_takes_little_more_memory_than_th
 
 @pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
 def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int], tuple[int, bytes]]) -> None:
-    records, _, _ = reader.parse(ring_of(5_000, what))
+    records, _, _ = ring_reader.parse(ring_of(5_000, what))
     decoded: list[int] = []
 
     def counted(index: int) -> form.Record:
         decoded.append(index)
         return records[index]
 
-    found = find(reader.Records(records.times_ns, records.kinds, counted), written=True, now_ns=0)
+    found = find(ring_reader.Records(records.times_ns, records.kinds, counted), written=True, now_ns=0)
     assert len(found) == MOST
     assert found[-1].zero_ns >= 4_999 * 1_000_000, "the newest"
     assert [each.zero_ns for each in found] == sorted(each.zero_ns for each in found)
@@ -101,11 +101,11 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence
     offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
     form.put(image, offset, form.MODE, sequence, 2, form.mode("idle"))
     path.write_bytes(image)
-    assert [record.sequence for record in reader.read(path).records] == [1]
+    assert [record.sequence for record in ring_reader.read(path).records] == [1]
     ring = Ring(path, 15)
     ring.append(form.MODE, 3, form.mode("idle"))
     ring.close()
-    assert [record.sequence for record in reader.read(path).records] == [1, 2]
+    assert [record.sequence for record in ring_reader.read(path).records] == [1, 2]
 
 
 # ---- found by the fuzzer
@@ -136,7 +136,7 @@ def image(*records: tuple[int, int, bytes]) -> bytes:
 def test_a_calibration_that_no_gateway_told_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
     ring = bytearray(image((form.CALIBRATION, 1, told[: form.ROOM])))
     header.put_calibration(ring, told)
-    records, damaged, _ = reader.parse(bytes(ring))
+    records, damaged, _ = ring_reader.parse(bytes(ring))
     assert (len(records), damaged) == (0, 1)
     assert records.calibration_at(1) is None
 
@@ -146,16 +146,16 @@ def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
     header.put_calibration(ring, b"{}" * 2000)
     assert header.calibration(bytes(ring)) == b""
     header.put_calibration(ring, b'{"revision":1,"servos":{},"landing":{}}')
-    assert reader.parse(bytes(ring))[0].calibration_at(1) is not None
+    assert ring_reader.parse(bytes(ring))[0].calibration_at(1) is not None
     ring[140] ^= 1
     assert header.calibration(bytes(ring)) == b"", "half of it was written"
 
 
 @pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
 def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
-    records, damaged, _ = reader.parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
+    records, damaged, _ = ring_reader.parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
     assert (len(records), damaged) == (0, 1)
-    records, damaged, _ = reader.parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
+    records, damaged, _ = ring_reader.parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
     assert (len(records), damaged) == (0, 1)
 
 
@@ -166,15 +166,15 @@ def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: P
         (form.MODE, 6 * SECOND, form.mode("idle")),
         (form.INCIDENT, 9 * SECOND, form.incident(2 * SECOND, "19700101-000002-000-estop")),
     )
-    records = reader.parse(ring)[0]
+    records = ring_reader.parse(ring)[0]
     (incident,) = find(records, written=True, now_ns=0)
-    path = kept.keep(tmp_path, incident, records)
+    path = archive.keep(tmp_path, incident, records)
     told = [(each.content["what"], each.time_ns) for each in read(path) if each.topic == RECORDER]
     assert told == [("incident", 2 * SECOND), ("mode", 0), ("start", SECOND)]
 
 
 def test_an_event_of_an_earlier_time_ends_no_incident_before_it_began() -> None:
-    records = reader.parse(image(
+    records = ring_reader.parse(image(
         (form.INCIDENT, 20 * SECOND, form.incident(WALL_NS, "20260921-141320-123-estop")),
         (form.EVENT, 1, form.event("estop_engaged", None, None, None, "", 0)),
     ))[0]  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from gateway.robot.core.calibration import Calibration
-from gateway.robot.edge.calibration_desk import PAUSE_S
+from gateway.robot.edge.calibration_request_reader import PAUSE_S
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.protocol.frames import OneLeg, Op
 from gateway.robot.runtime.calibrations import HANGS
@@ -278,7 +278,7 @@ async def test_after_each_question_there_is_a_pause_so_that_a_flood_of_them_dela
     robot = await started_and_quiet()
     for payload in (json.dumps(OWN).encode(), b"{"):
         answers: list[bytes] = []
-        deal = robot.calibration_desk.note(cast(Any, Question(payload)), 0, answers.append)
+        deal = robot.calibration_request_reader.note(cast(Any, Question(payload)), 0, answers.append)
         assert deal() == PAUSE_S > 0
         assert len(answers) == 1
 

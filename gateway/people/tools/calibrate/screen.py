@@ -13,11 +13,11 @@ from rich.live import Live
 from gateway.errors import LeaseLostError
 from gateway.people.client.blocking import Client
 from gateway.people.tools.calibrate.guide import Guide
-from gateway.people.tools.calibrate.held import Held
+from gateway.people.tools.calibrate.held_servo import HeldServo
 from gateway.people.tools.calibrate.robot import Robot
 from gateway.people.tools.calibrate.session import Session
 from gateway.people.tools.calibrate.view import picture
-from gateway.people.tools.keys import Keyboard, keys_at_once, wake_on_signals
+from gateway.people.tools.keyboard import Keyboard, keys_at_once, wake_on_signals
 from gateway.robot.core.calibration import Calibration
 
 FRAME_S: Final = 0.1
@@ -49,7 +49,7 @@ class Screen:
         self._news = threading.Event()
         self._ended = threading.Event()
         self._wake = -1
-        self.held = Held(client, timeout_ms)
+        self.held = HeldServo(client, timeout_ms)
         self.robot = Robot(client, self._lost)
         self.session = Session(Guide(calibration, avoid_cdeg), self.held, self.robot, self._news.set)
         self.fault: Exception | None = None

@@ -12,7 +12,7 @@ import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError
 from gateway.people.tools.calibrate.guide import COARSE_CDEG, FINE_CDEG, Guide
-from gateway.people.tools.calibrate.held import Held
+from gateway.people.tools.calibrate.held_servo import HeldServo
 from gateway.people.tools.calibrate.robot import ChangedMeanwhileError, Robot
 from gateway.people.tools.terminal import visible
 from gateway.robot.core.calibration import CalibrationError
@@ -43,7 +43,7 @@ class Asks(Enum):
 class Session:
     """One person's calibration."""
 
-    def __init__(self, guide: Guide, held: Held, robot: Robot, changed: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, guide: Guide, held: HeldServo, robot: Robot, changed: Callable[[], None] = lambda: None) -> None:
         """`changed` wakes whoever draws."""
         self.guide = guide
         self.held = held

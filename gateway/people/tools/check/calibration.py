@@ -9,8 +9,8 @@ from typing import Final
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.reach import Reach
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read, staged_for
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import Settings

@@ -14,9 +14,9 @@ from gateway.people.tools import kept_lease
 from gateway.people.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
 from gateway.people.tools.drill.steps import STEPS, Step
 from gateway.people.tools.driving import drives
-from gateway.people.tools.ending import on_end_signals
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.signals import on_end_signals
 from gateway.people.tools.terminal import hint, say, this_command, visible
 from schemas.telemetry import GatewayState, Mode
 

@@ -18,7 +18,7 @@ from rich.text import Text
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.walk import Walk
-from gateway.people.tools.keys import Keyboard, keys_at_once, wake_on_signals
+from gateway.people.tools.keyboard import Keyboard, keys_at_once, wake_on_signals
 from gateway.people.tools.terminal import hint, visible
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went

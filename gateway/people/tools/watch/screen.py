@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 
 from gateway.people.client.blocking import Client
-from gateway.people.tools.keys import keys_at_once, wake_on_signals
+from gateway.people.tools.keyboard import keys_at_once, wake_on_signals
 from gateway.people.tools.watch.link import Link
 from gateway.people.tools.watch.model import Model
 from gateway.people.tools.watch.view import picture

@@ -6,7 +6,7 @@ TESTS = ("tests/unit/robot/test_calibration_conductor.py", "tests/unit/robot/tes
 ON_ZENOH = ("tests/zenoh/test_calibration.py", "tests/zenoh/test_lease.py")
 
 DESKS = Subject(
-    "gateway/robot/edge/desk.py",
+    "gateway/robot/edge/request_reader.py",
     tests=ON_ZENOH,
     mutants=(
         Mutant('    if "*" in str(query.key_expr):', "    if False:", "a look at all keys is a request"),
@@ -24,7 +24,7 @@ DESKS = Subject(
 )
 
 CALIBRATION_DESK = Subject(
-    "gateway/robot/edge/calibration_desk.py",
+    "gateway/robot/edge/calibration_request_reader.py",
     tests=(*TESTS, *ON_ZENOH),
     mutants=(
         Mutant("            return PAUSE_S\n", "            return 0.0\n", "a flood of changes delays Stops"),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from gateway.people.incidents import kept, reader
+from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import header, place
@@ -22,7 +22,7 @@ NEWEST: Final = 20_000
 logger = logging.getLogger(__name__)
 
 
-class Keeper:
+class IncidentWatcher:
     """Keeps the incidents of one black box."""
 
     def __init__(self, folder: Path, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -56,8 +56,8 @@ class Keeper:
         """
         self._due_ns = None
         try:
-            content = reader.read(self._ring, most)
-        except reader.NoRingError as error:
+            content = ring_reader.read(self._ring, most)
+        except ring_reader.NoRingError as error:
             logger.info("no black box: %s", error)
             return []
         found = find(content.records, written=content.written, now_ns=self._clock())
@@ -73,13 +73,13 @@ class Keeper:
         ]
         return [path for path in made if path is not None]
 
-    def _keep(self, incident: Incident, content: reader.Content, later: list[str], *, anew: bool) -> Path | None:
-        if kept.is_kept(self._folder, incident) and not anew:
+    def _keep(self, incident: Incident, content: ring_reader.Content, later: list[str], *, anew: bool) -> Path | None:
+        if archive.is_kept(self._folder, incident) and not anew:
             return None
-        again = kept.path_of(self._folder, incident).exists()
+        again = archive.path_of(self._folder, incident).exists()
         try:
-            path = kept.keep(self._folder, incident, content.records, later, over=self._clock() > incident.end_ns)
-            kept.prune(self._folder)
+            path = archive.keep(self._folder, incident, content.records, later, over=self._clock() > incident.end_ns)
+            archive.prune(self._folder)
         except OSError as error:
             if incident.name not in self._failed:
                 self._failed.add(incident.name)

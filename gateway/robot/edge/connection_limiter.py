@@ -29,7 +29,7 @@ SAY_AGAIN_S: Final = 10.0
 logger = logging.getLogger(__name__)
 
 
-class Doorkeeper:
+class ConnectionLimiter:
     """Counts the visitors whenever a link opens or closes, on a thread of its own."""
 
     def __init__(self, session: zenoh.Session, count: Callable[[int], None]) -> None:
@@ -41,7 +41,7 @@ class Doorkeeper:
         self._said_s = float("-inf")
         # One event in the ring is enough: each look reads all links.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
-        self.thread = threading.Thread(target=self._run, name="doorkeeper", daemon=True)
+        self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)
         self.thread.start()
 
     def close(self) -> None:

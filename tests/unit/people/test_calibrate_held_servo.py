@@ -7,8 +7,8 @@ from contextlib import contextmanager
 import pytest
 
 from gateway.errors import LeaseLostError, UnansweredError
-from gateway.people.tools.calibrate import held as module
-from gateway.people.tools.calibrate.held import Held
+from gateway.people.tools.calibrate import held_servo as module
+from gateway.people.tools.calibrate.held_servo import HeldServo
 from schemas.telemetry import Reason
 from tests.support.calibrated_robot import LATE_S, Servos
 
@@ -17,9 +17,9 @@ STOP = (3, "stop", None)
 
 
 @contextmanager
-def holding(servos: Servos) -> Iterator[Held]:
+def holding(servos: Servos) -> Iterator[HeldServo]:
     """Servo 32 at 90 degrees, confirmed."""
-    held = Held(servos, timeout_ms=20)
+    held = HeldServo(servos, timeout_ms=20)
     held.start(32, 90.0)
     servos.wait(lambda asked: SETS in asked)
     assert held.confirmed
@@ -31,7 +31,7 @@ def holding(servos: Servos) -> Iterator[Held]:
         held.close(LATE_S)
 
 
-def wait_until(held: Held, holds: Callable[[], bool]) -> None:
+def wait_until(held: HeldServo, holds: Callable[[], bool]) -> None:
     """Its threads need a moment; `seen`, as the screen does."""
     pause = threading.Event()
     for _ in range(int(LATE_S / 0.01)):
@@ -100,7 +100,7 @@ def test_a_stop_waits_for_no_answer(op: str) -> None:
 
 def test_a_start_that_a_stop_has_overtaken_is_stopped_again() -> None:
     servos = Servos()
-    held = Held(servos, timeout_ms=20)
+    held = HeldServo(servos, timeout_ms=20)
     servos.answers["start"].clear()
     held.start(32, 90.0)
     servos.wait(lambda asked: (32, "start", 90.0) in asked)
@@ -117,7 +117,7 @@ def test_a_start_that_was_rejected_after_its_stop_gets_no_other() -> None:
     """By then somebody else may run that leg."""
     servos = Servos()
     servos.highest_deg = 45.0
-    held = Held(servos, timeout_ms=20)
+    held = HeldServo(servos, timeout_ms=20)
     servos.answers["start"].clear()
     held.start(32, 90.0)
     servos.wait(lambda asked: (32, "start", 90.0) in asked)
@@ -130,7 +130,7 @@ def test_a_start_that_was_rejected_after_its_stop_gets_no_other() -> None:
 
 def test_space_stops_all_legs_whatever_runs() -> None:
     servos = Servos()
-    held = Held(servos)
+    held = HeldServo(servos)
     held.stop(all_legs=True)
     servos.wait(lambda asked: (None, "stop", None) in asked)
     held.stop()
@@ -140,7 +140,7 @@ def test_space_stops_all_legs_whatever_runs() -> None:
 
 def test_a_key_that_is_held_down_asks_for_four_stops_at_most() -> None:
     servos = Servos()
-    held = Held(servos)
+    held = HeldServo(servos)
     servos.answers["stop"].clear()
     for _ in range(30):
         held.stop(all_legs=True)

@@ -8,8 +8,8 @@ import zenoh
 from gateway.robot.core.calibration_intake import CalibrationIntent, read
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
-from gateway.robot.edge.desk import payload_of
 from gateway.robot.edge.receiver import Deal
+from gateway.robot.edge.request_reader import payload_of
 
 PAUSE_S: Final = 0.05
 """Between two changes: twenty a second, of which each may take a millisecond and a file. A person writes one."""
@@ -25,7 +25,7 @@ class Calibrations(Protocol):
         """Answer what is rejected already, and tell of it."""
 
 
-class CalibrationDesk:
+class CalibrationRequestReader:
     """Reads commands one by one, on one thread."""
 
     def __init__(self, calibrations: Calibrations) -> None:

@@ -19,8 +19,8 @@ from gateway.robot.core.events import Do, LeaseRequest
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import Nonces
-from gateway.robot.edge.desk import payload_of
 from gateway.robot.edge.receiver import Deal
+from gateway.robot.edge.request_reader import payload_of
 from gateway.zenoh_config import get
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
@@ -42,7 +42,7 @@ class Answers(Protocol):
         """Answer what is rejected already, and tell of it."""
 
 
-class LeaseDesk:
+class LeaseRequestReader:
     """Reads requests one by one, on one thread."""
 
     def __init__(

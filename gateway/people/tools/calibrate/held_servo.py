@@ -50,7 +50,7 @@ class Commands(Protocol):
         """Stop a leg, or all six."""
 
 
-class Held:
+class HeldServo:
     """Repeats the newest angle of one servo. `fault` says why it stopped doing so."""
 
     def __init__(self, client: Commands, timeout_ms: float = 250.0) -> None:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
-from gateway.people.incidents.reader import Records
+from gateway.people.incidents.ring_reader import Records
 from gateway.people.incidents.story import headline
 from gateway.people.recordings import REPORTS, Message, Recording
 from gateway.people.recordings.plain_schema import Schema, plain_schema
@@ -48,7 +48,7 @@ def _schema(model: type[BaseModel]) -> Schema:
     return plain_schema(TypeAdapter(model), model.__name__)
 
 
-class Kept(NamedTuple):
+class KeptIncident(NamedTuple):
     """An incident's file."""
 
     name: str
@@ -56,14 +56,14 @@ class Kept(NamedTuple):
     size: int
 
 
-def kept(folder: Path) -> list[Kept]:
+def kept(folder: Path) -> list[KeptIncident]:
     """The incidents in a folder, in the order in which they happened."""
     found = []
     with suppress(OSError):
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             if is_id(path.stem):
                 with suppress(OSError):
-                    found.append(Kept(path.stem, path, path.stat().st_size))
+                    found.append(KeptIncident(path.stem, path, path.stat().st_size))
     places = {name: place for place, name in enumerate(_order(folder), 1)}
     return sorted(found, key=lambda each: places.get(each.name, 0))  # of an earlier version: before all, by their time
 

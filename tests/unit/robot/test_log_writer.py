@@ -8,7 +8,7 @@ from typing import IO
 
 import pytest
 
-from gateway.robot.host.outlet import KEPT, Outlet, Stream
+from gateway.robot.host.log_writer import KEPT, LogWriter, Stream
 
 
 class Pipe:
@@ -40,10 +40,10 @@ def pipe(request: pytest.FixtureRequest) -> Iterator[Pipe]:
 
 
 def test_nobody_waits_and_what_was_dropped_is_said_once(pipe: Pipe) -> None:
-    outlet = Outlet(pipe.theirs)
+    log_writer = LogWriter(pipe.theirs)
     for number in range(2 * KEPT):
-        outlet.put(f"{number}\n")
-    dropped = outlet.dropped
+        log_writer.put(f"{number}\n")
+    dropped = log_writer.dropped
     assert KEPT - 1 <= dropped <= KEPT, "the thread may have taken one before the others came"
     lines = pipe.lines()
     kept = [next(lines) for _ in range(2 * KEPT - dropped + 1)]
@@ -51,56 +51,56 @@ def test_nobody_waits_and_what_was_dropped_is_said_once(pipe: Pipe) -> None:
     assert kept.count(said) == 1
     kept.remove(said)
     assert kept == [str(number) for number in range(2 * KEPT - dropped)]
-    outlet.put("it flows again\n")
+    log_writer.put("it flows again\n")
     assert next(lines) == "it flows again"
-    outlet.close(10)
-    assert outlet.dropped == dropped
+    log_writer.close(10)
+    assert log_writer.dropped == dropped
 
 
 def test_while_most_of_it_waits_nothing_more_is_taken(pipe: Pipe) -> None:
     """So that the lines between two gaps belong together."""
-    outlet = Outlet(pipe.theirs)
+    log_writer = LogWriter(pipe.theirs)
     line = "x" * 1000
     for _ in range(2 * KEPT):
-        outlet.put(f"{line}\n")
-    dropped = outlet.dropped
+        log_writer.put(f"{line}\n")
+    dropped = log_writer.dropped
     lines = pipe.lines()
     assert next(lines) == line
-    outlet.put("more\n")  # the pipe has room for 64 lines, and not for half of those that wait
-    assert outlet.dropped == dropped + 1
+    log_writer.put("more\n")  # the pipe has room for 64 lines, and not for half of those that wait
+    assert log_writer.dropped == dropped + 1
     left = [next(lines) for _ in range(2 * KEPT - dropped)]
     assert left.count(line) == len(left) - 1, "and the line that says how many are missing"
-    outlet.close(10)
+    log_writer.close(10)
 
 
 def test_a_descriptor_that_rejects_holds_nobody() -> None:
     full = os.open("/dev/full", os.O_WRONLY)
-    outlet = Outlet(full)
+    log_writer = LogWriter(full)
     for _ in range(5):
-        outlet.put("lost\n")
-    outlet.close(10)
+        log_writer.put("lost\n")
+    log_writer.close(10)
     os.close(full)
-    assert outlet.dropped == 5
+    assert log_writer.dropped == 5
 
 
 def test_a_line_that_cannot_be_rendered_is_dropped_and_the_next_is_written() -> None:
     ours, theirs = os.pipe()
-    outlet = Outlet(theirs)
+    log_writer = LogWriter(theirs)
     for message, arguments in (("%d", ("no number",)), ("next", ())):
-        outlet.put(logging.LogRecord("test", logging.INFO, __file__, 1, message, arguments, None))
-    outlet.close(10)
+        log_writer.put(logging.LogRecord("test", logging.INFO, __file__, 1, message, arguments, None))
+    log_writer.close(10)
     os.close(theirs)
     with os.fdopen(ours) as reader:
         assert reader.read() == "next\n1 lines were left out here, since nobody read them in time\n"
 
 
 def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
-    outlet = Outlet(pipe.theirs)
-    stream = Stream(outlet)
+    log_writer = LogWriter(pipe.theirs)
+    stream = Stream(log_writer)
     lines = pipe.lines()
     print("a", "result", file=stream)
     stream.write("two\nlines and a part")
     assert [next(lines) for _ in range(2)] == ["a result", "two"]
     print(flush=True, file=stream)
     assert next(lines) == "lines and a part"
-    outlet.close(10)
+    log_writer.close(10)

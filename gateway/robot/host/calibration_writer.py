@@ -17,7 +17,7 @@ Then = Callable[[str | None], None]
 """What the owner of the state is to do after a write; with a sentence, where the old calibration stays."""
 
 
-class CalibrationKeeper:
+class CalibrationWriter:
     """One file, and the thread that writes it. A write that never ends keeps its own caller waiting and nobody else."""
 
     def __init__(

@@ -22,7 +22,7 @@ MAX_COMPARED: Final = 30
 """Characters that are compared; the gateway's keys have at most 20."""
 
 
-class Stranger(NamedTuple):
+class UnknownKey(NamedTuple):
     """A message on a key that nobody reads."""
 
     key: str
@@ -30,7 +30,7 @@ class Stranger(NamedTuple):
     detail: str
 
 
-class Strangers:
+class UnknownKeys:
     """Looks for messages that no part of the gateway reads. Where access control lets none in, there are none."""
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -39,7 +39,7 @@ class Strangers:
             for key, depth in ((f"{ROOT}/**", DEPTH), *((key, 1) for key in MISSPELT))
         ]
 
-    def look(self) -> Stranger | None:
+    def look(self) -> UnknownKey | None:
         """The newest stranger since the last look. One at a time: ten a second are told at most."""
         found = None
         for subscriber in self._subscribers:
@@ -53,7 +53,7 @@ class Strangers:
             return None
         key = str(found.key_expr)
         source = str(found.source_info.source_id.zid) if found.source_info is not None else None
-        return Stranger(key, source, f"nothing reads this key; the nearest is {nearest(key)}")
+        return UnknownKey(key, source, f"nothing reads this key; the nearest is {nearest(key)}")
 
 
 def is_strange(key: str) -> bool:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.incidents import kept
+from gateway.people.incidents import archive
 from gateway.people.incidents.incidents import Incident, is_id
-from gateway.people.incidents.keeper import Keeper
+from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.tools import black_box
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.recorder import RingRecorder
@@ -31,14 +31,14 @@ def test_the_newest_hundred_and_two_hundred_megabytes_are_kept(tmp_path: Path) -
     folder = tmp_path / "incidents"
     filled(folder, 105)
     (folder / "mine.mcap").write_text("not an incident's")
-    kept.prune(folder)
-    names = [each.name for each in kept.kept(folder)]
+    archive.prune(folder)
+    names = [each.name for each in archive.kept(folder)]
     assert (len(names), names[0][-12:], names[-1][-12:]) == (100, "005-watchdog", "104-watchdog")
     assert (folder / "mine.mcap").exists()
     for number in range(100, 105):
         os.truncate(folder / f"20260921-141320-{number}-watchdog.mcap", 60_000_000)  # no blocks, only the size
-    kept.prune(folder)
-    assert [each.name[-12:] for each in kept.kept(folder)] == ["102-watchdog", "103-watchdog", "104-watchdog"]
+    archive.prune(folder)
+    assert [each.name[-12:] for each in archive.kept(folder)] == ["102-watchdog", "103-watchdog", "104-watchdog"]
 
 
 def test_which_is_the_newest_is_what_happened_last_and_not_what_a_clock_said(tmp_path: Path) -> None:
@@ -47,24 +47,24 @@ def test_which_is_the_newest_is_what_happened_last_and_not_what_a_clock_said(tmp
     filled(folder, 100)
     incident = Incident("19700101-000010-000-estop", 9, 1, 20, 0, whole=True)
     none = records()
-    path = kept.keep(folder, incident, none)
-    kept.prune(folder)
-    names = [each.name for each in kept.kept(folder)]
+    path = archive.keep(folder, incident, none)
+    archive.prune(folder)
+    names = [each.name for each in archive.kept(folder)]
     assert (len(names), names[0][-12:], names[-1]) == (100, "001-watchdog", incident.name)
     before = replace(incident, name="19700101-000020-000-estop")
-    kept.keep(folder, before, none, later=[incident.name])
-    kept.keep(folder, replace(incident, name="19700101-000001-000-crash"), none)
-    kept.keep(folder, incident, none, over=False)
-    kept.prune(folder)
+    archive.keep(folder, before, none, later=[incident.name])
+    archive.keep(folder, replace(incident, name="19700101-000001-000-crash"), none)
+    archive.keep(folder, incident, none, over=False)
+    archive.prune(folder)
     last = ["19700101-000020-000-estop", incident.name, "19700101-000001-000-crash"]
-    assert [each.name for each in kept.kept(folder)][-3:] == last, "and each stays where it is"
+    assert [each.name for each in archive.kept(folder)][-3:] == last, "and each stays where it is"
     os.utime(path, ns=(0, 2**62))
-    assert not kept.is_kept(folder, incident), "it was written before its end"
+    assert not archive.is_kept(folder, incident), "it was written before its end"
     os.utime(path, ns=(0, 0))
-    assert kept.is_kept(folder, before)
+    assert archive.is_kept(folder, before)
     for damaged in (b"\xff\0" * 100, b"x" * 10**6, b""):
         (folder / "order").write_bytes(damaged)
-        assert len(kept.kept(folder)) == 100
+        assert len(archive.kept(folder)) == 100
 
 
 @pytest.mark.virtual_time
@@ -76,7 +76,7 @@ async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last
     first = recorded(folder)
     first.put(keys.ESTOP)
     first.conductor.recorder.close()
-    keeper = Keeper(folder, clock=first.now_ns)
+    keeper = IncidentWatcher(folder, clock=first.now_ns)
     (kept_first,) = keeper.keep(whole_only=False)
     later = recorded(folder)
     recorder = later.conductor.recorder
@@ -99,7 +99,7 @@ async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last
 @pytest.mark.virtual_time
 async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(folder: Path) -> None:
     robot = recorded(folder)
-    keeper = Keeper(folder, clock=robot.now_ns)
+    keeper = IncidentWatcher(folder, clock=robot.now_ns)
     assert keeper.look() == []
     await silence(robot)
     assert keeper.look() == []
@@ -107,7 +107,7 @@ async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(fol
     (path,) = keeper.look()
     assert is_id(path.stem)
     assert keeper.look() == []
-    assert Keeper(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
+    assert IncidentWatcher(folder, clock=robot.now_ns).look() == [], "a keeper that is started again knows what is kept"
     robot.put(keys.ESTOP)
     robot.conductor.recorder.close()
     await asyncio.sleep(0)
@@ -119,11 +119,11 @@ async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(fol
 async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_looks(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level(logging.INFO, "gateway.people.incidents.keeper")
+    caplog.set_level(logging.INFO, "gateway.people.incidents.watcher")
     first = recorded(folder)
     first.conductor.recorder.ended("a restart")
     first.conductor.recorder.close()
-    keeper = Keeper(folder, clock=first.now_ns)
+    keeper = IncidentWatcher(folder, clock=first.now_ns)
     assert keeper.look() == []
     recorded(folder).conductor.recorder.close()  # it ends without a word
     assert keeper.look() == [], "its incident is not whole"
@@ -131,7 +131,7 @@ async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_l
     (path,) = keeper.look()
     assert path.stem.endswith("-crash")
     (path.parent / "order").write_text(f"{path.stem} open\n")  # as if it was written before its end
-    assert Keeper(folder, clock=first.now_ns).look() == [path]
+    assert IncidentWatcher(folder, clock=first.now_ns).look() == [path]
     assert len([entry for entry in caplog.records if "is kept" in entry.message]) == 1, "the log names it once"
 
 
@@ -139,13 +139,13 @@ async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_l
 async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
     robot = recorded(folder)
     await silence(robot)
-    keeper = Keeper(folder, clock=robot.now_ns)
+    keeper = IncidentWatcher(folder, clock=robot.now_ns)
     (path,) = keeper.keep(whole_only=False)
     before = path.stat().st_size
     os.utime(path, ns=(0, WALL_NS))
     robot.put(LEG_3, START)
     await asyncio.sleep(7)
-    (path,) = Keeper(folder, clock=robot.now_ns).look()
+    (path,) = IncidentWatcher(folder, clock=robot.now_ns).look()
     assert path.stat().st_size > before
 
 
@@ -160,8 +160,8 @@ async def test_a_full_disk_is_said_once_and_leaves_nothing_behind(
     def full(*_: object) -> int:
         raise OSError(28, "No space left on device")
 
-    caplog.set_level(logging.WARNING, "gateway.people.incidents.keeper")
-    keeper = Keeper(folder, clock=robot.now_ns)
+    caplog.set_level(logging.WARNING, "gateway.people.incidents.watcher")
+    keeper = IncidentWatcher(folder, clock=robot.now_ns)
     with monkeypatch.context() as patched:
         patched.setattr("gateway.people.recordings.writing.os.write", full)
         assert keeper.keep(whole_only=True) == keeper.keep(whole_only=True) == []

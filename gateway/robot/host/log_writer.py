@@ -19,7 +19,7 @@ KEPT: Final = 1000
 """Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""
 
 
-class Outlet:
+class LogWriter:
     """One descriptor, its queue and its thread.
 
     `put` never waits: `SimpleQueue` has no lock that a thread could hold while it waits for a processor. When several
@@ -33,7 +33,7 @@ class Outlet:
         self._render = render
         self._waiting: SimpleQueue[logging.LogRecord | str | None] = SimpleQueue()
         self._full = False
-        self._thread = threading.Thread(target=self._run, name=f"outlet-{descriptor}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"log_writer-{descriptor}", daemon=True)
         self._thread.start()
 
     def put(self, item: logging.LogRecord | str) -> None:
@@ -94,28 +94,28 @@ class _Line(threading.local):
 class Stream(io.TextIOBase):
     """Replaces `sys.stdout` or `sys.stderr`, for results, what libraries print, and tracebacks of threads."""
 
-    def __init__(self, outlet: Outlet) -> None:
-        self._outlet = outlet
+    def __init__(self, log_writer: LogWriter) -> None:
+        self._log_writer = log_writer
         self._unfinished = _Line()
 
     def write(self, text: str) -> int:
         lines, end, rest = (self._unfinished.text + text).rpartition("\n")
         self._unfinished.text = rest
         if end:
-            self._outlet.put(lines + end)
+            self._log_writer.put(lines + end)
         return len(text)
 
     def flush(self) -> None:
         """Queue the unfinished line. Never waits."""
         rest, self._unfinished.text = self._unfinished.text, ""
         if rest:
-            self._outlet.put(rest)
+            self._log_writer.put(rest)
 
     def writable(self) -> bool:
         return True
 
     def fileno(self) -> int:
-        return self._outlet.descriptor
+        return self._log_writer.descriptor
 
     def isatty(self) -> bool:
-        return os.isatty(self._outlet.descriptor)
+        return os.isatty(self._log_writer.descriptor)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.incidents import keeper, reader
-from gateway.people.incidents.keeper import Keeper
+from gateway.people.incidents import ring_reader, watcher
+from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings import read
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
@@ -41,27 +41,27 @@ def kept(folder: Path) -> dict[str, list[int]]:
 @pytest.mark.parametrize("most", [1, 7, SLOTS - 1, SLOTS, 1000])
 def test_the_newest_slots_hold_the_newest_records(tmp_path: Path, seconds: int, most: int) -> None:
     path = ring(tmp_path, seconds)
-    whole, newest = reader.read(path), reader.read(path, most)
+    whole, newest = ring_reader.read(path), ring_reader.read(path, most)
     assert list(newest.records) == list(whole.records)[-most:]
     assert (newest.damaged, newest.missing) == (0, 0)
 
 
 def test_a_torn_newest_record_hides_none_before_it(tmp_path: Path) -> None:
     path = ring(tmp_path, 100)
-    last = reader.read(path).records[-1].sequence
+    last = ring_reader.read(path).records[-1].sequence
     data = bytearray(path.read_bytes())
     data[form.HEADER_BYTES + last % SLOTS * form.SLOT] ^= 1
-    records, _, _ = reader.parse(bytes(data), 3)
+    records, _, _ = ring_reader.parse(bytes(data), 3)
     assert [each.sequence for each in records] == [last - 3, last - 2, last - 1]
 
 
 def test_the_end_is_kept_before_the_ring_is_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ring(tmp_path, 60, (20, "20260921-134700-000-estop"), (50, "20260921-134730-000-watchdog"))
-    monkeypatch.setattr(keeper, "NEWEST", 30)
-    Keeper(tmp_path, lambda: LATE_NS).keep(whole_only=False, most=keeper.NEWEST)
+    monkeypatch.setattr(watcher, "NEWEST", 30)
+    IncidentWatcher(tmp_path, lambda: LATE_NS).keep(whole_only=False, most=watcher.NEWEST)
     first = kept(tmp_path)
     assert first.keys() == {"watchdog", "crash"}, "the emergency stop is further back"
-    Keeper(tmp_path, lambda: LATE_NS).keep_all()
+    IncidentWatcher(tmp_path, lambda: LATE_NS).keep_all()
     second = kept(tmp_path)
     assert second.keys() == {"estop", "watchdog", "crash"}
     assert len(second["watchdog"]) > len(first["watchdog"]), "what it lacked is in it now"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, overload
 
 from gateway.errors import GatewayError
-from gateway.people.incidents.decoding import decode
+from gateway.people.incidents.ring_decoding import decode
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import header
 from gateway.robot.blackbox.place import MAX_SLOTS
