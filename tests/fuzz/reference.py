@@ -7,6 +7,7 @@ from gateway.robot.spi.simulator import pulse_us
 from schemas.robot import SERVO_IDS
 
 TICK_NS = 1_000_000
+BUFFER_LEN = 64
 
 
 class ReferenceController:
@@ -17,6 +18,7 @@ class ReferenceController:
         self.energised: set[int] = set()
         self.pulses: dict[int, int] = {}
         self.executed = 0
+        self.dead = False
         self._heard: list[int] | None = None  # None: waiting for a length
         self._wanted = 0
         self._since_tick = 0
@@ -27,11 +29,15 @@ class ReferenceController:
                 self._execute(self._heard + [0] * (self._wanted - len(self._heard)))
             self._heard = None
         for byte in data:
+            if self.dead:
+                return
             if self._heard is not None:
                 self._heard.append(byte)
             elif byte:
                 self._heard = [] if self.announced else [byte]
                 self._wanted, self._since_tick = byte, now_ns // TICK_NS
+            if self.announced and self._heard is not None and len(self._heard) > BUFFER_LEN:
+                self.dead, self._heard = True, None
             if self._heard is not None and len(self._heard) == self._wanted:
                 self._execute(self._heard)
                 self._heard = None
@@ -39,8 +45,10 @@ class ReferenceController:
     def _execute(self, body: list[int]) -> None:
         if (len(body), body[1:2]) not in ((6, [2]), (14, [1])):
             return
-        self.executed += 1
         for servo_id, op, whole, hundredths in (body[start : start + 4] for start in range(2, len(body), 4)):
+            if self.announced and servo_id in (1, 2, 3) and op in (1, 2, 3):
+                self.dead = True  # a null handle
+                return
             index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) % 256
             if index >= len(SERVO_IDS):
                 continue
@@ -51,3 +59,4 @@ class ReferenceController:
                 self.energised.add(driven)
             if op in (1, 3):
                 self.pulses[driven] = pulse_us(whole, hundredths)
+        self.executed += 1

@@ -179,6 +179,7 @@ def fuzz_simulator(data: bytes) -> str:
     assert tuple(servos) == SERVO_IDS
     assert all(0 <= servo.angle_deg <= 180 for servo in servos.values())
     assert controller.executed == reference.executed
+    assert (controller.dead is not None) == reference.dead
     assert len(controller.corruptions) <= 2 * 256
     return f"{framing}: {'some frames' if controller.executed else 'no frame'} executed"
 
