@@ -6,7 +6,7 @@ from typing import Final
 
 import pytest
 
-ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "mutants", "unit", "fuzz")
+ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "walking", "mutants", "unit", "fuzz")
 """Longest chains first; last what is short, and what waits for the searches."""
 ALONE: Final = (
     "net",
@@ -20,6 +20,7 @@ ALONE: Final = (
     "zenoh/test_calibrate_terminal.py",
     "zenoh/test_walk_command.py",
     "zenoh/test_watch_terminal.py",
+    "walking",  # each setpoint counts where a gait is recorded
     "hil/test_crash_story.py",  # an incident takes in five seconds after the end
 )
 """What measures time or fills the machine, and pages and terminals with a person at them.

@@ -213,7 +213,7 @@ def test_a_report_that_cannot_be_written_is_told_before_anything_moves(gateway: 
     [
         (None, 0, "no systemd on this machine tells of a service"),
         ("not-found", 0, "this machine has no hexapod-gateway.service"),
-        ("loaded", 30, "hexapod-gateway.service of this machine is not the gateway that answers"),
+        ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
     ],
 )
 def test_a_laptop_skips_the_step_that_kills_the_service(
