@@ -17,7 +17,7 @@ from tests.support.child import Child
 from tests.support.console_process import Page, sign_in
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 
-LATE_S = 30
+LATE_S = 60
 STOP = {"servos": [{"op": "stop"}] * 3}
 
 
@@ -53,8 +53,12 @@ class BareConsole:
         return Page(self.url, session)
 
     def wait(self) -> None:
-        """Until it listens."""
-        program = f"import socket\nwhile socket.socket().connect_ex(('127.0.0.1', {self.port})): pass"
+        """Until it listens, and has written where links are made."""
+        made = self._folder / f"console-{self.port}.json"
+        program = (
+            "import os, socket\n"
+            f"while socket.socket().connect_ex(('127.0.0.1', {self.port})) or not os.path.exists({str(made)!r}): pass"
+        )
         subprocess.run([sys.executable, "-c", program], check=True, timeout=20)
 
     def use_up_descriptors(self) -> None:

@@ -16,6 +16,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from gateway.people.recordings import REPORTS
 from gateway.people.recordings.drawing import DRAWN_SCHEMAS
+from schemas.keys import STATE
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 
@@ -97,13 +98,13 @@ def test_a_gateway_that_ends_and_starts_again_is_told_in_the_viewers_log(tmp_pat
         command = [*COMMAND, "foxglove", "--port", "0", "--connect", first.endpoint]
         with closing(Child(command, os.environ)) as child:
             with connect(address_of(child), subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
-                log: int | None = None
-                while log is None:
-                    channels = text(viewer, "advertise")["channels"]
-                    log = next((each["id"] for each in channels if each["topic"] == "/log"), None)
-                viewer.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": log}]}))
-                with first.client() as robot:
-                    robot.state()
+                known: dict[str, int] = {}
+                while not known.keys() >= {"/log", STATE}:
+                    known |= {each["topic"]: each["id"] for each in text(viewer, "advertise")["channels"]}
+                wanted = [{"id": 1, "channelId": known["/log"]}, {"id": 2, "channelId": known[STATE]}]
+                viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+                while not isinstance(viewer.recv(PATIENCE_S), bytes):  # a state of the first gateway
+                    pass
                 first.child.kill()
                 first.child.wait(10)
                 wait_for_line(viewer, "nothing is received from the gateway: what is shown is the last")
@@ -113,8 +114,8 @@ def test_a_gateway_that_ends_and_starts_again_is_told_in_the_viewers_log(tmp_pat
 
 
 def wait_for_line(viewer: ClientConnection, sentence: str) -> None:
-    """The log channel is the only one that is subscribed to."""
+    """States come, too."""
     while True:
         message = viewer.recv(PATIENCE_S)
-        if isinstance(message, bytes) and sentence in json.loads(message[13:])["message"]:
+        if isinstance(message, bytes) and sentence in json.loads(message[13:]).get("message", ""):
             return

@@ -60,7 +60,7 @@ class _Live(ServerListener):
         self._drawing = drawing
         self._waiting: SimpleQueue[Heard | None] = SimpleQueue()
         self._silent = False
-        self._uptime_s = 0.0
+        self._state_ns: int | None = None
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self._context = foxglove.Context()  # kept, since its channels end with it
         schemas = dict(DRAWN_SCHEMAS)
@@ -134,11 +134,12 @@ class _Live(ServerListener):
             )
 
     def _is_there(self, uptime_s: float, time_ns: int) -> None:
-        if uptime_s < self._uptime_s:
+        begun_ns = time_ns - round(uptime_s * 1e9)
+        if self._state_ns is not None and begun_ns > self._state_ns:  # after the newest state of the gateway before it
             self._say("the gateway was started again: all legs are stopped", time_ns)
         elif self._silent:
             self._say("the gateway is received again", time_ns)
-        self._silent, self._uptime_s = False, uptime_s
+        self._silent, self._state_ns = False, time_ns
 
     def _say(self, sentence: str, time_ns: int) -> None:
         hint(sentence)
