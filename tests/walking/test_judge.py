@@ -18,17 +18,18 @@ WORLDS: Final = (VARIATIONS[0], Assumed(mass=1.3, force=0.7), Assumed(friction=0
 def course(gait: str) -> list[Leg]:
     speed, turn = SPEEDS_M_S[gait], TURNS_RAD_S[gait]
     return [
-        Leg("forward", Velocity(speed), 4.0),
-        Leg("left", Velocity(0, speed), 3.0),
-        Leg("turn", Velocity(0, 0, turn), 3.0),
+        Leg("forward", Velocity(speed), 6.0),
+        Leg("left", Velocity(0, speed), 5.0),
+        Leg("turn", Velocity(0, 0, turn), 4.0),
     ]
 
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recording]:
     """All gaits at the same time, each through a gateway of its own."""
+    folders = {gait: tmp_path_factory.mktemp(gait) for gait in GAITS}
     with ThreadPoolExecutor() as threads:
-        found = threads.map(lambda gait: record(tmp_path_factory.mktemp(gait), gait, course(gait)), GAITS)
+        found = threads.map(lambda gait: record(folders[gait], gait, course(gait)), GAITS)
     return {recording.gait: recording for recording in found}
 
 
