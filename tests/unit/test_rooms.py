@@ -10,7 +10,7 @@ GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
     ("errors", "limits"),
-    ("robot.protocol", "geometry"),
+    ("robot.protocol", "geometry", "people.ros2"),
     ("robot.core", "people.walking"),
     ("robot.settings",),
     ("robot.host",),
@@ -33,7 +33,7 @@ ROOMS: Final = (
 """From the inside out: a room knows itself and what stands before it, never its neighbour in the same row."""
 
 WINGS: Final = ("robot", "people")
-PURE: Final = ("robot.protocol", "robot.core", "people.walking")
+PURE: Final = ("robot.protocol", "robot.core", "people.walking", "people.ros2")
 ALSO_PURE: Final = frozenset({"errors", "geometry", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(

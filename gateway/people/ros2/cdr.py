@@ -1,0 +1,174 @@
+"""ROS 2 messages as bytes (CDR, XCDR1), and back.
+
+Every number is aligned to its own size, counted from the end of the four bytes of encapsulation. A string is its length
+with the final zero, UTF-8, and the zero; a sequence its count and its elements; an empty message one byte.
+"""
+
+import struct
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+
+
+class CdrError(ValueError):
+    """These bytes are no such message, or this message cannot be written; one sentence."""
+
+
+class Field(NamedTuple):
+    """One field of a message."""
+
+    name: str
+    element: "str | type[Message]"
+    """A name of `NUMBERS`, `string`, or another message."""
+    many: bool = False
+    """Whether it is a sequence of them, of any length."""
+
+
+class Message:
+    """A ROS 2 message: a frozen dataclass with the fields in their order. Sequences are tuples."""
+
+    __slots__ = ()
+    TYPE: ClassVar[str]
+    """As ROS 2 names it, such as `std_msgs/msg/String`."""
+    HASH: ClassVar[str]
+    """RIHS01 (REP-2016): the same in all distributions that have hashes."""
+    FIELDS: ClassVar[tuple[Field, ...]]
+    CONSTANTS: ClassVar[tuple[tuple[str, str, int], ...]] = ()
+    """Type, name and value."""
+
+
+M = TypeVar("M", bound=Message)
+
+NUMBERS: Final = {
+    "bool": "?",
+    "byte": "B",
+    "uint8": "B",
+    "int32": "i",
+    "uint32": "I",
+    "float64": "d",
+}
+"""ROS 2's name → the letter of `struct`."""
+
+HEADER: Final = b"\x00\x01\x00\x00"
+"""CDR, little endian."""
+_ORDERS: Final = {b"\x00\x01": "<", b"\x00\x00": ">"}
+_MOST_PADDING: Final = 3
+"""Some writers fill the last four bytes."""
+
+
+def encode(message: Message) -> bytes:
+    """Its bytes, with the encapsulation. Raises CdrError where a value does not fit its field."""
+    out = bytearray()
+    try:
+        _write(out, message)
+    except (struct.error, UnicodeEncodeError, TypeError) as error:
+        raise CdrError(f"{message.TYPE} cannot be written: {error}") from error
+    return HEADER + bytes(out)
+
+
+def decode(kind: type[M], data: bytes) -> M:
+    """The message in `data`. Raises CdrError."""
+    order = _ORDERS.get(data[:2])
+    if order is None or len(data) < len(HEADER):
+        raise CdrError(f"{kind.TYPE}: its first bytes ({data[:4].hex(' ')}) are not those of CDR")
+    reader = _Reader(memoryview(data)[len(HEADER) :], order)
+    try:
+        message = reader.message(kind)
+    except CdrError as error:
+        raise CdrError(f"{kind.TYPE}: {error}") from error
+    if reader.left > _MOST_PADDING:
+        raise CdrError(f"{kind.TYPE}: {reader.left} bytes are left over")
+    return message
+
+
+def _write(out: bytearray, message: Message) -> None:
+    for name, element, many in message.FIELDS:
+        value: Any = getattr(message, name)
+        if not many:
+            _write_one(out, element, value)
+            continue
+        _write_numbers(out, "I", (len(value),))
+        if isinstance(element, str) and element in NUMBERS:
+            if value:
+                _write_numbers(out, NUMBERS[element], value)
+        else:
+            for each in value:
+                _write_one(out, element, each)
+    if not message.FIELDS:
+        out.append(0)
+
+
+def _write_one(out: bytearray, element: str | type[Message], value: Any) -> None:
+    if not isinstance(element, str):
+        _write(out, value)
+    elif element == "string":
+        text = value.encode()
+        if b"\0" in text:
+            raise CdrError("a string ends at its first zero, and this one has a zero inside")
+        _write_numbers(out, "I", (len(text) + 1,))
+        out += text + b"\0"
+    else:
+        _write_numbers(out, NUMBERS[element], (value,))
+
+
+def _write_numbers(out: bytearray, letter: str, values: Any) -> None:
+    out += bytes(-len(out) % struct.calcsize(f"<{letter}"))
+    out += struct.pack(f"<{len(values)}{letter}", *values)
+
+
+class _Reader:
+    """Where it is in the bytes. Nothing is made that the bytes do not hold: a count is compared with them first."""
+
+    def __init__(self, data: memoryview, order: str) -> None:
+        self._data = data
+        self._order = order
+        self._at = 0
+
+    @property
+    def left(self) -> int:
+        """Bytes that are not read yet."""
+        return len(self._data) - self._at
+
+    def message(self, kind: type[M]) -> M:
+        """The next bytes as a message."""
+        if not kind.FIELDS and self.left:  # some writers leave an empty message's one byte out
+            self._at += 1
+        return kind(*(self._field(field) for field in kind.FIELDS))
+
+    def _field(self, field: Field) -> Any:
+        name, element, many = field
+        try:
+            if not many:
+                return self._one(element)
+            (count,) = self._numbers("I", 1)
+            if isinstance(element, str) and element in NUMBERS:
+                return self._numbers(NUMBERS[element], count) if count else ()
+            if count > self.left:  # the smallest element has one byte
+                raise CdrError(f"has {count} elements in {self.left} bytes")
+            return tuple(self._one(element) for _ in range(count))
+        except CdrError as error:
+            raise CdrError(f"{name}: {error}") from error
+
+    def _one(self, element: str | type[Message]) -> Any:
+        if not isinstance(element, str):
+            return self.message(element)
+        return self._string() if element == "string" else self._numbers(NUMBERS[element], 1)[0]
+
+    def _string(self) -> str:
+        (length,) = self._numbers("I", 1)
+        text = bytes(self._take(length))
+        if text[-1:] == b"\0":  # a length of 0 is an empty string, too
+            text = text[:-1]
+        try:
+            return text.decode()
+        except UnicodeDecodeError as error:
+            raise CdrError("is no UTF-8") from error
+
+    def _numbers(self, letter: str, count: int) -> tuple[Any, ...]:
+        size = struct.calcsize(f"<{letter}")
+        self._take(-self._at % size)
+        return struct.unpack(f"{self._order}{count}{letter}", self._take(count * size))
+
+    def _take(self, size: int) -> memoryview:
+        if size > self.left:
+            raise CdrError(f"ends {size - self.left} bytes too early")
+        self._at += size
+        return self._data[self._at - size : self._at]

@@ -1,0 +1,352 @@
+"""ROS 2's message types, written by `python -m tests.support.ros2_messages`: do not edit.
+
+They are the same in all of `DISTRIBUTIONS` (rosbags keeps their definitions). Fields are documented where ROS 2 is.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+from gateway.people.ros2.cdr import Field, Message
+
+DISTRIBUTIONS: Final = ("humble", "jazzy", "kilted", "lyrical")
+
+TRIGGER_TYPE: Final = "std_srvs/srv/Trigger"
+TRIGGER_HASH: Final = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+"""Of the service; its request and response have hashes of their own, which nothing on the wire shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class String(Message):
+    """std_msgs/msg/String."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/String"
+    HASH: ClassVar[str] = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("data", "string"),)
+
+    data: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Int32(Message):
+    """std_msgs/msg/Int32."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/Int32"
+    HASH: ClassVar[str] = "RIHS01_b6578ded3c58c626cfe8d1a6fb6e04f706f97e9f03d2727c9ff4e74b1cef0deb"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("data", "int32"),)
+
+    data: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Float64(Message):
+    """std_msgs/msg/Float64."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/Float64"
+    HASH: ClassVar[str] = "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("data", "float64"),)
+
+    data: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Time(Message):
+    """builtin_interfaces/msg/Time."""
+
+    TYPE: ClassVar[str] = "builtin_interfaces/msg/Time"
+    HASH: ClassVar[str] = "RIHS01_b106235e25a4c5ed35098aa0a61a3ee9c9b18d197f398b0e4206cea9acf9c197"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("sec", "int32"), Field("nanosec", "uint32"))
+
+    sec: int = 0
+    nanosec: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Header(Message):
+    """std_msgs/msg/Header."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/Header"
+    HASH: ClassVar[str] = "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("stamp", Time), Field("frame_id", "string"))
+
+    stamp: Time = Time()
+    frame_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class JointState(Message):
+    """sensor_msgs/msg/JointState."""
+
+    TYPE: ClassVar[str] = "sensor_msgs/msg/JointState"
+    HASH: ClassVar[str] = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("header", Header),
+        Field("name", "string", many=True),
+        Field("position", "float64", many=True),
+        Field("velocity", "float64", many=True),
+        Field("effort", "float64", many=True),
+    )
+
+    header: Header = Header()
+    name: tuple[str, ...] = ()
+    position: tuple[float, ...] = ()
+    velocity: tuple[float, ...] = ()
+    effort: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class KeyValue(Message):
+    """diagnostic_msgs/msg/KeyValue."""
+
+    TYPE: ClassVar[str] = "diagnostic_msgs/msg/KeyValue"
+    HASH: ClassVar[str] = "RIHS01_d68081eaa540288c5440753baecef0c4e16e81a5f78ad68902ded5100413bb42"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("key", "string"), Field("value", "string"))
+
+    key: str = ""
+    value: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticStatus(Message):
+    """diagnostic_msgs/msg/DiagnosticStatus."""
+
+    TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticStatus"
+    HASH: ClassVar[str] = "RIHS01_b0e3e692ea2d54a8af2f4ef1930e81556a2db55216b771f8a7d2724ed47bf0e4"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("level", "byte"),
+        Field("name", "string"),
+        Field("message", "string"),
+        Field("hardware_id", "string"),
+        Field("values", KeyValue, many=True),
+    )
+    CONSTANTS: ClassVar[tuple[tuple[str, str, int], ...]] = (
+        ("byte", "OK", 0),
+        ("byte", "WARN", 1),
+        ("byte", "ERROR", 2),
+        ("byte", "STALE", 3),
+    )
+    OK: ClassVar[int] = 0
+    WARN: ClassVar[int] = 1
+    ERROR: ClassVar[int] = 2
+    STALE: ClassVar[int] = 3
+
+    level: int = 0
+    name: str = ""
+    message: str = ""
+    hardware_id: str = ""
+    values: tuple[KeyValue, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticArray(Message):
+    """diagnostic_msgs/msg/DiagnosticArray."""
+
+    TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticArray"
+    HASH: ClassVar[str] = "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("header", Header), Field("status", DiagnosticStatus, many=True))
+
+    header: Header = Header()
+    status: tuple[DiagnosticStatus, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Vector3(Message):
+    """geometry_msgs/msg/Vector3."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/Vector3"
+    HASH: ClassVar[str] = "RIHS01_cc12fe83e4c02719f1ce8070bfd14aecd40f75a96696a67a2a1f37f7dbb0765d"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("x", "float64"), Field("y", "float64"), Field("z", "float64"))
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Twist(Message):
+    """geometry_msgs/msg/Twist."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/Twist"
+    HASH: ClassVar[str] = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("linear", Vector3), Field("angular", Vector3))
+
+    linear: Vector3 = Vector3()
+    angular: Vector3 = Vector3()
+
+
+@dataclass(frozen=True, slots=True)
+class TwistStamped(Message):
+    """geometry_msgs/msg/TwistStamped."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/TwistStamped"
+    HASH: ClassVar[str] = "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("header", Header), Field("twist", Twist))
+
+    header: Header = Header()
+    twist: Twist = Twist()
+
+
+@dataclass(frozen=True, slots=True)
+class Quaternion(Message):
+    """geometry_msgs/msg/Quaternion."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/Quaternion"
+    HASH: ClassVar[str] = "RIHS01_8a765f66778c8ff7c8ab94afcc590a2ed5325a1d9a076ffff38fbce36f458684"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("x", "float64"),
+        Field("y", "float64"),
+        Field("z", "float64"),
+        Field("w", "float64"),
+    )
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    w: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Transform(Message):
+    """geometry_msgs/msg/Transform."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/Transform"
+    HASH: ClassVar[str] = "RIHS01_beb83fbe698636351461f6f35d1abb20010c43d55374d81bd041f1ba2581fddc"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("translation", Vector3), Field("rotation", Quaternion))
+
+    translation: Vector3 = Vector3()
+    rotation: Quaternion = Quaternion()
+
+
+@dataclass(frozen=True, slots=True)
+class TransformStamped(Message):
+    """geometry_msgs/msg/TransformStamped."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/TransformStamped"
+    HASH: ClassVar[str] = "RIHS01_0a241f87d04668d94099cbb5ba11691d5ad32c2f29682e4eb5653424bd275206"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("header", Header),
+        Field("child_frame_id", "string"),
+        Field("transform", Transform),
+    )
+
+    header: Header = Header()
+    child_frame_id: str = ""
+    transform: Transform = Transform()
+
+
+@dataclass(frozen=True, slots=True)
+class TFMessage(Message):
+    """tf2_msgs/msg/TFMessage."""
+
+    TYPE: ClassVar[str] = "tf2_msgs/msg/TFMessage"
+    HASH: ClassVar[str] = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("transforms", TransformStamped, many=True),)
+
+    transforms: tuple[TransformStamped, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Duration(Message):
+    """builtin_interfaces/msg/Duration."""
+
+    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
+    HASH: ClassVar[str] = "RIHS01_e8d009f659816f758b75334ee1a9ca5b5c0b859843261f14c7f937349599d93b"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("sec", "int32"), Field("nanosec", "uint32"))
+
+    sec: int = 0
+    nanosec: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrajectoryPoint(Message):
+    """trajectory_msgs/msg/JointTrajectoryPoint."""
+
+    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
+    HASH: ClassVar[str] = "RIHS01_de8907036d8bd45aac6f30cc9044a3d4a329c42cbf719aff7d95a584cfa532d7"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("positions", "float64", many=True),
+        Field("velocities", "float64", many=True),
+        Field("accelerations", "float64", many=True),
+        Field("effort", "float64", many=True),
+        Field("time_from_start", Duration),
+    )
+
+    positions: tuple[float, ...] = ()
+    velocities: tuple[float, ...] = ()
+    accelerations: tuple[float, ...] = ()
+    effort: tuple[float, ...] = ()
+    time_from_start: Duration = Duration()
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrajectory(Message):
+    """trajectory_msgs/msg/JointTrajectory."""
+
+    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectory"
+    HASH: ClassVar[str] = "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("header", Header),
+        Field("joint_names", "string", many=True),
+        Field("points", JointTrajectoryPoint, many=True),
+    )
+
+    header: Header = Header()
+    joint_names: tuple[str, ...] = ()
+    points: tuple[JointTrajectoryPoint, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Log(Message):
+    """rcl_interfaces/msg/Log."""
+
+    TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
+    HASH: ClassVar[str] = "RIHS01_e28ce254ca8abc06abf92773b74602cdbf116ed34fbaf294fb9f81da9f318eac"
+    FIELDS: ClassVar[tuple[Field, ...]] = (
+        Field("stamp", Time),
+        Field("level", "uint8"),
+        Field("name", "string"),
+        Field("msg", "string"),
+        Field("file", "string"),
+        Field("function", "string"),
+        Field("line", "uint32"),
+    )
+    CONSTANTS: ClassVar[tuple[tuple[str, str, int], ...]] = (
+        ("uint8", "DEBUG", 10),
+        ("uint8", "INFO", 20),
+        ("uint8", "WARN", 30),
+        ("uint8", "ERROR", 40),
+        ("uint8", "FATAL", 50),
+    )
+    DEBUG: ClassVar[int] = 10
+    INFO: ClassVar[int] = 20
+    WARN: ClassVar[int] = 30
+    ERROR: ClassVar[int] = 40
+    FATAL: ClassVar[int] = 50
+
+    stamp: Time = Time()
+    level: int = 0
+    name: str = ""
+    msg: str = ""
+    file: str = ""
+    function: str = ""
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TriggerRequest(Message):
+    """std_srvs/srv/Trigger_Request."""
+
+    TYPE: ClassVar[str] = "std_srvs/srv/Trigger_Request"
+    HASH: ClassVar[str] = "RIHS01_d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199"
+    FIELDS: ClassVar[tuple[Field, ...]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TriggerResponse(Message):
+    """std_srvs/srv/Trigger_Response."""
+
+    TYPE: ClassVar[str] = "std_srvs/srv/Trigger_Response"
+    HASH: ClassVar[str] = "RIHS01_2d946c21e2fc3f1e9ca6986a8191d85fcc70097a8bb7771a053564bc47009cdf"
+    FIELDS: ClassVar[tuple[Field, ...]] = (Field("success", "bool"), Field("message", "string"))
+
+    success: bool = False
+    message: str = ""
