@@ -7,7 +7,7 @@ WHEELS ?= dist/wheels
 # terminal, and a systemd to start in a box of its own.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium
 
-.PHONY: help run quick test check bench walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: help run quick test check case bench walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -16,6 +16,8 @@ help:
 	@echo "make test     all tests; installs Debian packages for the hardware tests (APT=no: does not)"
 	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
+	@echo "make case     the safety case (docs/safety.md): which claims the last make test has shown for these files"
+	@echo "              (RUN=yes: runs the tests that it needs first)"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption; a picture"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
@@ -39,8 +41,9 @@ test: $(VENV)/dev debian-packages
 ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
 else
-	@$(BIN)/pytest -n $(WORKERS) -m "not alone"; together=$$?; \
-	$(BIN)/pytest -m alone && exit $$together
+	@$(BIN)/python -m tests.case --begin; \
+	$(BIN)/pytest -n $(WORKERS) -m "not alone" --junitxml=build/case/together.xml; together=$$?; \
+	$(BIN)/pytest -m alone --junitxml=build/case/alone.xml && exit $$together
 endif
 
 check: $(VENV)/dev
@@ -49,6 +52,10 @@ check: $(VENV)/dev
 	$(BIN)/mypy
 	$(BIN)/mypy examples
 	$(BIN)/python -m schemas --check
+
+# Judges what `make test` and `make bench` have left for these files; RUN=yes runs the tests that it needs first.
+case: $(VENV)/dev
+	@$(BIN)/python -m tests.case $(if $(RUN),--run)
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick)

@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
 
@@ -32,6 +32,7 @@ from tests.benchmarks.recorder import recorder
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, as_markdown, as_text, microseconds
+from tests.case.left import leave_bench
 from tests.hil.bed import missing_packages
 
 ROUNDS = 7
@@ -265,6 +266,7 @@ def main() -> int:
         if options.only in (None, name):
             with tempfile.TemporaryDirectory() as folder:
                 rows += part(Path(folder))
+    leave_bench(asdict(row) for row in rows)
     print(as_markdown(rows) if options.markdown else as_text(rows))
     print(
         f"\n{where}; the run took {time.monotonic() - begun_s:.0f} s;"

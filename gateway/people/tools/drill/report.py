@@ -43,6 +43,7 @@ def as_json(drill: Drill, now: datetime) -> dict[str, Any]:
             "watchdog_timeout_ms": state.watchdog.timeout_ms,
             "watchdog_landing_ms": state.watchdog.landing_ms,
         },
+        "claims_shown": _claims(drill),
         "leg": drill.leg,
         "frames_published": drill.frames_published,
         "steps": [
@@ -50,6 +51,7 @@ def as_json(drill: Drill, now: datetime) -> dict[str, Any]:
                 "name": outcome.name,
                 "does": outcome.does,
                 "result": outcome.word.lower(),
+                "claim": outcome.shows,
                 "detail": outcome.detail,
                 "figures": outcome.figures,
                 "took_s": round(outcome.took_s, 3),
@@ -60,6 +62,13 @@ def as_json(drill: Drill, now: datetime) -> dict[str, Any]:
             for outcome in drill.outcomes
         ],
     }
+
+
+def _claims(drill: Drill) -> list[str]:
+    """Of the safety case (docs/safety.md), those whose steps were done here and all passed."""
+    failed = {outcome.shows for outcome in drill.outcomes if outcome.passed is False}
+    passed = dict.fromkeys(outcome.shows for outcome in drill.outcomes if outcome.passed)
+    return [claim for claim in passed if claim not in failed]
 
 
 def check(path: Path) -> None:
@@ -104,11 +113,14 @@ def _html(drill: Drill, found: dict[str, Any], now: datetime) -> str:
     if drill.lost is not None:
         head += " · the gateway was lost, and nobody has confirmed that all legs are stopped"
     steps = "\n".join(map(_section, drill.outcomes))
+    claims = ", ".join(found["claims_shown"]) or "none"
+    where = "a simulated controller, and no robot, has" if gateway["simulated"] else "this robot has"
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Drill: {verdict}</title>
 <style>{_STYLE}</style>
 <h1>Drill: {verdict}</h1><p>{escape(head)}</p>
 {steps}
+<section><h2>Claims of the safety case that {where} shown</h2><p>{escape(claims)}</p></section>
 <details><summary>As JSON</summary><pre>{escape(json.dumps(found, indent=1))}</pre></details>
 </html>
 """

@@ -34,6 +34,8 @@ class Outcome:
 
     name: str
     does: str
+    shows: str
+    """The claim of the safety case."""
     passed: bool | None
     detail: str
     figures: Figures
@@ -139,7 +141,9 @@ def _do(bench: Bench, step: Step, place: str) -> Outcome:
         passed, detail = None, str(skipped)
     except GatewayError as error:
         passed, detail = False, f"the drill could not go on: {error}"
-    outcome = Outcome(step.name, does, passed, detail, figures, time.monotonic() - begun_s, bench.since(mark))
+    outcome = Outcome(
+        step.name, does, step.shows, passed, detail, figures, time.monotonic() - begun_s, bench.since(mark)
+    )
     say(f"{outcome.word:8}{step.name}: {detail}")
     with suppress(GatewayError):  # the end tries again, and says it
         _rest(bench, keep_estop=step.name == "estop")

@@ -49,6 +49,8 @@ class Step(NamedTuple):
     name: str
     does: str
     run: Callable[[Bench], Figures]
+    shows: str
+    """The claim of the safety case (safety/case.toml) that it shows on this robot."""
     drives: bool = True
     """Under the lease, so that nobody else moves the robot meanwhile."""
 
@@ -341,20 +343,46 @@ def stop_servos(bench: Bench) -> Figures:
 
 
 STEPS: Final = (
-    Step("command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command),
-    Step("set-while-stopped", "sets {servos}, which is stopped: must be rejected", set_while_stopped),
-    Step("silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence),
-    Step("estop", "engages the emergency stop while setpoints stream: six Stops, and nothing after", estop_in_stream),
-    Step("until-reset", "starts {servos} in the emergency stop: must be rejected until a reset", rejected_until_reset),
-    Step("after-reset", "goes on streaming after the reset: nothing may move", nothing_after_reset),
+    Step("command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command, "only-a-start-energises"),
+    Step(
+        "set-while-stopped",
+        "sets {servos}, which is stopped: must be rejected",
+        set_while_stopped,
+        "only-a-start-energises",
+    ),
+    Step("silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence, "silence-stops"),
+    Step(
+        "estop",
+        "engages the emergency stop while setpoints stream: six Stops, and nothing after",
+        estop_in_stream,
+        "estop-always",
+    ),
+    Step(
+        "until-reset",
+        "starts {servos} in the emergency stop: must be rejected until a reset",
+        rejected_until_reset,
+        "restart-asks",
+    ),
+    Step("after-reset", "goes on streaming after the reset: nothing may move", nothing_after_reset, "restart-asks"),
     Step(
         "cut-link",
         "cuts a link of its own and joins it again, with old starts in it: must be rejected",
         queue_of_a_cut_link,
+        "old-commands-move-nothing",
         drives=False,
     ),
-    Step("lease", "somebody else starts {servos} (must be rejected) and stops it", lease_keeps_others_out),
-    Step("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos),
-    Step("restart", "kills the service while setpoints stream: stopped at once, and again at its new start", killed),
+    Step(
+        "lease",
+        "somebody else starts {servos} (must be rejected) and stops it",
+        lease_keeps_others_out,
+        "one-driver",
+    ),
+    Step("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos, "death-stops"),
+    Step(
+        "restart",
+        "kills the service while setpoints stream: stopped at once, and again at its new start",
+        killed,
+        "death-stops",
+    ),
 )
 """In their order. Each leaves all legs stopped, or the drill does."""
