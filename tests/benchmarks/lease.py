@@ -10,10 +10,11 @@ from pathlib import Path
 from statistics import median
 
 from gateway.robot.core.events import BusOpened, Command, Do, LeaseRequest, Rejected
-from gateway.robot.core.intake import Intent, decode
+from gateway.robot.core.intake import decode
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.core.targets import Intent
 from schemas import keys
 from tests.benchmarks.processes import Figures, cpu_ns, now_ns, say
 from tests.benchmarks.subjects import SETTLE_S, Publisher, Subject, program

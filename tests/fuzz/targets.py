@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from gateway.people.tools import decode as decode_command
 from gateway.robot.core import intake
+from gateway.robot.core.targets import Intent, Targets
 from gateway.robot.protocol import frames
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.protocol.framing import Framing
@@ -47,11 +48,11 @@ def check_intake(key: CommandKey, payload: bytes, answer: object) -> str:
         assert 0 < len(answer.detail) <= MAX_DETAIL, answer.detail
         assert answer.detail.isprintable(), answer.detail
         return str(answer.reason)
-    assert isinstance(answer, intake.Intent)
+    assert isinstance(answer, Intent)
     assert answer.source is None or 1 <= len(answer.source) <= 64
     assert answer.sent_ms is None or 0 <= answer.sent_ms <= MAX_SENT_MS
     if key.target is Target.ESTOP:
-        assert answer == intake.Intent()
+        assert answer == Intent()
         return "intent"
     sent = json.loads(payload or b"{}", object_pairs_hook=_with_every_name_once)
     assert isinstance(sent, dict)
@@ -73,7 +74,7 @@ def _with_every_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return dict(pairs)
 
 
-def assert_targets_are_what_was_sent(key: CommandKey, sent: dict[str, Any], targets: intake.Targets) -> None:
+def assert_targets_are_what_was_sent(key: CommandKey, sent: dict[str, Any], targets: Targets) -> None:
     """Compare with another reading of the same JSON, by the standard library and by hand."""
     assert sent.keys() <= {"op", "angle_deg", "servos", "legs", "source", "sent_ms"}
     match key.target:
@@ -100,7 +101,7 @@ def assert_targets_are_what_was_sent(key: CommandKey, sent: dict[str, Any], targ
         assert math.isclose(command.angle_cdeg, 100 * angle_deg, rel_tol=0, abs_tol=0.5 + 1e-9)
 
 
-def frames_of(targets: intake.Targets) -> list[Frame]:
+def frames_of(targets: Targets) -> list[Frame]:
     """The frames that these targets become: whole legs as ONE LEG, a single servo as ONE SERVO."""
     if len(targets) == 1:
         return [OneServo(*targets[0])]

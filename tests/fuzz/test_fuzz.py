@@ -15,7 +15,8 @@ from zlib import crc32
 import pytest
 
 from gateway.robot.core import intake
-from gateway.robot.core.intake import Intent, Rejection
+from gateway.robot.core.intake import Rejection
+from gateway.robot.core.targets import Intent
 from gateway.robot.protocol import frames
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import KEPT_TRANSFERS, SimulatedController

@@ -283,29 +283,6 @@ ANSWERS = Subject(
     ),
 )
 
-INTENTS = Subject(
-    "gateway/robot/core/intents.py",
-    tests=CONDUCTOR.tests,
-    mutants=(
-        Mutant("MAX_KEY: Final = 100", "MAX_KEY: Final = 100_000", "an event repeats what a stranger sent, at length"),
-        Mutant(
-            "if received.key == keys.RESET and received.expression != keys.RESET:",
-            "if False:",
-            "a wildcard leaves the emergency stop",
-        ),
-        Mutant(
-            "    if received.verb is _DELETE:\n        return stop_all_of(received.target)\n",
-            "",
-            "a delete stops nothing",
-        ),
-        Mutant(
-            "    if received.size > MAX_PAYLOAD_BYTES:\n        return too_large(received.size)\n",
-            "",
-            "a payload that was not read is called empty",
-        ),
-    ),
-)
-
 LOSSES = Subject(
     "gateway/robot/core/losses.py",
     tests=CONDUCTOR.tests,

@@ -246,16 +246,6 @@ RINGS = Subject(
             "several keys apply in the wrong order",
         ),
         Mutant(
-            "if other is not ring and _concerns(ring.key, other.key)",
-            "if False",
-            "an older start overtakes a newer Stop of another key",
-        ),
-        Mutant(
-            "if other is not ring and _concerns(ring.key, other.key)",
-            "if other is not ring",
-            "each command looks into all rings",
-        ),
-        Mutant(
             "        if keys and not self.instant_open:\n",
             "        if keys:\n",
             "in a flood, an older start overtakes a Stop",
@@ -305,7 +295,6 @@ RINGS = Subject(
             "        self.instant_open = bool(due)",
             "in a flood of setpoints, nothing that was stopped can be started",
         ),
-        Mutant("return ring.key != RESET", "return True", "a reset keeps an instant open"),
         Mutant(
             "            taken.sort(key=_place)\n",
             "            pass\n",
@@ -315,31 +304,6 @@ RINGS = Subject(
             "            taken.sort(key=_place)\n",
             "            taken.sort(key=_place, reverse=True)\n",
             "several keys apply in the wrong order",
-        ),
-        Mutant(
-            "return one.target is Target.RESET", "return False", "what was sent before a reset moves the robot after it"
-        ),
-        Mutant("return one.target is Target.RESET", "return True", "each command looks into the resets' ring"),
-        Mutant(
-            "return Target.LEGS in (one.target, two.target) or (",
-            "return (",
-            "an older start of several legs overtakes a Stop of one",
-        ),
-        Mutant("_leg(one) == _leg(two) and (", "(", "each command looks into other legs' rings"),
-        Mutant(
-            "(one.target is not two.target or one.number == two.number)",
-            "(one.number == two.number)",
-            "an older start of a leg overtakes a Stop of its servo",
-        ),
-        Mutant(
-            "(one.target is not two.target or one.number == two.number)",
-            "(one.target is not two.target)",
-            "an older put overtakes a newer get of its key",
-        ),
-        Mutant(
-            "return key.number // 10 if key.target is Target.SERVO else key.number",
-            "return key.number",
-            "an older start of a leg overtakes a Stop of its servo",
         ),
     ),
 )

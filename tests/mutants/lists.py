@@ -4,7 +4,7 @@ from tests.mutants.access import ACCESS, ZENOH_FILES
 from tests.mutants.bus import BUS, GUARD
 from tests.mutants.calibration import CALIBRATING, CALIBRATION, REACH
 from tests.mutants.calibration_request_reader import CALIBRATION_DESK, CALIBRATION_INTAKE, CALIBRATIONS, DESKS
-from tests.mutants.conductor import ANSWERS, CONDUCTOR, INTENTS, LOSSES
+from tests.mutants.conductor import ANSWERS, CONDUCTOR, LOSSES
 from tests.mutants.exposure import EXPOSURE
 from tests.mutants.inbox import INBOX, MESSAGE, RINGS
 from tests.mutants.intake import INTAKE
@@ -31,7 +31,6 @@ SUBJECTS: tuple[Subject, ...] = (
     STALENESS,
     CONDUCTOR,
     ANSWERS,
-    INTENTS,
     LOSSES,
     SUPERVISOR,
     TABLE,

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gateway.robot.blackbox.recorder import RingRecorder, Written
-from gateway.robot.core.intake import Intent
+from gateway.robot.core.targets import Intent
 from gateway.robot.protocol.frames import Op, ServoOp
 from gateway.robot.settings import Settings
 from schemas.keys import leg_command

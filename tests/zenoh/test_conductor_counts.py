@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from gateway.errors import SpiError
-from gateway.robot.core.intents import MAX_KEY
+from gateway.robot.core.intake import MAX_KEY
 from gateway.robot.core.message import Verb
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.spi.simulator import SimulatedController

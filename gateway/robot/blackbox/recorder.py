@@ -24,7 +24,7 @@ from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.calibration_report import report_of
-from gateway.robot.core.intake import Intent
+from gateway.robot.core.targets import Intent
 from gateway.robot.core.value import value
 from gateway.robot.protocol.frames import OP_STOP
 from gateway.robot.protocol.framing import Framing

@@ -1,4 +1,4 @@
-"""Reads a command's bytes: an Intent, or a Rejection with its reason. Only this module knows the commands' JSON."""
+"""Reads what came in: an Intent, or a Rejection with its reason. Pure; `targets` has what each key means."""
 
 import json
 import math
@@ -8,56 +8,25 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import from_json
 
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.targets import TARGETS, Intent, Row, stops_of
 from gateway.robot.core.value import value
-from gateway.robot.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
+from gateway.robot.protocol.frames import STOP
+from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG
-from schemas.command import (
-    MAX_ESTOP,
-    MAX_PAYLOAD_BYTES,
-    MAX_SENT_MS,
-    SENDER,
-    SERVO_COMMAND,
-    LegCommand,
-    LegsCommand,
-    Move,
-    ResetCommand,
-    Stop,
-)
-from schemas.keys import CommandKey, Target
-from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.command import MAX_ESTOP, MAX_PAYLOAD_BYTES, MAX_SENT_MS, SENDER
+from schemas.keys import CommandKey
+from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Reason
 
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
 """JSON, and what Zenoh reports when the publisher gave no encoding."""
+MAX_COLONS_OF_SOURCE: Final = 64
+MAX_KEY: Final = 100
+"""Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
 
-Targets = tuple[tuple[int, ServoOp], ...]
-_OPS: Final = {"start": OP_START, "set": OP_SET}
-_IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
-_LEG_COMMAND: Final = LegCommand.__pydantic_validator__
-"""Called at once, without the wrapper around it: it reads each setpoint of a gait."""
-_ESTOP, _LEG, _LEGS = Target.ESTOP, Target.LEG, Target.LEGS  # see `frames.OP_STOP`
+_DELETE: Final = Verb.DELETE  # see `frames.OP_STOP`
 _SERVO_OPS: Final = ("start", "set", "stop")
-
-
-@value
-class Intent:
-    """What a valid command asks for: an operation for each servo that it names (none for a reset)."""
-
-    targets: Targets = ()
-    source: str | None = None
-    sent_ms: float | None = None
-    estop: int | None = None
-    """Of a reset: the number of the emergency stop that it leaves."""
-    lease: str | None = None
-    """The token of the sender's lease."""
-
-    def __repr__(self) -> str:
-        return f"Intent({self.targets}, source={self.source!r})"  # the token is a secret
-
-    @property
-    def only_stops(self) -> bool:
-        """Whether it stops servos and does nothing else. A reset stops none."""
-        return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
 
 
 @value
@@ -68,10 +37,36 @@ class Rejection:
     detail: str
 
 
+def intent_of(received: Received) -> Intent | Rejection:
+    """What a message asks for. Never raises: one that is wrong returns a Rejection."""
+    key = received.target
+    if key is None:
+        try:
+            keys.parse(without_secrets(received.expression[: 2 * MAX_KEY]))
+        except ValueError as error:
+            return Rejection(Reason.INVALID, str(error))
+        return Rejection(Reason.INVALID, f"{echo_of(received.expression)} names no command key")
+    only_meant = TARGETS[key.target].only_meant
+    if only_meant is not None and received.expression != received.key:
+        return Rejection(Reason.INVALID, f"a wildcard {only_meant}")
+    if received.verb is _DELETE:
+        return deleted(key)
+    if received.size > MAX_PAYLOAD_BYTES:
+        return too_large(received.size)
+    return decode(key, received.payload, received.encoding)
+
+
+def deleted(key: CommandKey) -> Intent | Rejection:
+    """What a `delete` on `key` asks for: Stops for the servos that the key names."""
+    only_meant = TARGETS[key.target].only_meant
+    return Intent(stops_of(key)) if only_meant is None else Rejection(Reason.INVALID, f"a delete {only_meant}")
+
+
 def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
     """Read the payload that came on `key`. Never raises: a payload that is wrong returns a Rejection."""
-    if key.target is _ESTOP:
-        return Intent()  # any payload engages it (docs/interface.md, Behaviour 5)
+    row = TARGETS[key.target]
+    if row.read is None:
+        return Intent()
     if len(payload) > MAX_PAYLOAD_BYTES:
         return too_large(len(payload))
     if encoding not in ENCODINGS:
@@ -79,17 +74,15 @@ def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection
             Reason.BAD_ENCODING, f"the encoding is {_name(encoding)}; it must be application/json, or left out"
         )
     colons = payload.count(b":")
-    if colons > _MAX_COLONS:
+    if colons > row.most_fields + MAX_COLONS_OF_SOURCE:
         return too_many_fields(payload)
     try:
-        intent = _READERS[key.target](key.number, payload)
+        intent = row.read(key.number, payload)
     except ValidationError as error:
         return explain(error)
     # Each field takes a colon. A payload with no more colons than fields repeats no name and needs no second reading.
-    twice = name_given_twice(payload) if colons > _fields(key.target, intent) else None
-    if twice is not None:
-        return given_twice(twice)
-    return intent
+    twice = name_given_twice(payload) if colons > _fields(row, intent) else None
+    return intent if twice is None else given_twice(twice)
 
 
 def named_source(payload: bytes) -> str | None:
@@ -100,74 +93,14 @@ def named_source(payload: bytes) -> str | None:
         return None
 
 
-def stop_all_of(key: CommandKey) -> Intent | Rejection:
-    """What a `delete` on `key` asks for: Stops for the servos that the key names."""
-    match key.target:
-        case Target.SERVO:
-            return Intent(((key.number, STOP),))
-        case Target.LEG:
-            return Intent(tuple((servo_id, STOP) for servo_id in servo_ids_of(key.number)))
-        case Target.LEGS:
-            return Intent(tuple((servo_id, STOP) for servo_id in SERVO_IDS))
-        case _:
-            # Leaving the emergency stop must be deliberate; a delete, perhaps by a wildcard, may not be.
-            return Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
+def echo_of(key: str) -> str:
+    """A key of the sender's own making, as an event repeats it."""
+    return without_secrets(key[: 2 * MAX_KEY])[:MAX_KEY]
 
 
 def too_large(size: int) -> Rejection:
     """The rejection of a payload that is not read."""
     return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {MAX_PAYLOAD_BYTES} are read")
-
-
-def _read_servo(servo_id: int, payload: bytes) -> Intent:
-    command = SERVO_COMMAND.validate_json(payload)
-    return Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)
-
-
-def _read_leg(leg: int, payload: bytes) -> Intent:
-    command: LegCommand = _LEG_COMMAND.validate_json(payload)
-    return Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source, command.sent_ms, None, command.lease)
-
-
-def _read_legs(_: int, payload: bytes) -> Intent:
-    command = LegsCommand.model_validate_json(payload)
-    targets: Targets = ()
-    for leg, servo_ids in _IDS_OF_LEG.items():
-        if str(leg) in command.legs:
-            targets += _targets(servo_ids, command.legs[str(leg)].servos)  # type: ignore[index]
-    return Intent(targets, command.source, command.sent_ms, None, command.lease)
-
-
-def _read_reset(_: int, payload: bytes) -> Intent:
-    command = ResetCommand.model_validate_json(payload or b"{}")
-    return Intent((), command.source, command.sent_ms, command.estop, command.lease)
-
-
-_READERS: Final = {
-    Target.SERVO: _read_servo,
-    Target.LEG: _read_leg,
-    Target.LEGS: _read_legs,
-    Target.RESET: _read_reset,
-}
-
-
-def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
-    """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
-    targets: Targets = ()
-    for place, servo_id in enumerate(servo_ids):
-        setpoint = setpoints[place]
-        op = STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))
-        targets += ((servo_id, op),)
-    return targets
-
-
-_MAX_COLONS: Final = 4 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
-"""A LegsCommand with all its fields (legs, source, sent_ms, lease; for a leg its number, servos and three times op and
-angle_deg), and a source that is nothing but colons.
-
-A payload with more is rejected before pydantic reads it: pydantic lists every wrong field, and a payload full of them
-would block the loop for 1.4 ms.
-"""
 
 
 def too_many_fields(payload: bytes) -> Rejection:
@@ -176,20 +109,17 @@ def too_many_fields(payload: bytes) -> Rejection:
         from_json(payload)
     except ValueError as error:
         return _malformed(str(error))
-    return Rejection(Reason.INVALID, "the payload has more fields than any command has")
+    return Rejection(Reason.INVALID, "the payload has more fields than any command of its key has")
 
 
-def _fields(target: Target, intent: Intent) -> int:
+def _fields(row: Row, intent: Intent) -> int:
     """How many fields a payload with this content has at least."""
     fields = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
     fields += intent.lease is not None
     for _, op in intent.targets:
         fields += 1 if op is STOP else 2
-    if target is _LEG:
-        fields += 1
-    elif target is _LEGS:
-        fields += 1 + 2 * len(intent.targets) // len(JOINTS)
-    return fields
+    once, each_leg = row.fields_around
+    return fields + once + each_leg * len(intent.targets) // len(JOINTS)
 
 
 class _GivenTwiceError(Exception):

@@ -7,7 +7,7 @@ that were left starts.
 
 from typing import Final
 
-from gateway.robot.core.intake import Rejection, Targets, stop_all_of
+from gateway.robot.core.targets import Targets, stops_of
 from gateway.robot.protocol.frames import OP_START
 from schemas.keys import COMMAND_KEYS
 
@@ -26,8 +26,7 @@ class Losses:
 
     def note(self, key: str) -> None:
         """Messages that were put on `key` were lost, older than those that are dealt with next."""
-        stops = stop_all_of(COMMAND_KEYS[key])
-        self.key, self._stops = key, () if isinstance(stops, Rejection) else stops.targets
+        self.key, self._stops = key, stops_of(COMMAND_KEYS[key])
 
     def accepted(self, targets: Targets) -> None:
         """One of the next messages was carried out."""

@@ -2,8 +2,8 @@
 
 Zenoh delivers the messages of one session one after another, each into its key's ring. So when a Stop has been taken
 from one ring, every older message of its session has been taken as well, or waits in its own ring. All rings that may
-hold a command for one of the same servos are therefore read again after it, and again until nothing new is found. What
-was found in one go is one instant, in which a Stop wins over a Start or Set of another ring (supervisor).
+hold a command for one of the same servos (`core/targets.py`) are therefore read again after it, until nothing new is
+found. What was found in one go is one instant, in which a Stop wins over a Start or Set of another ring (supervisor).
 
 After a Start or Set, only the rings are read again whose commands apply before it (`legs` before `leg` before `servo`):
 an older one of these must not come later. What waits in the others applies after it, now or in a later instant.
@@ -22,7 +22,8 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, Generic, TypeVar
 
-from schemas.keys import COMMAND_KEYS, RESET, CommandKey, Target
+from gateway.robot.core.targets import follows, servos_of
+from schemas.keys import COMMAND_KEYS
 
 RING_DEPTH: Final = 8
 """Messages per ring and tick: enough for a start, a stop and some setpoints sent in one go; others are only older."""
@@ -55,12 +56,15 @@ def put_depth(leg_rate_hz: float, timeout_ms: float) -> int:
 class Ring(Generic[Item]):
     """The messages of one key and kind (`put` and `delete`, or `get`), in the order in which they came."""
 
-    __slots__ = ("before", "depth", "key", "others", "place", "receive")
+    __slots__ = ("before", "depth", "follows", "key", "others", "place", "receive", "servos")
 
     def __init__(self, key: str, place: int, receive: Receive[Item], depth: int) -> None:
         self.key = key
         self.place = place
         """Where its commands stand among those of one instant."""
+        self.servos = servos_of(COMMAND_KEYS[key])
+        """Those that a message in it may stop. Without any (a reset), no message in it is a Stop."""
+        self.follows = follows(COMMAND_KEYS[key])
         self.receive = receive
         self.depth = depth
         self.others: frozenset[Ring[Item]] = frozenset()
@@ -95,9 +99,7 @@ class Rings(Generic[Item, Message]):
         }
         self._all = [ring for key in COMMAND_KEYS if key in self._of for ring in self._of[key]]
         for ring in self._all:
-            ring.others = frozenset(
-                other for other in self._all if other is not ring and _concerns(ring.key, other.key)
-            )
+            ring.others = frozenset(each for each in self._all if each is not ring and ring.follows & each.servos)
             ring.before = frozenset(other for other in ring.others if other.place < ring.place)
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
@@ -110,9 +112,7 @@ class Rings(Generic[Item, Message]):
         """
         due: Collection[Ring[Item]] = self._all
         if keys and not self.instant_open:
-            due = named = list[Ring[Item]]()
-            for key in keys:
-                named += self._of[key]
+            due = [ring for key in keys for ring in self._of[key]]
         taken: list[tuple[Ring[Item], Sequence[Message | None]]] = []
         stops = False
         for _ in range(PASSES):
@@ -142,16 +142,17 @@ class Rings(Generic[Item, Message]):
         return [(ring.key, item) for ring, items in taken for item in items]
 
     def _may_stop(self, ring: Ring[Item], items: Sequence[Message | None]) -> bool:
-        """Whether a Stop may be among them. A reset is none, although its payload names the emergency stop."""
-        for item in items:
-            if item is None or self._words_of_stop(item) is not None:
-                return ring.key != RESET
+        """Whether a Stop may be among them."""
+        if ring.servos:
+            for item in items:
+                if item is None or self._words_of_stop(item) is not None:
+                    return True
         return False
 
     def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
         """The newest, and before them the older Stops, or None where some may have been lost."""
         newest = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
-        if len(found) <= RING_DEPTH or ring.key == RESET:
+        if len(found) <= RING_DEPTH or not ring.servos:
             return newest
         if len(found) == ring.depth:
             return [None, *newest]
@@ -167,18 +168,3 @@ class Rings(Generic[Item, Message]):
 
 def _place(taken: tuple[Ring[Item], Sequence[Message | None]]) -> int:
     return taken[0].place
-
-
-def _concerns(key: str, other: str) -> bool:
-    """Whether what was taken from `key` makes an older message on `other` matter."""
-    one, two = COMMAND_KEYS[key], COMMAND_KEYS[other]
-    if Target.RESET in (one.target, two.target):
-        # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
-        return one.target is Target.RESET
-    return Target.LEGS in (one.target, two.target) or (
-        _leg(one) == _leg(two) and (one.target is not two.target or one.number == two.number)
-    )
-
-
-def _leg(key: CommandKey) -> int:
-    return key.number // 10 if key.target is Target.SERVO else key.number

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import Completed, Transmit
-from gateway.robot.core.intents import echo_of
+from gateway.robot.core.intake import echo_of
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.sources import Sources, Tell

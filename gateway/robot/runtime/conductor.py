@@ -32,12 +32,12 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.robot.core.intake import Intent, Rejection
-from gateway.robot.core.intents import echo_of, intent_of
+from gateway.robot.core.intake import Rejection, echo_of, intent_of
 from gateway.robot.core.losses import DETAIL, Losses
 from gateway.robot.core.message import Outbox, Received, Reply, Verb
 from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.core.targets import Intent
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.runtime.answers import Answers, legs_of
 from gateway.robot.runtime.event_publisher import Teller

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.robot.core.intake import Intent, Rejection, decode, stop_all_of, too_large
+from gateway.robot.core.intake import Rejection, decode, deleted, too_large
+from gateway.robot.core.targets import Intent
 from gateway.robot.protocol.frames import STOP as STOP_OP
 from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.command import MAX_PAYLOAD_BYTES
@@ -245,13 +246,13 @@ def test_what_is_no_command(key: CommandKey, payload: object, detail: str) -> No
 
 
 def test_a_delete_stops_what_its_key_names() -> None:
-    assert stop_all_of(SERVO_32) == Intent(((32, STOP_OP),))
-    assert stop_all_of(LEG_3) == Intent(((31, STOP_OP), (32, STOP_OP), (33, STOP_OP)))
-    assert stop_all_of(LEGS_KEY) == Intent(tuple((servo_id, STOP_OP) for servo_id in SERVO_IDS))
+    assert deleted(SERVO_32) == Intent(((32, STOP_OP),))
+    assert deleted(LEG_3) == Intent(((31, STOP_OP), (32, STOP_OP), (33, STOP_OP)))
+    assert deleted(LEGS_KEY) == Intent(tuple((servo_id, STOP_OP) for servo_id in SERVO_IDS))
 
 
 def test_a_delete_never_resets() -> None:
-    assert stop_all_of(RESET_KEY) == Rejection(Reason.INVALID, "a delete does not reset; put {} on this key")
+    assert deleted(RESET_KEY) == Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")
 
 
 @pytest.mark.parametrize(

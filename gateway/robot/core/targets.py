@@ -1,0 +1,144 @@
+"""What a command key addresses, and what follows from that: one row for each target, which all who ask read. Pure.
+
+A new key needs its row here, and nothing else in the robot's wing decides by target: which rings are read again
+(`edge/rings.py`), what a delete and what lost messages mean (`intake`, `losses`), and how a payload is read follow.
+"""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from gateway.robot.core.value import value
+from gateway.robot.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
+from schemas import keys
+from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, Move, ResetCommand, Stop
+from schemas.keys import CommandKey, Target
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+
+Targets = tuple[tuple[int, ServoOp], ...]
+
+
+@value
+class Intent:
+    """What a valid command asks for: an operation for each servo that it names (none for a reset)."""
+
+    targets: Targets = ()
+    source: str | None = None
+    sent_ms: float | None = None
+    estop: int | None = None
+    """Of a reset: the number of the emergency stop that it leaves."""
+    lease: str | None = None
+    """The token of the sender's lease."""
+
+    def __repr__(self) -> str:
+        return f"Intent({self.targets}, source={self.source!r})"  # the token is a secret
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether it stops servos and does nothing else. A reset stops none."""
+        return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
+
+
+# ---- readers: each raises pydantic's ValidationError
+
+_OPS: Final = {"start": OP_START, "set": OP_SET}
+_IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
+_LEG_COMMAND: Final = LegCommand.__pydantic_validator__
+"""Called at once, without the wrapper around it: it reads each setpoint of a gait."""
+
+
+def _read_servo(servo_id: int, payload: bytes) -> Intent:
+    command = SERVO_COMMAND.validate_json(payload)
+    return Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)
+
+
+def _read_leg(leg: int, payload: bytes) -> Intent:
+    command: LegCommand = _LEG_COMMAND.validate_json(payload)
+    return Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source, command.sent_ms, None, command.lease)
+
+
+def _read_legs(_: int, payload: bytes) -> Intent:
+    command = LegsCommand.model_validate_json(payload)
+    targets: Targets = ()
+    for leg, setpoint in sorted(command.legs.items()):
+        targets += _targets(_IDS_OF_LEG[int(leg)], setpoint.servos)
+    return Intent(targets, command.source, command.sent_ms, None, command.lease)
+
+
+def _read_reset(_: int, payload: bytes) -> Intent:
+    command = ResetCommand.model_validate_json(payload or b"{}")
+    return Intent((), command.source, command.sent_ms, command.estop, command.lease)
+
+
+def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
+    """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
+    targets: Targets = ()
+    for place, servo_id in enumerate(servo_ids):
+        setpoint = setpoints[place]
+        op = STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))
+        targets += ((servo_id, op),)
+    return targets
+
+
+# ---- the table
+
+
+def _all(_number: int) -> tuple[int, ...]:
+    return SERVO_IDS
+
+
+def _none(_number: int) -> tuple[int, ...]:
+    return ()
+
+
+def _own(servo_id: int) -> tuple[int, ...]:
+    return (servo_id,)
+
+
+class Row(NamedTuple):
+    """One target. A key's `number` is the leg, the servo, or 0."""
+
+    servos: Callable[[int], tuple[int, ...]]
+    """The servos that a message on the key may start, set or stop. A delete stops them, and so do lost messages."""
+    follows: Callable[[int], tuple[int, ...]]
+    """The servos whose older messages, on any key, are taken before a message of this one takes effect."""
+    read: Callable[[int, bytes], Intent] | None
+    """Reads a payload; None: any payload will do."""
+    most_fields: int
+    """Of a payload with all that it may have; each takes a colon, and `source` may have 64 more.
+
+    A payload with more colons is rejected before pydantic reads it: pydantic lists every wrong field, and a payload
+    full of them would block the loop for 1.4 ms.
+    """
+    fields_around: tuple[int, int] = (0, 0)
+    """The fields that stand around setpoints: once, and for each leg."""
+    only_meant: str | None = None
+    """What a delete and a wildcard do not do, since whoever sends them may not have meant this key; None: they do."""
+
+
+_SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
+"""Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
+
+TARGETS: Final[dict[Target, Row]] = {
+    Target.LEGS: Row(_all, _all, _read_legs, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: Row(servo_ids_of, servo_ids_of, _read_leg, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: Row(_own, _own, _read_servo, _SENDER + _SETPOINT),
+    Target.ESTOP: Row(_all, _all, None, 0),
+    # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
+    Target.RESET: Row(_none, _all, _read_reset, _SENDER + 1, only_meant=f"does not reset; put {{}} on {keys.RESET}"),
+}
+"""Every target. Without a row for one, `unit/robot/test_targets.py` fails, and no gateway starts."""
+
+
+def servos_of(key: CommandKey) -> frozenset[int]:
+    """The servos that a message on this key may start, set or stop."""
+    return frozenset(TARGETS[key.target].servos(key.number))
+
+
+def follows(key: CommandKey) -> frozenset[int]:
+    """The servos whose older messages are taken before a message on this key takes effect."""
+    return frozenset(TARGETS[key.target].follows(key.number))
+
+
+def stops_of(key: CommandKey) -> Targets:
+    """Stops for all servos that the key names."""
+    return tuple((servo_id, STOP) for servo_id in TARGETS[key.target].servos(key.number))
