@@ -89,5 +89,5 @@ def screen(model: Model, now_ns: int = 0, width: int = 80, height: int = 24) -> 
 
 
 def model_with_state(model: Model) -> Model:
-    model.heard_state(state(), 0, WALL)
+    model.received_state(state(), 0, WALL)
     return model

@@ -92,7 +92,7 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
         ).stdout
         assert "warning  certificate    the robot's gateway.pem expires on" in said
         model = Model()
-        model.heard_state(state, 0, state.time)
+        model.received_state(state, 0, state.time)
         assert "the robot's gateway.pem expires on" in screen(model)
     assert state.certificate is not None
     assert state.certificate.file == "gateway.pem"

@@ -10,7 +10,7 @@ from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
 import zenoh
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field
 
 from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
 from gateway.people.client.close_at_exit import close_at_the_end
@@ -18,6 +18,7 @@ from gateway.people.client.config import client_config
 from gateway.people.client.hosts import Hosts
 from gateway.people.client.lease import Lease
 from gateway.people.client.lease_requests import LeaseRequests
+from gateway.people.client.live import reports
 from gateway.people.client.payloads import (
     Angle,
     calibration_payload,
@@ -319,15 +320,7 @@ class Client:
         return self._subscribe(keys.EVENT, Event, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
-        def take(sample: zenoh.Sample) -> None:
-            try:
-                if self._closed:
-                    return
-                found = report.model_validate_json(sample.payload.to_bytes())
-            except ValidationError:  # without access control, anybody may publish there
-                return
-            callback(found)
-
+        take = reports(report, lambda found: None if self._closed else callback(found))
         with self._open_session() as session:
             return session.declare_subscriber(key, take)
 

@@ -92,18 +92,18 @@ class Pages:
         self._opened += 1
         return self._opened
 
-    def heard_state(self, state: GatewayState, heard_ns: int) -> None:
+    def received_state(self, state: GatewayState, received_ns: int) -> None:
         """See `gateway.people.console.link.Listener`."""
-        self._state = partial(_state_text, state.model_dump_json(), heard_ns)
+        self._state = partial(_state_text, state.model_dump_json(), received_ns)
         for page in self._pages:
             page.outgoing.put_state(self._state)
 
-    def heard_event(self, event: Event, left_out: int) -> None:
+    def received_event(self, event: Event, left_out: int) -> None:
         """See `gateway.people.console.link.Listener`."""
         self._events.append(EventMessage(event=event, left_out=left_out))
         self._tell(self._events[-1])
 
-    def heard_link(self, link: LinkMessage) -> None:
+    def link_changed(self, link: LinkMessage) -> None:
         """See `gateway.people.console.link.Listener`."""
         self._link = link
         self._tell(link)
@@ -113,9 +113,9 @@ class Pages:
             page.outgoing.put(message)
 
 
-def _state_text(state: str, heard_ns: int) -> str:
+def _state_text(state: str, received_ns: int) -> str:
     """A StateMessage: the state's JSON is made once for all pages, its age when it is sent."""
-    return f'{{"type":"state","age_ms":{(time.monotonic_ns() - heard_ns) / 1e6:.1f},"state":{state}}}'
+    return f'{{"type":"state","age_ms":{(time.monotonic_ns() - received_ns) / 1e6:.1f},"state":{state}}}'
 
 
 class Page:

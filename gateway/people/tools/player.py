@@ -1,13 +1,12 @@
 """What `replay` sends, in its time, and what the gateway writes meanwhile.
 
-One thread sends, and between two commands it takes the frames that were heard. No other thread of Python runs then, so
+One thread sends, and between two commands it takes the frames that have come. No other thread of Python runs then, so
 none keeps the interpreter's lock from it; and Zenoh's threads never wait for that lock. Against a simulated controller
 it has real-time priority. Measured with both cores busy with other work, half a minute of a gait: from a command's time
 to Zenoh up to 7.6 ms without all this, and from there to the link up to 12.8 ms; with it 1.8 and 1.3 ms.
 """
 
 import gc
-import sys
 import threading
 import time
 from array import array
@@ -16,16 +15,17 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, Final
 
-import zenoh
 from pydantic import ValidationError
 from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, GatewayError, RejectedError, StoppedError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
+from gateway.people.client.live import reports, subscribed
 from gateway.people.recordings.comparing import NS_PER_MS, Frames, Sent, Written
 from gateway.people.recordings.replaying import Expected, Plan, Step
 from gateway.people.tools.signals import on_end_signals
+from gateway.people.tools.terminal import clear_line, show_line
 from gateway.robot.host.realtime import prefer_all_threads, prefer_thread
 from schemas.keys import EVENT, FRAME
 from schemas.telemetry import Cause, Event, FrameRecord, Kind
@@ -100,7 +100,7 @@ class Player:
         """
         interrupted = StoppedError("the replay was ended; all legs are stopped", ())
         on_time = prefer_all_threads(PRIORITY) if self._on_time else nullcontext()
-        with self._hears(), on_end_signals(lambda: self._end(interrupted)), on_time:
+        with self._receives(), on_end_signals(lambda: self._end(interrupted)), on_time:
             self._begun_ns = time.monotonic_ns() + round(BEGIN_S * 1e9)
             sender = threading.Thread(target=self._send, args=(lease,), name="sender")
             try:
@@ -172,7 +172,7 @@ class Player:
         self.late_ns.append(done_ns - step.at_ns)
 
     def _wait_until(self, due_ns: int) -> bool:
-        """Look at the frames that were heard meanwhile. False: something has ended it."""
+        """Look at the frames that were received meanwhile. False: something has ended it."""
         while due_ns - time.monotonic_ns() > FREE_NS and (self._look_at_a_frame() or self._read_a_step()):
             pass
         while (left_ns := due_ns - time.monotonic_ns()) > 0:
@@ -200,37 +200,28 @@ class Player:
         self._wake.set()
 
     def _show(self) -> None:
-        if sys.stderr.isatty():
-            total_s = self._plan.duration_ns / self._speed / 1e9
-            sys.stderr.write(f"\r\x1b[K{(time.monotonic_ns() - self._begun_ns) / 1e9:.1f} of {total_s:.1f} s")
-            sys.stderr.flush()
+        total_s = self._plan.duration_ns / self._speed / 1e9
+        show_line(f"{(time.monotonic_ns() - self._begun_ns) / 1e9:.1f} of {total_s:.1f} s")
 
     @contextmanager
-    def _hears(self) -> Iterator[None]:
-        session = self._client.session
-        subscribers: list[Any] = [session.declare_subscriber(EVENT, self._take_event)]
+    def _receives(self) -> Iterator[None]:
+        handlers: dict[str, Any] = {EVENT: reports(Event, self._take_event)}
         if self._needs_frames:
-            self._frames = session.declare_subscriber(FRAME, RingChannel(MOST_UNREAD))
-            subscribers.append(self._frames)
-        self._client.state()  # the gateway has answered, so it knows of the subscriptions, which were declared before
-        try:
-            yield
-        finally:
-            for subscriber in subscribers:
-                with suppress(zenoh.ZError):
-                    subscriber.undeclare()
-            if sys.stderr.isatty():
-                sys.stderr.write("\r\x1b[K")
-                sys.stderr.flush()
+            handlers[FRAME] = RingChannel(MOST_UNREAD)
+        with subscribed(self._client.session, handlers) as subscribers:
+            self._frames = subscribers[-1]
+            self._client.state()  # it has answered, so it knows of the subscriptions, which were declared before
+            try:
+                yield
+            finally:
+                clear_line()
 
-    def _take_event(self, sample: zenoh.Sample) -> None:
-        with suppress(ValidationError):
-            event = Event.model_validate_json(sample.payload.to_bytes())
-            if event.kind == Kind.COMMAND_REJECTED and event.source == self._client.name:
-                legs = "whoever drives has the legs now" if event.reason in NOT_OURS else "all legs are stopped"
-                self._end(RejectedError(str(event.reason), f"{event.detail} ({event.key}); {legs}"))
-            elif event.kind in _ENDS:
-                self._end(StoppedError(f"the replay ends: {event.kind}: {event.detail}", ()))
+    def _take_event(self, event: Event) -> None:
+        if event.kind == Kind.COMMAND_REJECTED and event.source == self._client.name:
+            legs = "whoever drives has the legs now" if event.reason in NOT_OURS else "all legs are stopped"
+            self._end(RejectedError(str(event.reason), f"{event.detail} ({event.key}); {legs}"))
+        elif event.kind in _ENDS:
+            self._end(StoppedError(f"the replay ends: {event.kind}: {event.detail}", ()))
 
 
 @contextmanager

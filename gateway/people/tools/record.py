@@ -1,28 +1,20 @@
-"""`record`: everything that the gateway says, into an MCAP file, until somebody ends it."""
+"""`record`: everything that the gateway publishes, into an MCAP file, until somebody ends it."""
 
-import json
-import shutil
-import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import partial
+from contextlib import suppress
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty
 from typing import Any, Final
-
-import zenoh
-from pydantic import ValidationError
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
-from gateway.people.client.blocking import Client
+from gateway.people.client.live import ReportQueue
 from gateway.people.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
 from gateway.people.recordings import repair as repair_recording
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.signals import on_end_signals
-from gateway.people.tools.terminal import hint, say, this_command
+from gateway.people.tools.terminal import clear_line, hint, say, show_line, this_command
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
 PROGRESS_S: Final = 0.5
@@ -32,9 +24,6 @@ MOST_WAITING: Final = 100_000
 """Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
 
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
-
-Heard = tuple[str, bytes, int]
-"""Key, payload, and when it came."""
 
 
 def repair_file(path: Path) -> int:
@@ -60,48 +49,27 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
             recording = Recording(path, shape, overwrite=overwrite, time_ns=time.time_ns())
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
-        recorder = _Recorder(recording, state.spi.frames)
+        reports = ReportQueue(REPORTS, MOST_WAITING)
         if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
-            recorder.hear(CALIBRATION, client.calibration().model_dump_json().encode())
-        with recorder.hears(client), on_end_signals(recorder.end):
+            reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
+        with reports.receives(client.session), on_end_signals(reports.end):
             if state.telemetry.frames is False:
                 hint(
                     "The gateway publishes no frames, so the recording will have none, and nothing for `replay`: set "
                     "telemetry.frames = true in its settings and restart it, or go on without."
                 )
             hint(f"recording into {path}; Ctrl-C ends it")
-            return recorder.run(seconds)
+            return _Recorder(recording, reports, state.spi.frames).run(seconds)
 
 
 class _Recorder:
-    """Zenoh's threads put what they hear into a queue; the calling thread writes it."""
-
-    def __init__(self, recording: Recording, frames_before: int) -> None:
+    def __init__(self, recording: Recording, reports: ReportQueue, frames_before: int) -> None:
         self._recording = recording
-        self._waiting: SimpleQueue[Heard | None] = SimpleQueue()
-        self._begun_s = time.monotonic()
-        self._since_1970_ns = time.time_ns() - time.monotonic_ns()
-        self._heard_s = self._begun_s
+        self._reports = reports
+        self._begun_s = self._received_s = time.monotonic()
         self._counts: Counter[str] = Counter()
-        self._unread = 0
-        self._dropped = 0
         self._frames_before = frames_before
         self._frames_written = 0
-
-    @contextmanager
-    def hears(self, client: Client) -> Iterator[None]:
-        """What the gateway publishes meanwhile is heard."""
-        subscribers = [client.session.declare_subscriber(key, partial(self._take, key)) for key in REPORTS]
-        try:
-            yield
-        finally:
-            for subscriber in subscribers:
-                with suppress(zenoh.ZError):
-                    subscriber.undeclare()
-
-    def end(self) -> None:
-        """End the recording; also from a signal handler."""
-        self._waiting.put(None)
 
     def run(self, seconds: float | None) -> int:
         """Write until the end. Returns the exit code."""
@@ -111,14 +79,14 @@ class _Recorder:
             self._recording.close()
         except OSError as error:
             self._recording.abandon()
-            _clear_progress()
+            clear_line()
             path = self._recording.path
             raise _DiskError(
                 f"{path}: cannot be written any more ({error.strerror}). What came before is in it: make room, and "
                 f"`{this_command()} record --repair {path}` makes it whole"
             ) from error
-        _clear_progress()
-        self._tell()
+        clear_line()
+        self._report()
         return 0
 
     def _write_until(self, end_s: float | None) -> None:
@@ -128,29 +96,13 @@ class _Recorder:
                 progress_s = now_s + PROGRESS_S
                 self._show_progress()
             with suppress(Empty):
-                heard = self._waiting.get(timeout=min(progress_s, end_s or progress_s) - now_s)
-                if heard is None:
+                received = self._reports.get(min(progress_s, end_s or progress_s) - now_s)
+                if received is None:
                     return
-                self._write(*heard)
+                self._write(*received)
 
-    def hear(self, key: str, payload: bytes) -> None:
-        """Something that the gateway says."""
-        if self._waiting.qsize() >= MOST_WAITING:
-            self._dropped += 1
-            return
-        self._waiting.put((key, payload, time.monotonic_ns() + self._since_1970_ns))
-
-    def _take(self, key: str, sample: zenoh.Sample) -> None:
-        self.hear(key, sample.payload.to_bytes())
-
-    def _write(self, key: str, payload: bytes, time_ns: int) -> None:
-        try:
-            REPORTS[key].model_validate_json(payload)
-        except ValidationError:  # without access control, anybody may publish there
-            self._unread += 1
-            return
-        report: dict[str, Any] = json.loads(payload)
-        self._heard_s = time.monotonic()
+    def _write(self, key: str, report: dict[str, Any], time_ns: int) -> None:
+        self._received_s = time.monotonic()
         self._counts[key] += 1
         if key == STATE:
             self._frames_written = report["spi"]["frames"]
@@ -162,33 +114,24 @@ class _Recorder:
         return f"{time.monotonic() - self._begun_s:.1f} s, {counts}, {size_mb:.1f} MB"
 
     def _show_progress(self) -> None:
-        silent_s = time.monotonic() - self._heard_s
+        silent_s = time.monotonic() - self._received_s
         silence = f"nothing heard for {silent_s:.0f} s; " if silent_s > SILENT_S else ""
-        if sys.stderr.isatty():
-            columns = shutil.get_terminal_size().columns  # a line that wraps would be written below itself each time
-            sys.stderr.write(f"\r\x1b[K{f'{silence}{self._summary()}'[: columns - 1]}")
-            sys.stderr.flush()
+        show_line(f"{silence}{self._summary()}")
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         say(f"{self._recording.path}: {self._summary()}")
-        if (silent_s := time.monotonic() - self._heard_s) > SILENT_S:
+        if (silent_s := time.monotonic() - self._received_s) > SILENT_S:
             hint(f"Nothing was heard of the gateway in the last {silent_s:.0f} s.")
         if not self._counts[FRAME] and self._frames_written > self._frames_before:
             hint("The gateway publishes no frames (telemetry.frames = false), so there is nothing for `replay`.")
-        if self._dropped:
-            hint(f"{self._dropped} reports are missing: the disk was too slow.")
-        if self._unread:
-            hint(f"{self._unread} messages on the gateway's keys were no reports, and are not in the file.")
+        if self._reports.dropped:
+            hint(f"{self._reports.dropped} reports are missing: the disk was too slow.")
+        if self._reports.invalid:
+            hint(f"{self._reports.invalid} messages on the gateway's keys were no reports, and are not in the file.")
 
 
 class _DiskError(GatewayError):
     """The recording ends since the disk does not take it."""
-
-
-def _clear_progress() -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
-        sys.stderr.flush()
 
 
 def _repair_all(path: Path) -> None:

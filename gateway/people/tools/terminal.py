@@ -40,18 +40,27 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         """The line is empty again."""
-        if sys.stderr.isatty():
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
+        clear_line()
 
     def show(self, text: str) -> None:
-        """Show this, unless something was shown just now. A line that wraps would be written below itself each time."""
+        """Show this, unless something was shown just now."""
         now_s = time.monotonic()
-        if now_s - self._shown_s < PROGRESS_S or not sys.stderr.isatty():
-            return
-        self._shown_s = now_s
-        sys.stderr.write(f"\r\x1b[K{text[: shutil.get_terminal_size().columns - 1]}")
+        if now_s - self._shown_s >= PROGRESS_S:
+            self._shown_s = now_s
+            show_line(text)
+
+
+def show_line(text: str) -> None:
+    """In place of the line of progress; nothing where stderr is no terminal."""
+    if sys.stderr.isatty():
+        columns = shutil.get_terminal_size().columns  # a line that wraps would be written below itself each time
+        sys.stderr.write(f"\r\x1b[K{text[: columns - 1]}")
         sys.stderr.flush()
+
+
+def clear_line() -> None:
+    """No progress is shown any more: what comes next is a line of its own."""
+    show_line("")
 
 
 def hint(text: str) -> None:

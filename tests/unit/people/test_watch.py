@@ -39,7 +39,7 @@ def test_nobody_has_been_heard() -> None:
 
 def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     model = Model()
-    model.heard_state(state(), 0, WALL)
+    model.received_state(state(), 0, WALL)
     assert model.presence(SILENT_AFTER_NS) is Presence.LIVE
     assert model.presence(SILENT_AFTER_NS + 1) is Presence.SILENT
     model.look(SILENT_AFTER_NS + 1, WALL)
@@ -48,7 +48,7 @@ def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     assert "SILENT for 4.0 s" in screen(model, 4 * NS_PER_S)
     assert "was IDLE" in screen(model, 4 * NS_PER_S)
     assert "If the robot moves, cut power" in screen(model, 4 * NS_PER_S)
-    model.heard_state(state(14), 4 * NS_PER_S, WALL)
+    model.received_state(state(14), 4 * NS_PER_S, WALL)
     assert model.presence(4 * NS_PER_S) is Presence.LIVE
     assert kinds(model) == ["back", "silent"]
     assert model.lines[0].text == "the gateway is heard again, after 4.0 s"
@@ -56,30 +56,30 @@ def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
 
 def test_a_token_that_goes_is_silence_at_once() -> None:
     model = Model()
-    model.heard_token(True, 0, WALL)
+    model.received_token(True, 0, WALL)
     assert model.presence(0) is Presence.LIVE
-    model.heard_token(False, NS_PER_MS, WALL)
+    model.received_token(False, NS_PER_MS, WALL)
     assert model.presence(NS_PER_MS) is Presence.SILENT
     assert kinds(model) == ["silent"]
-    model.heard_token(True, 2 * NS_PER_MS, WALL)
+    model.received_token(True, 2 * NS_PER_MS, WALL)
     assert model.presence(2 * NS_PER_MS) is Presence.LIVE
 
 
 def test_an_event_alone_is_a_word_too() -> None:
     model = Model()
-    model.heard_state(state(), 0, WALL)
-    model.heard_event(event(Kind.WATCHDOG_EXPIRED), NS_PER_S, WALL)
+    model.received_state(state(), 0, WALL)
+    model.received_event(event(Kind.WATCHDOG_EXPIRED), NS_PER_S, WALL)
     assert model.presence(SILENT_AFTER_NS + NS_PER_S) is Presence.LIVE
 
 
 @pytest.mark.parametrize("uptime_s", [100, 0.6])
 def test_a_gateway_that_was_started_anew_is_noticed(uptime_s: float) -> None:
     model = Model()
-    model.heard_state(state(uptime_s, counts=(50, 0, 0), frames=6), 0, WALL)
-    model.heard_state(state(0.5, frames=6, started_s=uptime_s + 0.5), NS_PER_S, WALL)
+    model.received_state(state(uptime_s, counts=(50, 0, 0), frames=6), 0, WALL)
+    model.received_state(state(0.5, frames=6, started_s=uptime_s + 0.5), NS_PER_S, WALL)
     assert kinds(model) == ["restarted"]
     assert model.rates() == Rates()
-    model.heard_state(state(1.5, counts=(10, 0, 0), frames=16, started_s=uptime_s + 0.5), 2 * NS_PER_S, WALL)
+    model.received_state(state(1.5, counts=(10, 0, 0), frames=16, started_s=uptime_s + 0.5), 2 * NS_PER_S, WALL)
     assert kinds(model) == ["restarted"]
     assert model.rates() == Rates(10, 0, 0, 10)
 
@@ -87,26 +87,26 @@ def test_a_gateway_that_was_started_anew_is_noticed(uptime_s: float) -> None:
 @pytest.mark.parametrize(("started_s", "restarted"), [(20.0, True), (0.0, False)])
 def test_a_restart_is_noticed_after_a_silence_whichever_has_run_for_longer(started_s: float, restarted: bool) -> None:
     model = Model()
-    model.heard_state(state(0.4), 0, WALL)
-    model.heard_token(False, NS_PER_S, WALL)
-    model.heard_token(True, 2 * NS_PER_S, WALL)
-    model.heard_state(state(1.2, started_s=started_s), 2 * NS_PER_S, WALL)
-    model.heard_state(state(1.3, started_s=started_s), 3 * NS_PER_S, WALL)
+    model.received_state(state(0.4), 0, WALL)
+    model.received_token(False, NS_PER_S, WALL)
+    model.received_token(True, 2 * NS_PER_S, WALL)
+    model.received_state(state(1.2, started_s=started_s), 2 * NS_PER_S, WALL)
+    model.received_state(state(1.3, started_s=started_s), 3 * NS_PER_S, WALL)
     assert kinds(model) == [*(["restarted"] if restarted else []), "back", "silent"]
 
 
 def test_others_that_answer_are_told_once() -> None:
     model = Model()
     for _ in range(3):
-        model.heard_others("2 programs answer", WALL)
+        model.note_others("2 programs answer", WALL)
     assert kinds(model) == ["others_answer"]
 
 
 def test_an_answer_that_was_overtaken_changes_nothing() -> None:
     model = Model()
-    model.heard_state(state(10.0, Mode.IDLE, frames=5), 0, WALL)
-    model.heard_state(state(10.2, Mode.ESTOPPED, frames=11), NS_PER_MS, WALL)
-    model.heard_state(state(10.1, Mode.IDLE, frames=5), 2 * NS_PER_MS, WALL)
+    model.received_state(state(10.0, Mode.IDLE, frames=5), 0, WALL)
+    model.received_state(state(10.2, Mode.ESTOPPED, frames=11), NS_PER_MS, WALL)
+    model.received_state(state(10.1, Mode.IDLE, frames=5), 2 * NS_PER_MS, WALL)
     assert model.state is not None
     assert model.state.mode is Mode.ESTOPPED
     assert kinds(model) == []
@@ -118,7 +118,7 @@ def test_an_answer_that_was_overtaken_changes_nothing() -> None:
 def test_the_age_of_a_command_grows_between_two_states() -> None:
     model = Model()
     heard = state(age_ms=40, watchdog=WatchdogState.ARMED, running=True)
-    model.heard_state(heard, 0, WALL)
+    model.received_state(heard, 0, WALL)
     assert model.command_age_ms(heard.legs[2], 0) == 40
     assert model.command_age_ms(heard.legs[2], 75 * NS_PER_MS) == 115
     assert model.command_age_ms(heard.legs[0], 75 * NS_PER_MS) is None
@@ -129,7 +129,7 @@ def test_the_age_of_a_command_grows_between_two_states() -> None:
 
 def test_what_a_silent_gateway_last_said_is_not_shown_as_an_age() -> None:
     model = Model()
-    model.heard_state(state(age_ms=40, watchdog=WatchdogState.ARMED, running=True), 0, WALL)
+    model.received_state(state(age_ms=40, watchdog=WatchdogState.ARMED, running=True), 0, WALL)
     row = screen(model, 5 * NS_PER_S).splitlines()[6]
     assert row.endswith("?")
 
@@ -146,7 +146,7 @@ def test_what_a_silent_gateway_last_said_is_not_shown_as_an_age() -> None:
 )
 def test_a_leg_that_does_not_run(watchdog: WatchdogState, age_ms: float | None, shown: str) -> None:
     model = Model()
-    model.heard_state(state(watchdog=watchdog, age_ms=age_ms), 0, WALL)
+    model.received_state(state(watchdog=watchdog, age_ms=age_ms), 0, WALL)
     assert screen(model).splitlines()[6].endswith(f" {shown}")
 
 
@@ -156,10 +156,10 @@ def test_a_leg_that_does_not_run(watchdog: WatchdogState, age_ms: float | None, 
 def test_rates_come_from_the_gateways_own_clock() -> None:
     model = Model()
     assert model.rates() == Rates()
-    model.heard_state(state(10.0, counts=(100, 10, 1), frames=200), 0, WALL)
+    model.received_state(state(10.0, counts=(100, 10, 1), frames=200), 0, WALL)
     assert model.rates() == Rates()
     # Two states that the network delayed and delivered together: the time between them is the gateway's.
-    model.heard_state(state(10.5, counts=(125, 15, 1), frames=225), 9 * NS_PER_S, WALL)
+    model.received_state(state(10.5, counts=(125, 15, 1), frames=225), 9 * NS_PER_S, WALL)
     assert model.rates() == Rates(50, 10, 0, 50)
 
 
@@ -167,7 +167,7 @@ def test_rates_are_of_the_last_two_seconds() -> None:
     model = Model()
     for tick in range(101):  # ten seconds at 10 Hz: silence, and then 50 commands a second for one
         accepted = max(0, tick - 90) * 5
-        model.heard_state(state(10 + tick / 10, counts=(accepted, 0, 0)), tick * 100 * NS_PER_MS, WALL)
+        model.received_state(state(10 + tick / 10, counts=(accepted, 0, 0)), tick * 100 * NS_PER_MS, WALL)
     accepted_hz = model.rates().accepted
     assert accepted_hz == pytest.approx(25, rel=0.06)
 
@@ -175,7 +175,7 @@ def test_rates_are_of_the_last_two_seconds() -> None:
 def test_slow_states_give_rates_too() -> None:
     model = Model()
     for tick in range(4):
-        model.heard_state(state(10 + 5 * tick, counts=(50 * tick, 0, 0)), tick * 5 * NS_PER_S, WALL)
+        model.received_state(state(10 + 5 * tick, counts=(50 * tick, 0, 0)), tick * 5 * NS_PER_S, WALL)
     assert model.rates().accepted == 10
 
 
@@ -189,11 +189,11 @@ def test_rejections_are_counted_by_source_with_those_left_out() -> None:
         now_ns = number * 10 * NS_PER_MS
         left_out = limit.admit("anna", now_ns)
         if left_out is not None:
-            model.heard_event(rejected("anna", left_out=left_out), now_ns, WALL)
+            model.received_event(rejected("anna", left_out=left_out), now_ns, WALL)
     waiting = limit.admit("anna", 20 * NS_PER_S)
     assert waiting is not None
-    model.heard_event(rejected("anna", reason=Reason.SERVO_STOPPED, left_out=waiting), 20 * NS_PER_S, WALL)
-    model.heard_event(rejected("bob"), 20 * NS_PER_S, WALL)
+    model.received_event(rejected("anna", reason=Reason.SERVO_STOPPED, left_out=waiting), 20 * NS_PER_S, WALL)
+    model.received_event(rejected("bob"), 20 * NS_PER_S, WALL)
     assert model.rejected == {"anna": 1001, "bob": 1}
     assert model.reasons["anna"] is Reason.SERVO_STOPPED
     assert "anna 1001 (servo_stopped)  bob 1 (invalid)" in screen(model_with_state(model))
@@ -202,8 +202,8 @@ def test_rejections_are_counted_by_source_with_those_left_out() -> None:
 def test_whoever_invents_names_shares_one_line() -> None:
     model = Model()
     for number in range(SOURCES + 36):
-        model.heard_event(rejected(f"name {number}"), 0, WALL)
-    model.heard_event(rejected(None), 0, WALL)
+        model.received_event(rejected(f"name {number}"), 0, WALL)
+    model.received_event(rejected(None), 0, WALL)
     assert len(model.rejected) == SOURCES + 1
     assert model.rejected[OTHERS] == 37
 
@@ -214,7 +214,7 @@ def test_the_order_of_sources_does_not_dance() -> None:
 
 def test_other_events_are_no_rejections() -> None:
     model = Model()
-    model.heard_event(event(Kind.ESTOP_ENGAGED, "emergency stop", "anna"), 0, WALL)
+    model.received_event(event(Kind.ESTOP_ENGAGED, "emergency stop", "anna"), 0, WALL)
     assert model.rejected == {}
     assert model.lines[0].text == "emergency stop (anna)"
     assert model.lines[0].bad
@@ -223,8 +223,8 @@ def test_other_events_are_no_rejections() -> None:
 def test_what_others_wrote_cannot_steer_the_terminal() -> None:
     model = model_with_state(Model())
     evil = "\x1b[2J\x1b]0;owned\x07\r\n\u202e"
-    model.heard_event(rejected(f"a{evil}", f"b{evil}"), 0, WALL)
-    model.heard_event(event(Kind.ESTOP_ENGAGED, f"c{evil}", f"d{evil}"), 0, WALL)
+    model.received_event(rejected(f"a{evil}", f"b{evil}"), 0, WALL)
+    model.received_event(event(Kind.ESTOP_ENGAGED, f"c{evil}", f"d{evil}"), 0, WALL)
     model.reset_answered(Ack(accepted=False, reason=Reason.INVALID, detail=f"e{evil}"), 0)
     shown = screen(model, height=40)
     assert all(char.isprintable() for char in shown.replace("\n", ""))
@@ -282,7 +282,7 @@ def test_a_living_gateway_that_takes_no_stop_is_named_as_such() -> None:
     model.stop_pressed(0)
     model.stop_unanswered()
     assert "the gateway runs but does not take it" in " ".join(screen(model, NS_PER_MS).split())
-    model.heard_state(state(10.1, Mode.ESTOPPED), 2 * NS_PER_MS, WALL)  # somebody else could
+    model.received_state(state(10.1, Mode.ESTOPPED), 2 * NS_PER_MS, WALL)  # somebody else could
     assert model.stop_wanted_ns is None
     assert "ESTOPPED, as its state says" in screen(model, 2 * NS_PER_MS)
 
@@ -291,7 +291,7 @@ def test_an_answer_that_comes_after_the_state_says_more_than_it() -> None:
     model = model_with_state(Model())
     model.stop_pressed(0)
     model.stop_unanswered()
-    model.heard_state(state(10.1, Mode.ESTOPPED), NS_PER_MS, WALL)
+    model.received_state(state(10.1, Mode.ESTOPPED), NS_PER_MS, WALL)
     model.stop_answered(STOPPED, 0, 2 * NS_PER_MS)
     assert "STOPPED: 6 Stop frames" in screen(model, 3 * NS_PER_MS)
     model.stop_answered(Ack(accepted=True, stop_frames=6, latency_us=9_999), 0, 4 * NS_PER_MS)
@@ -314,15 +314,15 @@ def test_stopped_is_not_said_over_a_robot_that_may_move_again() -> None:
     model = model_with_state(Model())
     model.stop_pressed(0)
     model.stop_answered(STOPPED, 0, 1)
-    model.heard_state(state(10.1, Mode.ESTOPPED), 2, WALL)
+    model.received_state(state(10.1, Mode.ESTOPPED), 2, WALL)
     assert "STOPPED: 6" in screen(model)
-    model.heard_state(state(10.2, Mode.IDLE), 3, WALL)
+    model.received_state(state(10.2, Mode.IDLE), 3, WALL)
     assert "STOPPED: 6" not in screen(model)
 
 
 def test_a_reset_is_asked_back_and_the_question_does_not_stand_for_ever() -> None:
     model = Model()
-    model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)
+    model.received_state(state(mode=Mode.ESTOPPED), 0, WALL)
     model.reset_pressed(0)
     assert model.asking(QUESTION_NS - 1)
     assert "Leave the emergency stop?" in screen(model)
@@ -334,19 +334,19 @@ def test_a_reset_is_asked_back_and_the_question_does_not_stand_for_ever() -> Non
 def test_a_reset_means_the_latest_emergency_stop_that_was_heard_of() -> None:
     model = Model()
     assert model.estop is None
-    model.heard_state(state(mode=Mode.ESTOPPED).model_copy(update={"estop": 3}), 0, WALL)
+    model.received_state(state(mode=Mode.ESTOPPED).model_copy(update={"estop": 3}), 0, WALL)
     assert model.estop == 3
     model.stop_pressed(1)
     model.stop_answered(STOPPED.model_copy(update={"estop": 5}), 1, 2)
     model.stop_answered(STOPPED.model_copy(update={"estop": 4}), 1, 3)
     assert model.estop == 5, "answers come in any order"
-    model.heard_state(state(started_s=100).model_copy(update={"estop": 0}), 4, WALL)
+    model.received_state(state(started_s=100).model_copy(update={"estop": 0}), 4, WALL)
     assert model.estop == 0, "a gateway that was started anew counts anew"
 
 
 def test_a_stop_takes_the_question_back() -> None:
     model = Model()
-    model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)
+    model.received_state(state(mode=Mode.ESTOPPED), 0, WALL)
     model.reset_pressed(0)
     model.stop_pressed(1)
     assert not model.asking(1)
@@ -369,7 +369,7 @@ def test_nothing_to_reset() -> None:
 )
 def test_what_became_of_the_reset(ack: Ack | None, tone: Tone, text: str) -> None:
     model = Model()
-    model.heard_state(state(mode=Mode.ESTOPPED), 0, WALL)
+    model.received_state(state(mode=Mode.ESTOPPED), 0, WALL)
     model.reset_pressed(0)
     model.reset_confirmed(1)
     model.reset_answered(ack, 2)

@@ -11,7 +11,7 @@ ANNA = LeaseReport(holder="anna", verified=True, held_s=12.3, expires_in_ms=800)
 
 def driven(lease: LeaseReport, mode: Mode = Mode.ACTIVE) -> Model:
     model = Model()
-    model.heard_state(state(mode=mode, running=True).model_copy(update={"lease": lease}), 0, WALL)
+    model.received_state(state(mode=mode, running=True).model_copy(update={"lease": lease}), 0, WALL)
     return model
 
 

@@ -17,9 +17,9 @@ from tests.support.watch_reports import WALL, event, model_with_state, rejected,
 def test_it_fills_every_terminal_and_no_more(width: int, height: int) -> None:
     model = Model()
     heard = state(123456, Mode.ESTOPPED, counts=(10**7, 10**7, 10**7), frames=10**8, running=True, age_ms=1e9)
-    model.heard_state(heard, 0, WALL)
+    model.received_state(heard, 0, WALL)
     for number in range(100):
-        model.heard_event(rejected(f"猫 {number} " + "x" * 56, "a long reason, in many words, " * 5), 0, WALL)
+        model.received_event(rejected(f"猫 {number} " + "x" * 56, "a long reason, in many words, " * 5), 0, WALL)
     model.stop_pressed(0)
     model.stop_unanswered()
     model.reset_pressed(0)
@@ -32,8 +32,8 @@ def test_it_fills_every_terminal_and_no_more(width: int, height: int) -> None:
 def test_80_by_24_holds_everything_important() -> None:
     model = Model()
     heard = state(3723, Mode.ACTIVE, counts=(1234, 12, 3), frames=5000, running=True, age_ms=45)
-    model.heard_state(heard, 0, WALL)
-    model.heard_event(rejected("anna", "servo 41 does not run"), 0, WALL)
+    model.received_state(heard, 0, WALL)
+    model.received_event(rejected("anna", "servo 41 does not run"), 0, WALL)
     for text in (
         " ACTIVE ",
         "1 leg running",
@@ -58,7 +58,7 @@ def test_who_commands_each_leg_and_who_stopped_the_robot_is_shown() -> None:
     heard = state(3723, Mode.ESTOPPED, running=True, age_ms=45)
     first, *others = heard.legs
     legs = (first.model_copy(update={"source": "anna's tripod gait"}), *others)
-    model.heard_state(heard.model_copy(update={"legs": legs, "estop_source": "ben\x1b[2J"}), 0, WALL)
+    model.received_state(heard.model_copy(update={"legs": legs, "estop_source": "ben\x1b[2J"}), 0, WALL)
     lines = screen(model).splitlines()
     assert lines[0].startswith(" ESTOPPED  by ben�[2J ")
     assert next(line for line in lines if line.startswith("leg ")).endswith("commanded by")
@@ -68,7 +68,9 @@ def test_who_commands_each_leg_and_who_stopped_the_robot_is_shown() -> None:
 def test_a_calibration_that_cannot_be_used_is_shown() -> None:
     model = Model()
     fault = "/var/lib/hexapod-gateway/calibration.toml: is not TOML:\x1b[2J Invalid statement (at line 1, column 1)"
-    model.heard_state(state().model_copy(update={"calibration": CalibrationReport(revision=3, fault=fault)}), 0, WALL)
+    model.received_state(
+        state().model_copy(update={"calibration": CalibrationReport(revision=3, fault=fault)}), 0, WALL
+    )
     shown = " ".join(line.strip() for line in screen(model).splitlines()[1:3])
     assert shown.startswith("Nothing can be started (calibrate --accept-default): /var/lib/hexapod-gateway/calibration")
     assert "is not TOML:�[2J Invalid statement" in shown
@@ -77,7 +79,7 @@ def test_a_calibration_that_cannot_be_used_is_shown() -> None:
 @pytest.mark.parametrize("mode", list(Mode))
 def test_each_mode_has_its_word_and_a_style(mode: Mode) -> None:
     model = Model()
-    model.heard_state(state(mode=mode), 0, WALL)
+    model.received_state(state(mode=mode), 0, WALL)
     text: Text = picture(model, 0, "here", 80, 24)
     assert f" {mode.upper().replace('_', ' ')} " in text.plain.splitlines()[0]
     assert any(span.start == 0 and "on" in str(span.style) for span in text.spans)
@@ -93,8 +95,8 @@ def test_bars(share: float, drawn: str) -> None:
 
 def test_events_are_shown_newest_first_in_local_time() -> None:
     model = model_with_state(Model())
-    model.heard_event(event(Kind.STARTED, "first"), 0, WALL)
-    model.heard_event(event(Kind.STOPPING, "second"), 0, WALL + timedelta(seconds=1))
+    model.received_event(event(Kind.STARTED, "first"), 0, WALL)
+    model.received_event(event(Kind.STOPPING, "second"), 0, WALL + timedelta(seconds=1))
     shown = screen(model).splitlines()
     local = WALL.astimezone()
     assert shown.index(f"{local:%H:%M:%S} stopping         second") < shown.index(

@@ -19,6 +19,12 @@ const RATE_MS = 2000;
 /** The window in which the quickest state tells how far the gateway's clock is from this page's. */
 const WINDOW_MS = 30_000;
 
+/** Two states of one gateway agree on its start to within this. */
+const SAME_START_MS = 100;
+
+/** When its gateway began, by that one's clock. @param {GatewayState} state */
+const beganMs = (state) => Date.parse(state.time) - state.uptime_s * 1000;
+
 /** How a leg stands; told apart by its mark and word, and only then by colour. @param {Leg} leg @returns {Status} */
 export function statusOf(leg) {
   const running = leg.servos.some((servo) => servo.running);
@@ -106,8 +112,7 @@ export class Model {
 
   /** @param {GatewayState} state @param {number} ageMs at the console @param {number} nowMs */
   takeState(state, ageMs, nowMs) {
-    const restarted = this.state !== null && state.uptime_s < this.state.uptime_s;
-    if (restarted) this.frames = [];
+    if (this.state !== null && Math.abs(beganMs(state) - beganMs(this.state)) >= SAME_START_MS) this.frames = [];
     this.state = state;
     this.stateAtMs = nowMs - ageMs - this.lateness.heard(state.uptime_s * 1000, nowMs - ageMs);
     for (const leg of state.legs) {

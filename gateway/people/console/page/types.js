@@ -5,7 +5,7 @@
  * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg
  * @typedef {{holder: string | null, asked_by: string | null, verified: boolean, held_s: number | null}} LeaseState
  * @typedef {{
- *   mode: string, uptime_s: number, version: string, simulated: boolean, estop: number, estop_source: string | null,
+ *   mode: string, time: string, uptime_s: number, version: string, simulated: boolean, estop: number, estop_source: string | null,
  *   legs: Leg[], commands: {accepted: number, rejected: number, coalesced: number},
  *   spi: {device: string, framing: string, frames: number, errors: number},
  *   watchdog: {timeout_ms: number, expirations: number,

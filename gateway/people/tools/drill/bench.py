@@ -1,17 +1,15 @@
-"""What a step works with: one leg, a client, and everything that the gateway writes and says meanwhile."""
+"""What a step works with: one leg, a client, and everything that the gateway writes and publishes meanwhile."""
 
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, TypeVar
-
-import zenoh
-from pydantic import BaseModel, ValidationError
+from typing import Any, Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
+from gateway.people.client.live import reports, subscribed
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.calibration_report import calibration_of
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
@@ -27,7 +25,6 @@ QUIET_S: Final = 0.15
 POLL_S: Final = 0.01
 ANSWER_S: Final = 5.0
 
-R = TypeVar("R", bound=BaseModel)
 Figures = dict[str, float | int | str]
 """What a step has measured."""
 
@@ -188,22 +185,15 @@ class Bench:
         running = self.running()
         demand(not running, f"{when}, servos run: {', '.join(map(str, running))}")
 
-    # ---- hearing
+    # ---- what is received
 
     @contextmanager
-    def hears(self) -> Iterator[None]:
+    def receives(self) -> Iterator[None]:
         """Frames and events are kept meanwhile."""
-        subscribers: list[Any] = [
-            self.client.session.declare_subscriber(keys.FRAME, self._take_frame),
-            self.client.session.declare_subscriber(keys.EVENT, self._take_event),
-        ]
-        self.client.state()  # the gateway has answered, so it knows of the subscriptions, which were declared before
-        try:
+        taken = {keys.FRAME: reports(FrameRecord, self._take_frame), keys.EVENT: reports(Event, self.events.append)}
+        with subscribed(self.client.session, taken):
+            self.client.state()  # it has answered, so it knows of the subscriptions, which were declared before
             yield
-        finally:
-            for subscriber in subscribers:
-                with suppress(zenoh.ZError):
-                    subscriber.undeclare()
 
     def measure(self) -> None:
         """How soon the gateway answers, its calibration, and whether it publishes frames (a Stop shows it)."""
@@ -218,22 +208,9 @@ class Bench:
         with suppress(UnansweredError):  # a gateway that knows of no calibration
             self.calibration = calibration_of(self.client.calibration())
 
-    def _take_frame(self, sample: zenoh.Sample) -> None:
-        record = _read(FrameRecord, sample)
-        if record is not None:
-            with suppress(FrameError, ValueError):
-                self.frames.append(Seen(record.monotonic_ns, decode(bytes.fromhex(record.bytes)), str(record.cause)))
-
-    def _take_event(self, sample: zenoh.Sample) -> None:
-        event = _read(Event, sample)
-        if event is not None:
-            self.events.append(event)
-
-
-def _read(model: type[R], sample: zenoh.Sample) -> R | None:
-    with suppress(ValidationError):
-        return model.model_validate_json(sample.payload.to_bytes())
-    return None
+    def _take_frame(self, record: FrameRecord) -> None:
+        with suppress(FrameError, ValueError):
+            self.frames.append(Seen(record.monotonic_ns, decode(bytes.fromhex(record.bytes)), str(record.cause)))
 
 
 def caused(frames: Sequence[Seen], cause: Cause) -> list[Seen]:

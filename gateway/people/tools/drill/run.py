@@ -105,7 +105,7 @@ def drill(
                 config=() if config is None else ("--config", str(config)),
             )
             _agree(bench, state, agreed=agreed)
-            with bench.hears():
+            with bench.receives():
                 bench.measure()  # stops and asks only: whoever may not command is told so, and nothing was moved
                 found = Drill(state, leg, bench.frames_published)
                 if not bench.frames_published:

@@ -11,6 +11,7 @@ from datetime import datetime
 from enum import Enum, StrEnum, auto
 from typing import Final
 
+from gateway.people.client.live import Order, Starts
 from gateway.people.tools.terminal import visible
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
@@ -23,8 +24,6 @@ SILENT_AFTER_NS: Final = 2_000_000_000
 0.6 s, 0.4 s). The end of its process is noticed at once, by its liveliness token."""
 RATE_WINDOW_S: Final = 2.0
 """Rates are means over this time: at 10 states a second, steady to the eye and still quick to follow."""
-SAME_START_S: Final = 0.1
-"""Two states of one gateway agree on its start time to within this; no gateway restarts so quickly."""
 STOP_PATIENCE_NS: Final = 500_000_000
 """A stop takes milliseconds. If its confirmation takes longer, the person must go to the power switch."""
 REMARK_NS: Final = 15 * NS_PER_S
@@ -95,7 +94,7 @@ class _Sample:
 
 @dataclass(slots=True)
 class Model:
-    """Everything that is shown. `heard_…` methods take what arrives; the others take the time."""
+    """Everything that is shown. `received_…` methods take what arrives; the others take the time."""
 
     state: GatewayState | None = None
     own_expiry: str | None = None
@@ -115,12 +114,11 @@ class Model:
     estop: int | None = None
     """The number of the latest emergency stop that we have heard of."""
     _state_ns: int = 0
-    _heard_ns: int | None = None
+    _received_ns: int | None = None
     _gone: bool = False
-    _told: Presence = Presence.WAITING
+    _noted: Presence = Presence.WAITING
     _samples: deque[_Sample] = field(default_factory=deque)
-    _back: bool = False
-    """It was silent, and no state has come since."""
+    _starts: Starts = field(default_factory=Starts)
     _warned: set[str] = field(default_factory=set)
     drives: bool = False
     """We hold the lease."""
@@ -131,18 +129,18 @@ class Model:
 
     # ---- what is heard
 
-    def heard_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
+    def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
         """A state came, published or as an answer."""
-        self._hear(now_ns, wall)
+        self._receive(now_ns, wall)
         known = self.state
-        back, self._back = self._back, False
-        older = known is not None and state.uptime_s < known.uptime_s
-        if known is not None and (older or back):  # its uptime alone does not show a restart after a silence
-            if abs(_started_s(state) - _started_s(known)) >= SAME_START_S:
+        match self._starts.look(state.time, state.uptime_s, now_ns):
+            case Order.RESTARTED:
                 self._note(wall, "restarted", "the gateway was started again", bad=True)
                 self._samples.clear()
-            elif older:
-                return  # an answer that a published state has overtaken
+            case Order.OVERTAKEN:
+                return
+            case Order.NEXT:
+                pass
         if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
             self._forget_remark_of_stop()
         self.state, self._state_ns, self.estop = state, now_ns, state.estop
@@ -159,9 +157,9 @@ class Model:
         while len(self._samples) > 2 and state.uptime_s - self._samples[1].uptime_s >= RATE_WINDOW_S:
             self._samples.popleft()
 
-    def heard_event(self, event: Event, now_ns: int, wall: datetime) -> None:
+    def received_event(self, event: Event, now_ns: int, wall: datetime) -> None:
         """An event came."""
-        self._hear(now_ns, wall)
+        self._receive(now_ns, wall)
         source = visible(event.source or NAMELESS)
         text = visible(event.detail)
         if event.kind is Kind.COMMAND_REJECTED:
@@ -174,15 +172,15 @@ class Model:
             text = f"{text} ({source})"
         self.lines.appendleft(Line(event.time, visible(event.kind), text, event.kind in _BAD))
 
-    def heard_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
+    def received_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
         """The gateway's liveliness token came or went; it goes within milliseconds when the process ends."""
         if alive:
-            self._hear(now_ns, wall)
+            self._receive(now_ns, wall)
         else:
             self._gone = True
             self.look(now_ns, wall)
 
-    def heard_others(self, warning: str, wall: datetime) -> None:
+    def note_others(self, warning: str, wall: datetime) -> None:
         """Other programs answer, too; each warning is shown once."""
         if warning not in self._warned:
             self._warned.add(warning)
@@ -191,8 +189,8 @@ class Model:
     def look(self, now_ns: int, wall: datetime) -> None:
         """Notice what time alone changes: silence, and a question that nobody answered."""
         presence = self.presence(now_ns)
-        if presence is Presence.SILENT and self._told is not Presence.SILENT:
-            self._told = presence
+        if presence is Presence.SILENT and self._noted is not Presence.SILENT:
+            self._noted = presence
             self._note(wall, "silent", "the gateway fell silent", bad=True)
         if self._asked_ns is not None and not self.asking(now_ns):
             self._asked_ns = None
@@ -202,12 +200,11 @@ class Model:
         if remark is not None and remark.tone is not Tone.BAD and now_ns - remark.since_ns > REMARK_NS:
             self.remark = None
 
-    def _hear(self, now_ns: int, wall: datetime) -> None:
-        if self._told is Presence.SILENT and self._heard_ns is not None:
-            self._back = True
-            away_s = (now_ns - self._heard_ns) / NS_PER_S
+    def _receive(self, now_ns: int, wall: datetime) -> None:
+        if self._noted is Presence.SILENT and self._received_ns is not None:
+            away_s = (now_ns - self._received_ns) / NS_PER_S
             self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
-        self._heard_ns, self._gone, self._told, self.trouble = now_ns, False, Presence.LIVE, ""
+        self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, Presence.LIVE, ""
 
     def _forget_remark_of_stop(self) -> None:
         """Remove a remark that says STOPPED once the robot may move again."""
@@ -221,13 +218,13 @@ class Model:
 
     def presence(self, now_ns: int) -> Presence:
         """Whether the gateway is there."""
-        if self._heard_ns is None:
+        if self._received_ns is None:
             return Presence.WAITING
-        return Presence.SILENT if self._gone or now_ns - self._heard_ns > SILENT_AFTER_NS else Presence.LIVE
+        return Presence.SILENT if self._gone or now_ns - self._received_ns > SILENT_AFTER_NS else Presence.LIVE
 
     def silent_s(self, now_ns: int) -> float:
         """For how long nothing has been heard."""
-        return 0.0 if self._heard_ns is None else (now_ns - self._heard_ns) / NS_PER_S
+        return 0.0 if self._received_ns is None else (now_ns - self._received_ns) / NS_PER_S
 
     def state_age_ms(self, now_ns: int) -> float:
         """How long ago the state came; infinite before the first."""
@@ -388,10 +385,6 @@ _BAD: Final = frozenset(
         Kind.STOPPING,
     }
 )
-
-
-def _started_s(state: GatewayState) -> float:
-    return state.time.timestamp() - state.uptime_s
 
 
 def top_rejected(rejected: Mapping[str, int], count: int) -> list[tuple[str, int]]:

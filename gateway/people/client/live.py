@@ -1,0 +1,416 @@
+"""What a gateway publishes, live: subscribed, decoded, validated, and handed to a thread, a queue or an event loop.
+
+Without access control anybody may publish on the gateway's keys: what is no report is left out.
+"""
+
+import asyncio
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import datetime
+from enum import Enum, auto
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+
+import zenoh
+from pydantic import BaseModel, ValidationError
+
+from gateway.errors import GatewayError
+from schemas import keys
+from schemas.telemetry import Event, GatewayState
+
+if TYPE_CHECKING:
+    from gateway.people.client.blocking import Client
+
+R = TypeVar("R", bound=BaseModel)
+
+OPEN_AGAIN_S: Final = 0.3
+LOOK_S: Final = 0.1
+"""How often the age of the newest state is looked at."""
+QUIET_MS: Final = 250.0
+"""After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
+ANSWER_S: Final = 0.6
+SILENT_MS: Final = 1000.0
+"""Without a state for so long, it is looked why."""
+WHY_EVERY_S: Final = 3.0
+"""How often: each look is a connection, which costs the robot something."""
+CLOSE_S: Final = 0.5
+"""How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
+SAME_START_S: Final = 0.1
+"""Two states of one gateway agree on its start to within this; no gateway restarts so quickly."""
+LATE_S: Final = 1.0
+"""How much later than another one a state may come."""
+KEPT_EVENTS: Final = 256
+
+ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
+"""What a session, or a question that it asks, may raise."""
+
+
+# ---- one subscription
+
+
+def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
+    """A subscriber's callback: `take` gets each report that is valid."""
+
+    def receive(sample: zenoh.Sample) -> None:
+        try:
+            report = model.model_validate_json(sample.payload.to_bytes())
+        except ValidationError:
+            return
+        take(report)
+
+    return receive
+
+
+@contextmanager
+def subscribed(session: zenoh.Session, handlers: Mapping[str, Any]) -> Iterator[list[Any]]:
+    """Subscribers meanwhile, one for each key: a callback, which runs on a thread of Zenoh's, or a channel."""
+    subscribers = [session.declare_subscriber(key, handler) for key, handler in handlers.items()]
+    try:
+        yield subscribers
+    finally:
+        for subscriber in subscribers:
+            with suppress(zenoh.ZError):
+                subscriber.undeclare()
+
+
+# ---- to one thread
+
+
+class Received(NamedTuple):
+    """A report, and when it came, in nanoseconds since 1970."""
+
+    key: str
+    report: dict[str, Any]
+    time_ns: int
+
+
+class ReportQueue:
+    """Zenoh's threads put in what they receive; one thread takes it out. No more than `most` wait: memory ends."""
+
+    def __init__(self, models: Mapping[str, type[BaseModel]], most: int) -> None:
+        """`models`: what is published on which key. What has another key (`put`) is handed on without a report."""
+        self._models = models
+        self._most = most
+        self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
+        self._since_1970_ns = time.time_ns() - time.monotonic_ns()
+        self.dropped = 0
+        """For which there was no place."""
+        self.invalid = 0
+        """That were no reports."""
+
+    @contextmanager
+    def receives(self, session: zenoh.Session) -> Iterator[None]:
+        """What is published meanwhile is put in."""
+
+        def receive(key: str, sample: zenoh.Sample) -> None:
+            self.put(key, sample.payload.to_bytes())
+
+        with subscribed(session, {key: partial(receive, key) for key in self._models}):
+            yield
+
+    def put(self, key: str, payload: bytes = b"") -> None:
+        """One more, received now. For any thread."""
+        if self._waiting.qsize() >= self._most:
+            self.dropped += 1
+        else:
+            self._waiting.put((key, payload, self.now_ns()))
+
+    def end(self) -> None:
+        """`get` returns None once all before it is taken out; also from a signal handler."""
+        self._waiting.put(None)
+
+    def get(self, timeout_s: float) -> Received | None:
+        """The next one; None: it has ended. Raises queue.Empty where none comes in time."""
+        end_s = time.monotonic() + timeout_s
+        while True:
+            found = self._waiting.get(timeout=max(0.0, end_s - time.monotonic()))
+            if found is None:
+                return None
+            key, payload, time_ns = found
+            if key not in self._models:
+                return Received(key, {}, time_ns)
+            try:
+                self._models[key].model_validate_json(payload)
+            except ValidationError:
+                self.invalid += 1
+                if time.monotonic() >= end_s:
+                    raise Empty from None
+                continue
+            return Received(key, json.loads(payload), time_ns)
+
+    def now_ns(self) -> int:
+        """Nanoseconds since 1970, by a clock that nobody sets meanwhile."""
+        return time.monotonic_ns() + self._since_1970_ns
+
+
+# ---- which gateway it is
+
+
+class Order(Enum):
+    """What a state is to the newest before it."""
+
+    NEXT = auto()
+    RESTARTED = auto()  # the gateway has been started again between the two
+    OVERTAKEN = auto()  # an answer that comes behind a state which was published after it
+
+
+class Starts:
+    """Recognises a gateway that was started again: by when it began, and not by its uptime alone. Pure.
+
+    After a silence the new one may have run for longer than the old one had; and a clock that is set (a Pi after its
+    boot) moves the beginning of one that goes on.
+    """
+
+    def __init__(self) -> None:
+        self._began_s = self._uptime_s = 0.0
+        self._received_ns: int | None = None
+
+    def look(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
+        """`time` and `uptime_s` are a state's, `received_ns` is by a clock of this machine's."""
+        began_s = time.timestamp() - uptime_s
+        if self._received_ns is not None:
+            older = uptime_s < self._uptime_s
+            apart_s = (received_ns - self._received_ns) / 1e9
+            if (older or uptime_s < apart_s + LATE_S) and abs(began_s - self._began_s) >= SAME_START_S:
+                order = Order.RESTARTED
+            elif older:
+                return Order.OVERTAKEN
+            else:
+                order = Order.NEXT
+        else:
+            order = Order.NEXT
+        self._began_s, self._uptime_s, self._received_ns = began_s, uptime_s, received_ns
+        return order
+
+
+# ---- a connection that stays
+
+
+class Receiver(Protocol):
+    """Called on threads of `Live`. Each call waits for moments at most."""
+
+    def opened(self) -> None:
+        """There is a session: from now on a Stop can be sent."""
+
+    def not_opened(self, error: Exception) -> None:
+        """There is none yet; it is tried again."""
+
+    def received_state(self, state: GatewayState, received_ns: int) -> None:
+        """A state, published or as an answer, and when it came by this machine's monotonic clock."""
+
+    def received_event(self, event: Event) -> None:
+        """An event."""
+
+    def received_token(self, alive: bool) -> None:
+        """The gateway is there, or has ended, or the link to it has: within milliseconds where its process ends."""
+
+    def answered(self, client: "Client") -> None:
+        """The gateway has answered a question for its state."""
+
+    def looked(self, reasons: list[str]) -> None:
+        """Why no state comes: a line for each host."""
+
+
+class Live:
+    """Opens a session, trying until it succeeds; after a broken link Zenoh itself reconnects to any of the hosts.
+
+    Zenoh delivers into rings, which threads of this class empty, so a receiver that is slow keeps nobody waiting.
+    """
+
+    def __init__(
+        self, connect: Callable[[], "Client"], receiver: Receiver, why: Callable[["Client | None"], list[str]]
+    ) -> None:
+        """`why` says, a line for each host, why nobody is there; it may take a second."""
+        self.client: Client | None = None
+        self._connect = connect
+        self._receiver = receiver
+        self._why = why
+        self._ended = threading.Event()
+        self._silent_since_ns: int | None = None
+        """When the newest state came, or the session was opened; None: it is being opened for the first time."""
+        self._has_state = False
+        self._subscribers: list[Any] = []
+
+    def start(self) -> None:
+        """Begin to connect. What waits has a thread of its own from the beginning."""
+        for loop in (self._open_at_last, self._ask_when_quiet, self._look_when_silent):
+            threading.Thread(target=loop, name=f"live {loop.__name__}", daemon=True).start()
+
+    def close(self) -> None:
+        """Close the session, or give up after `CLOSE_S`."""
+        self._ended.set()
+        closer = threading.Thread(target=self._close, name="close", daemon=True)
+        closer.start()
+        closer.join(CLOSE_S)
+
+    def _open_at_last(self) -> None:
+        while not self._ended.is_set():
+            try:
+                self._open()
+                return
+            except ERRORS as error:
+                self.client = None
+                self._silent_since_ns = self._silent_since_ns or -1
+                self._receiver.not_opened(error)
+            self._ended.wait(OPEN_AGAIN_S)
+
+    def _open(self) -> None:
+        client = self._connect()
+        self._silent_since_ns = time.monotonic_ns()
+        self.client = client
+        self._receiver.opened()
+        session, ring = client.session, zenoh.handlers.RingChannel
+        # A state makes the one before it useless; of events, each counts.
+        self._listen(session.declare_subscriber(keys.STATE, ring(2)), reports(GatewayState, self._take_state))
+        events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
+        self._listen(events, reports(Event, self._receiver.received_event))
+        alive = session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
+        self._listen(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
+
+    def _listen(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
+        """Read a subscriber on a thread of its own, until it is undeclared."""
+        handler = subscriber.handler
+
+        def read() -> None:
+            with suppress(zenoh.ZError):  # the channel is closed
+                for sample in handler:
+                    take(sample)
+
+        self._subscribers.append(subscriber)
+        threading.Thread(target=read, name=f"listen to {subscriber.key_expr}", daemon=True).start()
+
+    def _take_state(self, state: GatewayState) -> None:
+        received_ns = time.monotonic_ns()
+        self._silent_since_ns, self._has_state = received_ns, True
+        self._receiver.received_state(state, received_ns)
+
+    def _silent_ms(self) -> float:
+        return 0.0 if self._silent_since_ns is None else (time.monotonic_ns() - self._silent_since_ns) / 1e6
+
+    def _ask_when_quiet(self) -> None:
+        while not self._ended.wait(LOOK_S):
+            client = self.client
+            if client is not None and (not self._has_state or self._silent_ms() > QUIET_MS):
+                with suppress(*ERRORS):
+                    state = client.state(ANSWER_S)
+                    self._receiver.received_token(True)
+                    self._take_state(state)
+                    self._receiver.answered(client)
+
+    def _look_when_silent(self) -> None:
+        while not self._ended.wait(LOOK_S):
+            if self._silent_ms() > SILENT_MS:
+                with suppress(*ERRORS):
+                    if reasons := self._why(self.client):
+                        self._receiver.looked(reasons)
+                self._ended.wait(WHY_EVERY_S)
+
+    def _close(self) -> None:
+        with suppress(*ERRORS):
+            for subscriber in self._subscribers:
+                subscriber.undeclare()
+            if self.client is not None:
+                self.client.close()
+
+
+# ---- to an event loop
+
+
+class Mail(NamedTuple):
+    """What has come since the last time."""
+
+    state: tuple[GatewayState, int] | None
+    """The newest, and when it came."""
+    events: list[Event]
+    left_out: int
+    """So many events before them."""
+    alive: bool | None
+    """The newest token; None: none came."""
+
+
+class LoopReceiver(Protocol):
+    """Called on the event loop."""
+
+    def opened(self) -> None:
+        """See `Receiver`."""
+
+    def not_opened(self, error: Exception) -> None:
+        """See `Receiver`."""
+
+    def looked(self, reasons: list[str]) -> None:
+        """See `Receiver`."""
+
+    def received(self, mail: Mail) -> None:
+        """Something has come."""
+
+
+class Mailbox:
+    """The hand-over to an event loop: one state and at most 256 events, so neither a flood nor a busy loop takes
+    memory."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, receiver: LoopReceiver) -> None:
+        self._loop = loop
+        self._receiver = receiver
+        self._lock = threading.Lock()
+        self._announced = False
+        self._state: tuple[GatewayState, int] | None = None
+        self._events: deque[Event] = deque()
+        self._left_out = 0
+        self._alive: bool | None = None
+
+    def opened(self) -> None:
+        """See `Receiver`."""
+        self._call(self._receiver.opened)
+
+    def not_opened(self, error: Exception) -> None:
+        """See `Receiver`."""
+        self._call(self._receiver.not_opened, error)
+
+    def looked(self, reasons: list[str]) -> None:
+        """See `Receiver`."""
+        self._call(self._receiver.looked, reasons)
+
+    def answered(self, client: "Client") -> None:
+        """See `Receiver`."""
+
+    def received_state(self, state: GatewayState, received_ns: int) -> None:
+        """See `Receiver`."""
+        with self._noted():
+            self._state = (state, received_ns)
+
+    def received_event(self, event: Event) -> None:
+        """See `Receiver`."""
+        with self._noted():
+            self._events.append(event)
+            if len(self._events) > KEPT_EVENTS:
+                self._events.popleft()
+                self._left_out += 1
+
+    def received_token(self, alive: bool) -> None:
+        """See `Receiver`."""
+        with self._noted():
+            self._alive = alive
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        with self._lock:
+            yield
+            announced, self._announced = self._announced, True
+        if not announced:
+            self._call(self._deliver)
+
+    def _deliver(self) -> None:
+        with self._lock:
+            mail = Mail(self._state, list(self._events), self._left_out, self._alive)
+            self._announced, self._state, self._left_out, self._alive = False, None, 0, None
+            self._events.clear()
+        self._receiver.received(mail)
+
+    def _call(self, function: Callable[..., None], *arguments: object) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(function, *arguments)

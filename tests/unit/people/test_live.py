@@ -1,0 +1,183 @@
+"""What a gateway publishes, on its way to a queue and to an event loop, and which gateway it is."""
+
+import asyncio
+import threading
+from datetime import timedelta
+from queue import Empty
+
+import pytest
+from pydantic import BaseModel
+
+from gateway.people.client.live import KEPT_EVENTS, Mail, Mailbox, Order, ReportQueue, Starts
+from gateway.people.client.stops import AT_ONCE, UntilConfirmed
+from schemas.keys import EVENT, STATE
+from schemas.telemetry import Ack, Event, GatewayState, Kind
+from tests.support.watch_reports import WALL, event, state
+
+MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
+STOPPED = Ack(accepted=True, stop_frames=6, latency_us=800.0)
+
+
+# ---- a restart
+
+
+@pytest.mark.parametrize(
+    ("uptime_s", "clock_s", "apart_s", "order"),
+    [
+        (101.0, 1.0, 1.0, Order.NEXT),
+        (99.9, -0.1, 0.0, Order.OVERTAKEN),
+        (0.5, 1.0, 1.0, Order.RESTARTED),
+        (300.0, 400.0, 400.0, Order.RESTARTED),  # after a silence, and by now it has run for longer
+        (500.0, 400.0, 400.0, Order.NEXT),  # after a silence, and it is the same one
+        (101.0, 3600.0, 1.0, Order.NEXT),  # its clock was set
+    ],
+)
+def test_another_gateway_is_known_by_when_it_began(
+    uptime_s: float, clock_s: float, apart_s: float, order: Order
+) -> None:
+    starts = Starts()
+    assert starts.look(WALL, 100.0, 0) is Order.NEXT
+    assert starts.look(WALL + timedelta(seconds=clock_s), uptime_s, round(apart_s * 1e9)) is order
+
+
+# ---- to one thread
+
+
+def test_a_queue_leaves_out_what_is_no_report() -> None:
+    queue = ReportQueue(MODELS, 10)
+    queue.put(STATE, b"{}")
+    queue.put(EVENT, b"nonsense")
+    queue.put(EVENT, event(Kind.STOPPING, "it ends").model_dump_json().encode())
+    queue.put("/robot_description")
+    before_ns = queue.now_ns()
+    found, other = queue.get(1.0), queue.get(1.0)
+    assert found is not None
+    assert other is not None
+    assert (found.key, found.report["detail"], queue.invalid) == (EVENT, "it ends", 2)
+    assert found.time_ns <= before_ns
+    assert other[:2] == ("/robot_description", {})
+    queue.put(EVENT, b"nonsense")
+    with pytest.raises(Empty):
+        queue.get(0.0)
+    queue.end()
+    assert queue.get(1.0) is None
+
+
+def test_a_queue_that_nobody_reads_does_not_grow() -> None:
+    queue = ReportQueue(MODELS, 2)
+    for _ in range(5):
+        queue.put(STATE, b"{}")
+    assert queue.dropped == 3
+    queue.end()
+    assert queue.get(1.0) is None, "what ends it has a place all the same"
+
+
+# ---- to an event loop
+
+
+class Received:
+    """On the loop."""
+
+    def __init__(self) -> None:
+        self.mail: list[Mail] = []
+        self.others: list[object] = []
+
+    def opened(self) -> None:
+        self.others.append("opened")
+
+    def not_opened(self, error: Exception) -> None:
+        self.others.append(error)
+
+    def looked(self, reasons: list[str]) -> None:
+        self.others.append(reasons)
+
+    def received(self, mail: Mail) -> None:
+        self.mail.append(mail)
+
+
+def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> None:
+    async def busy() -> Received:
+        receiver = Received()
+        mailbox = Mailbox(asyncio.get_running_loop(), receiver)
+
+        def flood() -> None:
+            mailbox.opened()
+            for number in range(KEPT_EVENTS + 3):
+                mailbox.received_state(state(float(number)), number)
+                mailbox.received_event(event(Kind.STOPPING, str(number)))
+            mailbox.received_token(False)
+            mailbox.looked(["nobody is there"])
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        thread.join()  # the loop does nothing meanwhile
+        await asyncio.sleep(0)
+        mailbox.received_token(True)
+        await asyncio.sleep(0)
+        return receiver
+
+    receiver = asyncio.run(busy())
+    flood, later = receiver.mail
+    assert flood.state == (state(KEPT_EVENTS + 2.0), KEPT_EVENTS + 2)
+    assert [each.detail for each in flood.events] == [str(number) for number in range(3, KEPT_EVENTS + 3)]
+    assert (flood.left_out, flood.alive) == (3, False)
+    assert later == (None, [], 0, True)
+    assert receiver.others == ["opened", ["nobody is there"]]
+
+
+def test_mail_for_a_loop_that_is_closed_goes_nowhere() -> None:
+    loop = asyncio.new_event_loop()
+    loop.close()
+    Mailbox(loop, Received()).received_token(True)
+
+
+# ---- a Stop
+
+
+class Gateway:
+    """Answers the request that it is told to; whoever asks waits for that."""
+
+    def __init__(self, *answers: Ack | Exception) -> None:
+        self._answers = list(answers)
+        self._lock = threading.Lock()
+        self.asked = threading.Semaphore(0)
+        self.may_answer = threading.Semaphore(0)
+        self.confirmed = threading.Event()
+        self.noted: list[Ack | None] = []
+        self.stops = UntilConfirmed(self._estop, self._note)
+
+    def _estop(self) -> Ack:
+        self.asked.release()
+        self.may_answer.acquire()
+        with self._lock:
+            answer = self._answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def _note(self, ack: Ack | None, _began_ns: int) -> bool:
+        self.noted.append(ack)
+        if ack is not None:
+            self.confirmed.set()
+        return not self.confirmed.is_set()
+
+
+def test_a_stop_is_requested_again_until_it_is_confirmed() -> None:
+    gateway = Gateway(MemoryError(), RuntimeError("no thread"), STOPPED)
+    gateway.stops.press()
+    for _ in range(3):
+        assert gateway.asked.acquire(timeout=10)
+        gateway.may_answer.release()
+    assert gateway.confirmed.wait(10)
+    assert gateway.noted == [None, None, STOPPED]
+
+
+def test_a_press_waits_for_no_earlier_request_and_a_held_key_begins_a_few_only() -> None:
+    gateway = Gateway(*[STOPPED] * AT_ONCE)
+    for _ in range(3 * AT_ONCE):
+        gateway.stops.press()
+    for _ in range(AT_ONCE):
+        assert gateway.asked.acquire(timeout=10)
+    assert not gateway.asked.acquire(blocking=False)
+    gateway.may_answer.release(AT_ONCE)
+    assert gateway.confirmed.wait(10)
