@@ -32,7 +32,7 @@ def course(gait: str, seconds: float = SECONDS) -> list[Leg]:
 
 
 def main() -> int:
-    print(f"Three gateways write the frames of {len(course('wave'))} parts of {SECONDS:g} s each (three minutes) …")
+    print(f"Three gateways write the frames of {len(course('wave'))} parts of {SECONDS:g} s each …")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as threads:
         recordings = list(threads.map(lambda gait: record(Path(folder), gait, course(gait)), SPEEDS_M_S))
     print(f"{len(VARIATIONS)} worlds walk by them: {'; '.join(map(str, VARIATIONS))} …")
@@ -40,7 +40,6 @@ def main() -> int:
     with ProcessPoolExecutor() as processes:
         verdicts = list(processes.map(judge, *zip(*jobs, strict=True)))
     print(table([result for verdict in verdicts for result in verdict.results]))
-    print(f"slowest tick of a walker: {max(recording.slowest_tick_ms for recording in recordings):.1f} ms")
     tracks = {
         recording.gait: [verdict.track for (one, _), verdict in zip(jobs, verdicts, strict=True) if one is recording]
         for recording in recordings

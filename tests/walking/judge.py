@@ -32,8 +32,9 @@ class Result(NamedTuple):
     assumed: Assumed
     wanted_m: float
     went_m: float
+    """Along the line from the beginning to the end that was commanded."""
     aside_m: float
-    """How far its end is from the line (or arc) that was commanded."""
+    """From that line; of a turn on the spot, from the spot."""
     way_m: float
     turned_wrong_deg: float
     tilt_deg: float
@@ -80,11 +81,11 @@ def _result(gait: str, walked: Walked, track: Track, assumed: Assumed) -> Result
     x_m, y_m, turned_rad = travelled(velocity, walked.held_s)
     wanted_m = math.hypot(x_m, y_m)
     way_m = walked.held_s * max(math.hypot(velocity.forward_m_s, velocity.left_m_s), abs(velocity.turn_rad_s) * _ARM_M)
-    if velocity.turn_rad_s:
-        went_m, aside_m = math.hypot(ahead_m, left_m), abs(math.hypot(ahead_m, left_m) - wanted_m)
-    else:
+    if wanted_m:
         went_m = (ahead_m * x_m + left_m * y_m) / wanted_m
         aside_m = abs(ahead_m * y_m - left_m * x_m) / wanted_m
+    else:
+        went_m, aside_m = 0.0, math.hypot(ahead_m, left_m)
     return Result(
         gait=gait,
         part=walked.part.name,

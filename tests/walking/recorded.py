@@ -1,23 +1,42 @@
-"""Walks through a real gateway with a simulated controller, and the frames that it wrote."""
+"""Walks through a real gateway with a simulated controller, and the frames that it wrote.
+
+`record` is in lockstep: a walker's tick goes to the gateway, the gateway writes its six frames, and only then comes the
+next tick. Each frame counts at the time of the tick that it came from. So a recording is the same on a machine that is
+busy, takes less time than the walk, and what a judge finds in it is a fault of the gait and not of the machine.
+`record_live` is what a program does: `Client.walk` by the clock. Its frames have the times at which the gateway wrote
+them, and it states the longest silence between two of them, which is the machine's.
+"""
 
 import math
+import queue
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gateway.client import Walk
-from gateway.people.walking import Odometry, Velocity
-from schemas.telemetry import FrameRecord
+from gateway.client import Client, Stream
+from gateway.geometry import load
+from gateway.people.walking import Odometry, Pose, Posture, Robot, Velocity, Walker
+from gateway.people.walking.limits import ranges
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, FrameRecord
 from tests.support.gateway_process import Gateway
-from tests.support.heard import frames
 
-SETTINGS: Final[dict[str, dict[str, Any]]] = {
+HZ: Final = 50
+SETTLES_S: Final = 0.2
+"""Between two parts of a course: the servos have followed by then."""
+_STREAM_HZ: Final = 1000
+"""No tick waits for its time: the frames do."""
+_WRITTEN_WITHIN_S: Final = 20.0
+_PATIENT: Final[dict[str, dict[str, Any]]] = {
     "telemetry": {"frames": True},
-    "limits": {"leg_rate_hz": 60},  # at exactly the walk's rate setpoints wait for their slots
+    "limits": {"leg_rate_hz": 1000},
     "watchdog": {"timeout_ms": 10_000},  # it outlasts a moment in which this machine is busy
     "lease": {"ttl_ms": 10_000},
 }
+_LIVE: Final = {**_PATIENT, "limits": {"leg_rate_hz": 60}}  # at exactly the walk's rate setpoints wait for their slots
 
 
 class Leg(NamedTuple):
@@ -47,36 +66,129 @@ class Recording(NamedTuple):
     gait: str
     records: list[FrameRecord]
     parts: list[Walked]
-    slowest_tick_ms: float
+    stalled_s: float = 0.0
+    """The longest time between two frames within the parts; 0 in lockstep."""
+
+
+class _Written:
+    """The frames that a gateway writes after its start, as they come."""
+
+    def __init__(self, client: Client) -> None:
+        self._records: queue.SimpleQueue[FrameRecord] = queue.SimpleQueue()
+        self._subscriber: Any = client.session.declare_subscriber(
+            keys.FRAME, lambda sample: self._put(FrameRecord.model_validate_json(sample.payload.to_bytes()))
+        )
+        client.state()  # the gateway has answered, so it knows of the subscription
+
+    def _put(self, record: FrameRecord) -> None:
+        if record.cause not in (Cause.STARTUP, Cause.REPEAT):  # its Stops may be published after it is ready
+            self._records.put(record)
+
+    def take(self, count: int) -> list[FrameRecord]:
+        """The next ones. Raises TimeoutError."""
+        taken: list[FrameRecord] = []
+        try:
+            while len(taken) < count:
+                taken.append(self._records.get(timeout=_WRITTEN_WITHIN_S))
+        except queue.Empty:
+            raise TimeoutError(f"the gateway wrote {len(taken)} of {count} frames in {_WRITTEN_WITHIN_S} s") from None
+        return taken
+
+    def all(self) -> list[FrameRecord]:
+        """What has come until now."""
+        return self.take(self._records.qsize())
+
+
+class _Lockstep:
+    """A walker whose clock stands still until the gateway has written what it wanted."""
+
+    def __init__(self, walker: Walker, stream: Stream, written: _Written) -> None:
+        self._walker, self._stream, self._written = walker, stream, written
+        self._ticks = 0
+        self.records: list[FrameRecord] = []
+        pose = walker.engine.pose
+        for last in LEGS:  # one leg more at a time, as Client.walk starts them
+            self._set({leg: pose[leg] for leg in LEGS if leg <= last})
+
+    @property
+    def now_s(self) -> float:
+        return self._ticks / HZ
+
+    def walk(self, part: Leg) -> Walked:
+        begin, begin_s = self._walker.state.odometry, self.now_s
+        for _ in range(round(part.seconds * HZ)):
+            self._walker.go(part.velocity, self.now_s)
+            self._tick()
+        held_s = self.now_s - begin_s
+        self.stand()
+        return Walked(part, held_s, begin_s, self.now_s, begin, self._walker.state.odometry)
+
+    def stand(self) -> None:
+        self._walker.stand(None, self.now_s)
+        self._until(Posture.STANDING)
+
+    def sit(self) -> None:
+        self._walker.sit(self.now_s)
+        self._until(Posture.SITTING)
+
+    def stops(self) -> None:
+        """The end of the stream has written these."""
+        self._keep(self._written.take(len(LEGS)))
+
+    def _until(self, posture: Posture) -> None:
+        self._tick()
+        while self._walker.engine.posture is not posture:
+            self._tick()
+        for _ in range(round(SETTLES_S * HZ)):
+            self._tick()
+
+    def _tick(self) -> None:
+        self._set(self._walker.tick(self.now_s))
+
+    def _set(self, pose: Pose) -> None:
+        self._stream.set(pose)
+        self._keep(self._written.take(len(pose)))
+        self._ticks += 1
+
+    def _keep(self, records: Sequence[FrameRecord]) -> None:
+        now_ns = round(self.now_s * 1e9)
+        self.records += [record.model_copy(update={"monotonic_ns": now_ns}) for record in records]
 
 
 def record(folder: Path, gait: str, course: Sequence[Leg]) -> Recording:
-    """Stand up, walk the parts with a stand between them, sit down, stop: in real time, through its own gateway."""
-    with Gateway(folder, SETTINGS) as gateway, gateway.client(source="watcher") as watcher:
-        written = frames(watcher)
-        with gateway.client(source="walker") as robot:
-            with robot.walk(gait) as walk:
+    """Stand up, walk the parts with a stand between them, sit down, stop: in lockstep, through its own gateway."""
+    with Gateway(folder, _PATIENT) as gateway, gateway.client(source="watcher") as watcher:
+        written = _Written(watcher)
+        with gateway.client(source="walker") as client, client.lease():
+            walker = Walker(Robot(load(), ranges(client.state().limits, client.calibration())), gait)
+            with client.stream(_STREAM_HZ) as stream:
+                lockstep = _Lockstep(walker, stream, written)
+                lockstep.stand()
+                parts = [lockstep.walk(part) for part in course]
+                lockstep.sit()
+            lockstep.stops()
+        return Recording(gait, lockstep.records, parts)
+
+
+def record_live(folder: Path, gait: str, part: Leg) -> Recording:
+    """The same for one part by `Client.walk`, in real time."""
+    with Gateway(folder, _LIVE) as gateway, gateway.client(source="watcher") as watcher:
+        written = _Written(watcher)
+        with gateway.client(source="walker") as client:
+            with client.walk(gait) as walk:
                 walk.stand()
-                parts = [_walked(walk, part, lambda: written.all[-1].monotonic_ns) for part in course]
-                slowest_ms = 1000 * walk.slowest_tick_s
-            rejected = robot.state().commands.rejected
-        assert rejected == 0
-        written.wait(lambda each: each.monotonic_ns >= parts[-1].end_s, count=1)
-        begun_ns = written.all[0].monotonic_ns
-        timed = [
-            each._replace(begin_s=(each.begin_s - begun_ns) / 1e9, end_s=(each.end_s - begun_ns) / 1e9)
-            for each in parts
-        ]
-        return Recording(gait, written.all, timed, slowest_ms)
-
-
-def _walked(walk: Walk, part: Leg, now_ns: Callable[[], int]) -> Walked:
-    begin, begin_ns, begin_s = walk.state.odometry, now_ns(), time.monotonic()
-    while time.monotonic() - begin_s < part.seconds:
-        walk.go(*part.velocity)
-    held_s = time.monotonic() - begin_s
-    walk.stand()
-    return Walked(part, held_s, begin_ns, now_ns(), begin, walk.state.odometry)
+                begin, begin_ns = walk.state.odometry, time.monotonic_ns()
+                while time.monotonic_ns() - begin_ns < part.seconds * 1e9:
+                    walk.go(*part.velocity)
+                held_s = (time.monotonic_ns() - begin_ns) / 1e9
+                walk.stand()
+                end, end_ns = walk.state.odometry, time.monotonic_ns()
+            client.state()  # answered after the walk's Stops
+        records = written.all()
+        first_ns = records[0].monotonic_ns
+        walked = Walked(part, held_s, (begin_ns - first_ns) / 1e9, (end_ns - first_ns) / 1e9, begin, end)
+        times_ns = [each.monotonic_ns for each in records if begin_ns <= each.monotonic_ns <= end_ns]
+        return Recording(gait, records, [walked], max(after - before for before, after in pairwise(times_ns)) / 1e9)
 
 
 def directions(speed_m_s: float, seconds: float) -> list[Leg]:
