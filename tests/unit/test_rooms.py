@@ -21,7 +21,7 @@ ROOMS: Final = (
     ("robot.blackbox",),
     ("robot.runtime",),
     ("robot.service",),
-    ("people.recordings", "people.physics"),
+    ("people.recordings", "people.physics", "people.terminal"),
     ("people.incidents",),
     ("people.client",),
     ("client",),

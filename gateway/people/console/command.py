@@ -12,7 +12,7 @@ from gateway.people.console import register
 from gateway.people.console.messages import ROLES
 from gateway.people.console.register import Register
 from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
-from gateway.people.tools.terminal import say
+from gateway.people.terminal import say
 
 NEEDS: Final = ("websockets", "segno")
 LOOK_S: Final = 1.0

@@ -23,7 +23,7 @@ from websockets.http11 import Request, Response
 from gateway.people.console.messages import Role
 from gateway.people.console.register import SESSION_S, Entry, Register
 from gateway.people.console.site import Site
-from gateway.people.tools.terminal import this_command
+from gateway.people.terminal import this_command
 
 PAGE: Final = Path(__file__).with_name("page")
 WEBSOCKET: Final = "/ws"

@@ -35,7 +35,7 @@ from gateway.people.console.site import DEFAULT_PORT, Site
 from gateway.people.console.stops import Stops
 from gateway.people.console.threads import STACK_BYTES
 from gateway.people.console.tls import server_context
-from gateway.people.tools.terminal import hint, say, this_command
+from gateway.people.terminal import hint, say, this_command
 from gateway.robot.host import descriptors, logs, realtime
 from gateway.robot.settings import LogSettings
 from gateway.zenoh_config import get

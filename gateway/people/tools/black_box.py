@@ -16,7 +16,7 @@ from gateway.people.incidents.messages import messages
 from gateway.people.incidents.story import NoStoryError, headline, story, what
 from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
-from gateway.people.tools.terminal import hint, this_command, visible
+from gateway.people.terminal import hint, this_command, visible
 from gateway.robot.blackbox import place
 from gateway.robot.settings import Settings
 

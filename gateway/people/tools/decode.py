@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 
-from gateway.people.tools.terminal import say
+from gateway.people.terminal import say
 from gateway.robot.protocol.frames import (
     ONE_LEG_LEN,
     ONE_LEG_TYPE,

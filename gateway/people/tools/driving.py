@@ -1,21 +1,20 @@
 """Who is driving, from a shell: what `lease` and `send --hold` do with the lease."""
 
 import shlex
-import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from types import FrameType
 from typing import Final
 
-from gateway.errors import ConfigError, LeaseError, LeaseLostError, UnansweredError
+from gateway.errors import LeaseError, LeaseLostError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.lease import Lease
+from gateway.people.terminal import hint, say, this_command, visible
+from gateway.people.terminal.question import agrees
 from gateway.people.tools import kept_lease, reach
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.terminal import hint, say, this_command, visible
+from gateway.people.tools.signals import on_end_signals
 from schemas.telemetry import GatewayState, LeaseReport, Reason
 
 connection = partial(reach.connection, source="hexapod-gateway lease")
@@ -46,35 +45,27 @@ def take(connect: Connection, *, agreed: bool, for_s: float) -> int:
 
 def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float = 0.0) -> int:
     """Hold it until Ctrl-C, for so long, or until it is lost or released from elsewhere. Returns the exit code."""
-    with connect() as client, _ended() as ended:
+    ended = threading.Event()
+    with connect() as client, on_end_signals(ended.set):
         if wait_s and (holder := client.state().lease.holder) is not None:
             hint(f"{visible(holder)} drives, and is asked; waiting for up to {wait_s:g} s.")
-        lease = client.lease(
-            take=take, wait_s=wait_s, source=kept_lease.me(), on_lost=lambda _: ended.set(), on_asked=_tell_of_asker
+        held = kept_lease.acquired(
+            client, take=take, wait_s=wait_s, on_lost=lambda _: ended.set(), on_asked=_tell_of_asker
         )
         try:
-            lease.acquire()
+            with held as lease:
+                say(f"{lease.holder} drives{_UNVERIFIED if not lease.verified else ''}")
+                until = "" if for_s else " Ctrl-C releases it."
+                hint(f"Until it is released, `send` and `reset` of this user drive.{until}")
+                ended.wait(for_s or None)
+                released = not kept_lease.is_kept(client, lease.token or "")
         except LeaseError as error:
             return not_acquired(client, error)
-        try:
-            released = _drive(client, lease, ended, for_s)
-        finally:
-            lease.release()
     if lease.lost is None or released:
         say("released" if lease.lost is None else "released elsewhere")
         return 0
     say(visible(f"lost: {lease.lost.detail}"))
     return 1
-
-
-def _drive(client: Client, lease: Lease, ended: threading.Event, for_s: float) -> bool:
-    """Until it is over; whether this user has released it elsewhere."""
-    token = lease.token or ""
-    with kept_lease.kept(client, token):
-        say(f"{lease.holder} drives{_UNVERIFIED if not lease.verified else ''}")
-        hint("Until it is released, `send` and `reset` of this user drive." + ("" if for_s else " Ctrl-C releases it."))
-        ended.wait(for_s or None)
-        return not kept_lease.is_kept(client, token)
 
 
 def release(connect: Connection, to: str | None) -> int:
@@ -165,32 +156,12 @@ def _who(lease: LeaseReport) -> str:
 def _agree(state: GatewayState) -> bool:
     running = sum(any(servo.running for servo in leg.servos) for leg in state.legs)
     legs = "no leg runs" if not running else f"{running} leg{'' if running == 1 else 's'} running"
-    if not sys.stdin.isatty():
-        raise ConfigError(f"{_who(state.lease)} ({legs}): say --yes to take it without being asked")
-    hint(f"{_who(state.lease)}; {legs}. Taking it by force stops all six legs first.")
-    sys.stderr.write("Take it? [y/N] ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+    who = f"{_who(state.lease)} ({legs})"
+    if sys.stdin.isatty():
+        hint(f"{_who(state.lease)}; {legs}. Taking it by force stops all six legs first.")
+    return agrees("Take it?", nobody=f"{who}: say --yes to take it without being asked")
 
 
 def _tell_of_asker(who: str) -> None:
     to = shlex.quote(visible(who))
     hint(f"{visible(who)} asks for the lease: `{this_command()} lease release --to {to}` hands it over.")
-
-
-@contextmanager
-def _ended() -> Iterator[threading.Event]:
-    """Set by Ctrl-C and by a request to end, so that the lease is released."""
-    ended = threading.Event()
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        ended.set()
-
-    handlers: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
-    for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-        handlers.setdefault(number, signal.signal(number, end))
-    try:
-        yield ended
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)

@@ -15,9 +15,9 @@ from gateway.people.client.live import Order, ReportQueue, Starts
 from gateway.people.recordings.drawing import DESCRIPTION, DRAWN_SCHEMAS, LOG, Drawing, warning
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import REPORTS
+from gateway.people.terminal import hint, say
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.signals import on_end_signals
-from gateway.people.tools.terminal import hint, say
 from schemas.keys import STATE
 
 try:

@@ -10,13 +10,14 @@ import json
 import os
 import socket
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, LeaseLostError
 from gateway.people.client.blocking import Client
+from gateway.people.client.lease import Lease
 
 _FOLDER: Final = "hexapod-gateway"
 _MAX_SOURCE: Final = 64
@@ -62,6 +63,25 @@ def kept(client: Client, token: str) -> Iterator[None]:
         yield
     finally:
         _forget(file, token)
+
+
+@contextmanager
+def acquired(
+    client: Client,
+    *,
+    take: bool = False,
+    wait_s: float = 0.0,
+    on_lost: Callable[[LeaseLostError], None] | None = None,
+    on_asked: Callable[[str], None] | None = None,
+) -> Iterator[Lease]:
+    """Hold the lease, and keep its token meanwhile: `send` and `reset` of this person drive. See `Client.lease`."""
+    lease = client.lease(take=take, wait_s=wait_s, source=me(), on_lost=on_lost, on_asked=on_asked)
+    lease.acquire()
+    try:
+        with kept(client, lease.token or ""):
+            yield lease
+    finally:
+        lease.release()
 
 
 def is_kept(client: Client, token: str) -> bool:

@@ -12,9 +12,9 @@ from gateway.geometry import load
 from gateway.people.client.live import ReportQueue
 from gateway.people.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
 from gateway.people.recordings import repair as repair_recording
+from gateway.people.terminal import clear_line, hint, say, show_line, this_command
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.signals import on_end_signals
-from gateway.people.tools.terminal import clear_line, hint, say, show_line, this_command
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
 PROGRESS_S: Final = 0.5

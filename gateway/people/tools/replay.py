@@ -1,6 +1,5 @@
 """`replay`: the frames of a recording as commands again, in their time; and whether the gateway writes the same."""
 
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -10,11 +9,12 @@ from gateway.people.recordings import Losses, read
 from gateway.people.recordings.comparing import NS_PER_MS, Frames, compare
 from gateway.people.recordings.replaying import Expected, Plan, Step, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles, user_bytes
+from gateway.people.terminal import Progress, hint, say
+from gateway.people.terminal.question import agrees
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.player import Player, without_pauses
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
-from gateway.people.tools.terminal import Progress, hint, say
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.calibration_report import calibration_of
 from schemas.keys import CALIBRATION, FRAME, STATE
@@ -143,13 +143,7 @@ def _ask(recorded: Plan, speed: float, *, agreed: bool) -> None:
         f"fast as they can, and then move for {recorded.duration_ns / speed / 1e9:.0f} s. Ctrl-C stops them."
     )
     hint(what)
-    if agreed:
-        return
-    if not sys.stdin.isatty():
-        raise ConfigError("nobody can be asked here, since there is no terminal; --yes agrees")
-    sys.stderr.write("Is it free to move, with somebody at the switch of its supply? [y/N] ")
-    sys.stderr.flush()
-    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+    if not agreed and not agrees("Is it free to move, with somebody at the switch of its supply?"):
         raise ConfigError("nothing was sent")
 
 

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from gateway.people.tools.terminal import this_command
+from gateway.people.terminal import this_command
 from schemas.telemetry import GatewayState, Mode
 
 _WAIT: Final = "wait until it is idle"

@@ -11,10 +11,10 @@ from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.config import client_config
 from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.proof import Identity
+from gateway.people.terminal import hint, say, this_command, visible
 from gateway.people.tools import reach
 from gateway.people.tools.kept_lease import me
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.terminal import hint, say, this_command, visible
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import zenoh
 
 from gateway.people.client.blocking import DEFAULT_ENDPOINT
-from gateway.people.tools.terminal import say, this_command
+from gateway.people.terminal import say, this_command
 from gateway.robot import service
 from gateway.robot.edge.exposure import listen_endpoints
 from gateway.robot.settings import Settings

@@ -14,8 +14,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
+from gateway.people.terminal import say
 from gateway.people.tools.signals import on_end_signals
-from gateway.people.tools.terminal import say
 from gateway.robot.blackbox.place import tried
 
 NO_CONSOLE: Final = "no"

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.people.terminal import this_command
 from gateway.people.tools.send import connection, send_leg, send_servo
-from gateway.people.tools.terminal import this_command
 
 NOWHERE = connection("tcp/127.0.0.1:1", None, 1)
 

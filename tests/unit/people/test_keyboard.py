@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.people.tools.keyboard import Keyboard
+from gateway.people.terminal.keyboard import Keyboard
 
 ARROWS = {b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1bOD": "left"}
 

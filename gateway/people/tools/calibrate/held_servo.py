@@ -12,7 +12,7 @@ from typing import Final, Protocol
 import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError
-from gateway.people.tools.terminal import visible
+from gateway.people.terminal import visible
 from schemas.telemetry import Ack, Reason
 
 PERIOD_S: Final = 0.05

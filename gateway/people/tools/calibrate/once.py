@@ -1,16 +1,16 @@
 """What `calibrate` does without a screen: show the calibration, record the landing pose, accept the default."""
 
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from gateway.errors import LeaseError
+from gateway.errors import ConfigError, LeaseError
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
+from gateway.people.terminal import hint, say, this_command, visible
+from gateway.people.terminal.question import agrees
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.calibrate.robot import once_kept
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.terminal import hint, say, this_command, visible
 from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration
 from gateway.robot.core.calibration_report import calibration_of
 from gateway.robot.protocol.frames import centidegrees
@@ -160,12 +160,11 @@ def _angle(cdeg: int | None) -> str:
 
 
 def _agree(question: str) -> bool:
-    if not sys.stdin.isatty():
-        say("nothing is written: nobody can be asked here, since there is no terminal; --yes agrees")
+    try:
+        agreed = agrees(question)
+    except ConfigError as error:
+        say(f"nothing is written: {error}")
         return False
-    sys.stderr.write(f"{question} [y/N] ")
-    sys.stderr.flush()
-    if sys.stdin.readline().strip().lower() in ("y", "yes"):
-        return True
-    say("nothing is written")
-    return False
+    if not agreed:
+        say("nothing is written")
+    return agreed

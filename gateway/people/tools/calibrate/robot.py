@@ -43,11 +43,7 @@ class Robot:
         if self._lease is not None and self._lease.held:
             return
         self.release()
-        lease = self.client.lease(source=kept_lease.me(), on_lost=self._on_lost)
-        lease.acquire()
-        self._lease = lease
-        self._held.callback(lease.release)
-        self._held.enter_context(kept_lease.kept(self.client, lease.token or ""))
+        self._lease = self._held.enter_context(kept_lease.acquired(self.client, on_lost=self._on_lost))
 
     @property
     def drives(self) -> bool:

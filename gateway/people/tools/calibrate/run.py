@@ -1,35 +1,29 @@
 """`calibrate` without an option: the guide, from the first question to the last."""
 
-import importlib.util
 import os
-import sys
 from contextlib import suppress
 from typing import Final
 
 from gateway.errors import LeaseError
+from gateway.people.terminal import hint, say, visible, why_no_screen
 from gateway.people.tools import driving
 from gateway.people.tools.calibrate import once
 from gateway.people.tools.calibrate.guide import Guide
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
-from gateway.people.tools.terminal import hint, say, visible
 from gateway.robot.core.calibration_report import calibration_of
 from gateway.robot.protocol.framing import avoided_by
 from schemas.telemetry import GatewayState
 
-_NO_TERMINAL: Final = (
-    "calibrate needs a terminal, and somebody beside the robot; --show prints the calibration, and a program uses "
-    "Client.calibrate"
+_OTHERWISE: Final = (
+    ", and somebody beside the robot; --show prints the calibration, and a program uses Client.calibrate"
 )
 
 
 def run(connect: Connection) -> int:
     """Guide. Raises ZenohError where no gateway answers."""
-    if importlib.util.find_spec("termios") is None:
-        hint("calibrate needs a Unix terminal; on Windows, run it in WSL.")
-        return 1
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        hint(f"hexapod-gateway: {_NO_TERMINAL}")
+    if (why_not := why_no_screen("calibrate", _OTHERWISE)) is not None:
+        hint(f"hexapod-gateway: {why_not}")
         return 1
     from gateway.people.tools.calibrate.screen import Screen  # noqa: PLC0415 (does not load without termios)
 
@@ -52,11 +46,12 @@ def run(connect: Connection) -> int:
         except LeaseError as error:
             return driving.not_acquired(client, error)
         screen.session.message = _remarks(state)
-        if screen.run():
+        if screen.show():
             with suppress(OSError):  # the terminal is gone
                 if not screen.stopped:
                     hint("NOBODY HAS CONFIRMED THE STOP: if the servo holds, switch the servos' power off.")
-                _last_words(screen.session.guide, screen.fault, calibration.revision, once.unkept(state.calibration))
+                screen.hint_at_fault()
+                _last_words(screen.session.guide, calibration.revision, once.unkept(state.calibration))
         # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
         # frozen gateway), or for ever in a stuck terminal. The servo is stopped, and the lease released.
         os._exit(0 if screen.stopped and screen.fault is None else 1)
@@ -69,9 +64,7 @@ def _remarks(state: GatewayState) -> str:
     return lands * bool(landing_ms) + once.unkept(state.calibration)
 
 
-def _last_words(guide: Guide, fault: Exception | None, began_from: int, unkept: str) -> None:
-    if fault is not None:
-        hint(f"hexapod-gateway: this terminal cannot be drawn on ({fault}); it needs UTF-8, such as LC_ALL=C.UTF-8")
+def _last_words(guide: Guide, began_from: int, unkept: str) -> None:
     if guide.changed:
         say("not written:")
         for servo_id in guide.changed:

@@ -11,10 +11,10 @@ from typing import Final
 import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError
+from gateway.people.terminal import visible
 from gateway.people.tools.calibrate.guide import COARSE_CDEG, FINE_CDEG, Guide
 from gateway.people.tools.calibrate.held_servo import HeldServo
 from gateway.people.tools.calibrate.robot import ChangedMeanwhileError, Robot
-from gateway.people.tools.terminal import visible
 from gateway.robot.core.calibration import CalibrationError
 from gateway.robot.protocol.frames import MAX_ANGLE_CDEG
 from schemas.robot import SERVO_IDS

@@ -10,8 +10,8 @@ from typing import Any, Final
 import zenoh
 
 from gateway.certs.access import TRAFFIC, Traffic
+from gateway.people.terminal import this_command
 from gateway.people.tools.check.result import Result, ok, warning
-from gateway.people.tools.terminal import this_command
 from gateway.robot.edge.exposure import listen_endpoints
 from gateway.zenoh_config import get
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE

@@ -4,7 +4,6 @@ Only what somebody agreed to, and only while nothing else runs. Every way out of
 the gateway's watchdog does.
 """
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,9 +11,10 @@ from typing import Final
 
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client.blocking import Client
+from gateway.people.terminal import hint, say, visible
+from gateway.people.terminal.question import ask
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
-from gateway.people.tools.terminal import hint, say, visible
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
@@ -49,14 +49,14 @@ def move(connect: Connection, *, agreed: bool) -> int:
     """Ask, move, stop, ask. 0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError."""
     with connect() as client:
         _at_rest(client.state())
-        servo_id = DEFAULT_SERVO if agreed else _servo(_ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
-        angle_deg = DEFAULT_ANGLE_DEG if agreed else _angle(_ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] "))
+        servo_id = DEFAULT_SERVO if agreed else _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
+        angle_deg = DEFAULT_ANGLE_DEG if agreed else _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] "))
         end_deg = angle_deg + (STEP_DEG if angle_deg + STEP_DEG <= _MOST_DEG else -STEP_DEG)
         say(
             f"Servo {servo_id} will go to {angle_deg:g}° at once, wherever it stands, then to {end_deg:g}°, and be "
             "stopped. Keep hands and cables away, and the switch of its power at hand."
         )
-        if not agreed and _ask("Type yes to move it: ") != "yes":
+        if not agreed and ask("Type yes to move it: ") != "yes":
             say("Nothing was moved.")
             return 1
         state = client.state()  # the questions took their time
@@ -66,7 +66,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
         state = client.state()
     if state.simulated:
         say("A simulated controller took it: no servo is there to move.")
-    answer = _ask("Did it move? yes or no: ")
+    answer = ask("Did it move? yes or no: ")
     if answer == "yes":
         say(f"Then everything from here to servo {servo_id} works.")
         return 0
@@ -155,10 +155,3 @@ def _angle(text: str) -> float:
     if 0 <= angle_deg <= _MOST_DEG:
         return angle_deg
     raise ConfigError(f"{text!r} is no angle: 0 to 180 degrees")
-
-
-def _ask(question: str) -> str:
-    """One line of what somebody types; "" where nobody does."""
-    sys.stdout.write(question)
-    sys.stdout.flush()
-    return sys.stdin.readline().strip().lower()

@@ -54,11 +54,11 @@ def drill(
     agreed, or the report cannot be written, 4 no gateway answers.
     """
     from gateway.people.client.blocking import DEFAULT_ENDPOINT
+    from gateway.people.terminal import say
     from gateway.people.tools import reach
     from gateway.people.tools.drill import report as reports
     from gateway.people.tools.drill.run import SOURCE, drill, unknown_steps
     from gateway.people.tools.drill.steps import STEPS
-    from gateway.people.tools.terminal import say
 
     unknown = unknown_steps(only or [])
     if unknown:

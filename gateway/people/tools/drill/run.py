@@ -10,6 +10,8 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
+from gateway.people.terminal import hint, say, this_command, visible
+from gateway.people.terminal.question import NOBODY, ask
 from gateway.people.tools import kept_lease
 from gateway.people.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
 from gateway.people.tools.drill.steps import STEPS, Step
@@ -17,7 +19,6 @@ from gateway.people.tools.driving import drives
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
 from gateway.people.tools.signals import on_end_signals
-from gateway.people.tools.terminal import hint, say, this_command, visible
 from schemas.telemetry import GatewayState, Mode
 
 SOURCE: Final = "hexapod-gateway drill"
@@ -230,10 +231,8 @@ def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
     if agreed:
         return
     if not sys.stdin.isatty():
-        raise ConfigError("nobody can be asked here, since there is no terminal; --yes agrees")
-    sys.stderr.write("Type yes to begin: ")
-    sys.stderr.flush()
-    if sys.stdin.readline().strip().lower() != "yes":
+        raise ConfigError(NOBODY)
+    if ask("Type yes to begin: ") != "yes":
         raise ConfigError("nothing was moved")
 
 

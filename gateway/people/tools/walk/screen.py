@@ -1,38 +1,30 @@
 """The terminal of `walk`: keys, the robot and drawing on a thread each, so that none waits for another."""
 
 import math
-import os
 import queue
-import select
-import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
-from rich.live import Live
 from rich.text import Text
 
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.walk import Walk
-from gateway.people.tools.keyboard import Keyboard, keys_at_once, wake_on_signals
-from gateway.people.tools.terminal import hint, visible
+from gateway.people.terminal import hint, screen, visible
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
 from gateway.people.walking import Velocity
 from schemas.telemetry import Mode
 
-FRAME_S: Final = 0.1
 TICK_S: Final = 0.02
 HOLD_S: Final = 0.25
 """Should this program freeze, the robot stands after it: its other thread commands 50 times a second."""
 REST_S: Final = 60.0
 """Without a key: then it sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
-_READ: Final = 4096
 _GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
 _KEYS: Final = """
   W S ↑ ↓   forward, backward          1 2 3   tripod, ripple, wave
@@ -44,65 +36,48 @@ _KEYS: Final = """
 """
 
 
-class Screen:
+class Screen(screen.Screen):
     """One person's drive; `run` shows it until q."""
 
     def __init__(self, client: Client, holder: str, gait: str, geometry: Path | None, height_m: float | None) -> None:
         """`holder`: by which name we hold the lease."""
+        super().__init__()
         self._client = client
         self._holder = holder
         self._walk: Walk = client.walk(gait, geometry)
         self._height_m = height_m
         self._pad = Keypad()
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
-        self._ended = threading.Event()
+        self._driven = threading.Event()
+        """It is over: no key moves it any more."""
         self._message = "Nothing moves before you press a key."
         self._sits = False
-        self._console = Console()
-        self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
 
     def run(self) -> int:
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
-        terminal = sys.stdin.fileno()
-        drawer = threading.Thread(target=self._draw, name="draw", daemon=True)
-        driver = threading.Thread(target=self._drive, name="drive", daemon=True)
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
-        failed: GatewayError | None = None
-        with keys_at_once(terminal), wake_on_signals() as (woken, _):
-            drawer.start()
-            driver.start()
-            try:
-                self._read_keys(terminal, woken)
-            finally:
-                self._ended.set()
-                try:
-                    self._walk.close(sits=self._sits)
-                except GatewayError as error:
-                    failed = error
-                drawer.join(1.0)
-        if failed is not None:
-            hint(f"hexapod-gateway: {visible(str(failed))}")
+        try:
+            self.show()
+        except GatewayError as error:
+            hint(f"hexapod-gateway: {visible(str(error))}")
             return 1
-        return 0
+        self.hint_at_fault()
+        return 0 if self.fault is None else 1
+
+    def begin(self) -> None:
+        """See `screen.Screen`."""
+        threading.Thread(target=self._drive, name="drive", daemon=True).start()
+
+    def end(self) -> None:
+        """See `screen.Screen`."""
+        self._driven.set()
+        self._walk.close(sits=self._sits)
 
     # ---- keys
 
-    def _read_keys(self, terminal: int, woken: int) -> None:
-        keyboard = Keyboard()
-        while True:
-            ready, _, _ = select.select([terminal, woken], [], [])
-            if woken in ready:
-                return
-            try:
-                data = os.read(terminal, _READ)
-            except OSError:  # the terminal is gone
-                return
-            if not data or not self._press(keyboard.keys(data, time.monotonic())):
-                return
-
-    def _press(self, keys: list[str]) -> bool:
-        """Act on them; whether to go on. An emergency stop among them is all that counts."""
+    def press(self, keys: list[str]) -> bool:
+        """See `screen.Screen`. An emergency stop among them is all that counts."""
         if " " in keys or "x" in keys:
             self._pad.release()
             threading.Thread(target=self._estop, name="estop").start()
@@ -155,7 +130,7 @@ class Screen:
         if self._height_m is not None:
             height_m = self._height_m
             self._todo.put(lambda: self._walk.stand(height_m))
-        while not self._ended.is_set():
+        while not self._driven.is_set():
             try:
                 if not self._todo.empty():
                     self._message = ""
@@ -164,20 +139,16 @@ class Screen:
                 if velocity.moves:
                     self._walk.go(*velocity)
                 else:
-                    self._ended.wait(TICK_S)
+                    self._driven.wait(TICK_S)
             except (GatewayError, RuntimeError) as error:
                 self._message = str(error).replace("start_again() goes on", "g goes on")
                 self._pad.release()
 
     # ---- drawing
 
-    def _draw(self) -> None:
-        with self._live:
-            while not self._ended.wait(FRAME_S):
-                self._live.update(self._picture(), refresh=True)
-            self._live.update(self._picture(), refresh=True)
-
-    def _picture(self) -> Text:
+    def picture(self, columns: int, rows: int) -> Text:
+        """See `screen.Screen`."""
+        del columns, rows  # it wraps
         text = Text(no_wrap=False)
         text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n\n", "bold")
         try:

@@ -8,9 +8,9 @@ from typing import Final
 
 from gateway.errors import GatewayError, LeaseError, RejectedError, StoppedError
 from gateway.people.client.walk import Walk
+from gateway.people.terminal import hint, say, visible
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.terminal import hint, say, visible
 from gateway.people.walking import Velocity, WalkState
 
 _LINE_S: Final = 0.2

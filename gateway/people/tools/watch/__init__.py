@@ -4,20 +4,20 @@ Three kinds of threads, so that none delays another. The calling thread reads ke
 thread draws; a stuck terminal or a slow line delays only that. The link's threads speak Zenoh.
 """
 
-import importlib.util
 import json
 import os
-import sys
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from gateway.errors import ConfigError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client
 from gateway.people.client.config import client_config
+from gateway.people.terminal import hint, why_no_screen
 from gateway.people.tools import why
-from gateway.people.tools.terminal import hint
+
+_OTHERWISE: Final = "; a program reads hexapod/state and hexapod/event instead"
 
 
 def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> NoReturn:
@@ -25,12 +25,10 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
 
     Raises ConfigError before it begins.
     """
-    if importlib.util.find_spec("termios") is None:
-        raise ConfigError("watch needs a Unix terminal; on Windows, run it in WSL")
+    if (why_not := why_no_screen("watch", _OTHERWISE)) is not None:
+        raise ConfigError(why_not)
     from gateway.people.tools.watch.screen import Watch  # noqa: PLC0415 (does not load without termios)
 
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise ConfigError("watch needs a terminal; a program reads hexapod/state and hexapod/event instead")
     if connect is None and zenoh_config is None:
         connect = DEFAULT_ENDPOINT
     config = client_config(connect, zenoh_config)  # a faulty file is reported before the screen is taken
@@ -49,13 +47,10 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
         partial(why.unreached, connect, zenoh_config),
         diagnosis.own_expiry(config),
     )
-    view.run()
+    view.show()
     if view.unconfirmed_stop:
         hint("The emergency stop was NOT confirmed: switch the servos' power off.")
-    if view.fault is not None:
-        hint(
-            f"hexapod-gateway: this terminal cannot be drawn on ({view.fault}); it needs UTF-8, such as LC_ALL=C.UTF-8"
-        )
+    view.hint_at_fault()
     # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
     # frozen gateway), or for ever in a stuck terminal. What had to be let go of has been.
     os._exit(0 if view.fault is None else 1)

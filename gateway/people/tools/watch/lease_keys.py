@@ -10,7 +10,6 @@ import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError, RejectedError
 from gateway.people.client.blocking import Client
-from gateway.people.client.lease import Lease
 from gateway.people.tools import kept_lease
 from gateway.people.tools.watch.model import Model
 
@@ -79,18 +78,12 @@ class LeaseKeys:
         return f"{holder} is asked, and may hand over"
 
     def _take(self, client: Client, holder: str | None) -> str:
-        lease = client.lease(take=holder is not None, source=kept_lease.me(), on_lost=self._lost)
-        lease.acquire()
-        self._keep(client, lease)
-        return f"{lease.holder} drives: `send` of this user counts, until t is pressed again"
-
-    def _keep(self, client: Client, lease: Lease) -> None:
-        held = ExitStack()
-        held.callback(self._drives, False)
-        held.enter_context(kept_lease.kept(client, lease.token or ""))
-        held.callback(lease.release)
-        self._held = held
+        with ExitStack() as held:
+            held.callback(self._drives, False)
+            lease = held.enter_context(kept_lease.acquired(client, take=holder is not None, on_lost=self._lost))
+            self._held = held.pop_all()
         self._drives(True)
+        return f"{lease.holder} drives: `send` of this user counts, until t is pressed again"
 
     def _release(self, _client: Client, _holder: str | None) -> str:
         self._held.close()

@@ -14,7 +14,7 @@ from gateway.errors import ZenohError
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.live import CLOSE_S, ERRORS, Live
 from gateway.people.client.stops import UntilConfirmed
-from gateway.people.tools.terminal import visible
+from gateway.people.terminal import visible
 from gateway.people.tools.watch.lease_keys import LeaseKeys
 from gateway.people.tools.watch.model import Model, Presence
 from schemas import keys

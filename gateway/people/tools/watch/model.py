@@ -12,7 +12,7 @@ from enum import Enum, StrEnum, auto
 from typing import Final
 
 from gateway.people.client.live import Order, Starts
-from gateway.people.tools.terminal import visible
+from gateway.people.terminal import visible
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
 

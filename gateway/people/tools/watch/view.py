@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
-from gateway.people.tools.terminal import visible
+from gateway.people.terminal import visible
 from gateway.people.tools.watch.model import Model, Presence, Rates, Tone, top_rejected
 from schemas.telemetry import GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 

@@ -1,5 +1,9 @@
-"""What a command prints: results on stdout, remarks on stderr."""
+"""What a command prints: results on stdout, remarks on stderr.
 
+Beside this: what it asks (`question`), and programs that fill the terminal (`screen`, `keyboard`).
+"""
+
+import importlib.util
 import shutil
 import sys
 import time
@@ -67,3 +71,10 @@ def hint(text: str) -> None:
     """A line for the person, on stderr, so that pipes carry results only."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
+
+
+def why_no_screen(program: str, otherwise: str, *, on_windows: str = "") -> str | None:
+    """Why a program cannot fill this terminal; None: it can. `otherwise` goes on with what to do without one."""
+    if importlib.util.find_spec("termios") is None:
+        return f"{program} needs a Unix terminal; on Windows, run it in WSL{on_windows}"
+    return None if sys.stdin.isatty() and sys.stdout.isatty() else f"{program} needs a terminal{otherwise}"
