@@ -12,7 +12,7 @@ import typer
 
 from gateway import __version__
 from gateway.errors import GatewayError
-from gateway.people.tools import certs, incidents, lease, recordings
+from gateway.people.tools import certs_changes, incidents, lease, recordings
 from gateway.people.tools.calibrate import command as calibrate
 from gateway.people.tools.drill import command as drill
 from gateway.people.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
@@ -210,6 +210,24 @@ def console(
 
 
 @app.command()
+def revoke(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="revoked.crl, which `certs revoke` has signed.")],
+    config: ConfigOption = None,
+) -> None:
+    """On the robot: shut out whom this list names, and restart the service: all legs stop, others are back in 3 s.
+
+    The list has to be signed by the CA in the robot's ca.pem, and newer than the one in force. The robot's clock does
+    not matter. From a laptop, `hexapod-gateway certs revoke NAME --to HOST` does the same.
+
+    Exit codes: 0 it is in force, 1 an older list, or the service does not restart, 2 the file or the configuration is
+    wrong.
+    """
+    from gateway.people.tools import revoking
+
+    sys.exit(revoking.take(file, config))
+
+
+@app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
 ) -> None:
@@ -224,7 +242,7 @@ def decode(
     sys.exit(decode.decode(hex_bytes))
 
 
-app.add_typer(certs.app, name="certs")
+app.add_typer(certs_changes.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.lease import LEASE_REQUEST, LeaseAck
+from schemas.revocation import RevocationAck, RevocationRequest
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
 
 FOLDER = Path(__file__).with_name("json")
@@ -21,8 +22,9 @@ def documents() -> dict[str, str]:
         "ServoCommand": SERVO_COMMAND,
         **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand)},
         "LeaseRequest": LEASE_REQUEST,
+        "RevocationRequest": TypeAdapter(RevocationRequest),
     }
-    models = (Ack, LeaseAck, GatewayState, Event, FrameRecord, Calibration)
+    models = (Ack, LeaseAck, RevocationAck, GatewayState, Event, FrameRecord, Calibration)
     reports = {model.__name__: TypeAdapter(model) for model in models}
     made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
     return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}

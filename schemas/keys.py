@@ -18,7 +18,9 @@ LEASE: Final = f"{ROOT}/lease/cmd"
 """Who is driving."""
 CALIBRATION_CMD: Final = f"{ROOT}/calibration/cmd"
 """Changes the calibration."""
-GET_ONLY: Final = (LEASE, CALIBRATION_CMD)
+REVOCATION: Final = f"{ROOT}/revocation/cmd"
+"""Shuts certificates out."""
+GET_ONLY: Final = (LEASE, CALIBRATION_CMD, REVOCATION)
 """They take `get` only, and command nothing that moves, so they are none of COMMAND_KEYS."""
 STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
@@ -91,6 +93,8 @@ def parse(key: str) -> CommandKey:
             raise ValueError(f"{LEASE} takes get only: its answer is for one alone")
         case [_, "calibration", "cmd"]:
             raise ValueError(f"{CALIBRATION_CMD} takes get only: whoever changes it has to know what became of it")
+        case [_, "revocation", "cmd"]:
+            raise ValueError(f"{REVOCATION} takes get only: whoever shuts somebody out has to know what became of it")
         case _:
             raise ValueError(f"{_short(key)} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")
 

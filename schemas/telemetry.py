@@ -37,6 +37,7 @@ class Reason(StrEnum):
     LEASE_DENIED = "lease_denied"
     LANDING = "landing"
     OVERFLOW = "overflow"
+    REVOCATION_DENIED = "revocation_denied"
 
 
 class Mode(StrEnum):
@@ -72,6 +73,7 @@ class Kind(StrEnum):
     CALIBRATED = "calibrated"
     OVERFLOW = "overflow"
     BUS_UNBATCHED = "bus_unbatched"
+    REVOKED = "revoked"
 
 
 class Cause(StrEnum):

@@ -10,7 +10,9 @@ CONSOLE_DAYS: Final = 459
 """Apple's browsers take a server's certificate of at most 825 days, and ours begin a year in the past."""
 
 if TYPE_CHECKING:
+    from gateway.certs import revocation
     from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, issue, renew
+    from gateway.certs.moving import drop_ca, reissue, replace_ca, revoke, set_pool, states
     from gateway.certs.proof import ProofChecker
     from gateway.certs.reading import read_certificate, read_certificates, read_file
 
@@ -19,6 +21,7 @@ _HOMES: Final = {
         ("Certificate", "add_robots", "console", "describe", "expiries", "init", "issue", "renew"),
         "gateway.certs.folder",
     ),
+    **dict.fromkeys(("drop_ca", "reissue", "replace_ca", "revoke", "set_pool", "states"), "gateway.certs.moving"),
     "ProofChecker": "gateway.certs.proof",
     **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
 }
@@ -26,6 +29,8 @@ _HOMES: Final = {
 
 def __getattr__(name: str) -> Any:
     # Loaded when used: cryptography takes long to load, and no emergency stop should wait for it.
+    if name == "revocation":
+        return import_module("gateway.certs.revocation")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)
@@ -41,11 +46,18 @@ __all__ = [
     "add_robots",
     "console",
     "describe",
+    "drop_ca",
     "expiries",
     "init",
     "issue",
     "read_certificate",
     "read_certificates",
     "read_file",
+    "reissue",
     "renew",
+    "replace_ca",
+    "revocation",
+    "revoke",
+    "set_pool",
+    "states",
 ]

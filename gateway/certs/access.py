@@ -64,6 +64,16 @@ def names(prefix: str = "", *, for_all: bool | None, robots_side: bool = False) 
     return _list([_name(each, prefix, robots_side) for each in chosen], 16)
 
 
+def subject(name: str, common_names: list[str]) -> str:
+    """A subject of that name as JSON5: whoever has a certificate with one of these common names."""
+    return f'      {{ id: "{name}",\n        cert_common_names: {listed(common_names)} }},\n'
+
+
+def listed(common_names: list[str]) -> str:
+    """What follows `cert_common_names:`."""
+    return _list(common_names, 28)
+
+
 def _rule(each: Traffic, prefix: str, namespace: str, robots_side: bool) -> str:
     flow = "ingress" if each.from_people is not robots_side else "egress"
     named = (each.robots_keys if robots_side else ()) or each.keys

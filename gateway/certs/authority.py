@@ -1,8 +1,7 @@
 """X.509 only, no files: a private CA, the gateway's certificate, a laptop's certificate, and reading them back.
 
-Zenoh's access control knows a laptop by one thing: the first common name of its certificate, compared whole (no
-patterns). So the common name is the **role**, which gateway.json5 lists once and for all, and the laptop's own name
-stands in the organizational unit. A laptop that is new tomorrow needs no change on the robot.
+Zenoh's access control knows a laptop by one thing: the first common name of its certificate, which is one of a pool
+(pool.py). The laptop's own name, or its person's, stands in the organizational unit.
 """
 
 import datetime as dt
@@ -30,6 +29,7 @@ CONSOLE = "console"
 BACKDATE = dt.timedelta(days=365)
 
 _ORGANIZATION = "hexapod-gateway"
+_FROM = " from "
 _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 
 
@@ -50,9 +50,19 @@ class KeyPair:
         )
 
 
-def make_ca(now: dt.datetime) -> KeyPair:
-    """A CA that signs leaf certificates only; its name has a random part, so that two CAs are never confused."""
-    return _make_ca(now, CA, [])
+def make_ca(now: dt.datetime, first: int = 0) -> KeyPair:
+    """A CA that signs leaf certificates only; its name has a random part, so that two CAs are never confused.
+
+    `first`: the first number of the pool that is its own. A CA that takes another's place has numbers of its own, so
+    that a robot can tell by a common name who still has a certificate of the older one.
+    """
+    return _make_ca(now, f"{CA}{_FROM}{first}" if first else CA, [])
+
+
+def first_number(ca: x509.Certificate) -> int:
+    """The first number of the pool that is this CA's own."""
+    number = _attribute(ca.subject, NameOID.ORGANIZATIONAL_UNIT_NAME).partition(_FROM)[2]
+    return int(number) if number.isdecimal() else 0
 
 
 def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
@@ -113,11 +123,11 @@ def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime)
     return KeyPair(_sign(ca, _name(GATEWAY, GATEWAY), key.public_key(), extensions, days=days, now=now), key)
 
 
-def make_laptop(ca: KeyPair, name: str, role: str, days: int, now: dt.datetime) -> KeyPair:
+def make_laptop(ca: KeyPair, name: str, common_name: str, days: int, now: dt.datetime) -> KeyPair:
     """A laptop's certificate: good as a client only, so that no laptop can pose as the robot to another one."""
     key = ec.generate_private_key(ec.SECP256R1())
     usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
-    return KeyPair(_sign(ca, _name(role, name), key.public_key(), [usage], days=days, now=now), key)
+    return KeyPair(_sign(ca, _name(common_name, name), key.public_key(), [usage], days=days, now=now), key)
 
 
 def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
@@ -172,8 +182,11 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
     return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
 
 
-def role_and_name(certificate: x509.Certificate) -> tuple[str, str]:
-    """Who holds it: ("ca", its name), ("gateway", its first host), or a laptop's (role, name); "" where absent."""
+def common_name_and_name(certificate: x509.Certificate) -> tuple[str, str]:
+    """Who holds it: ("ca", its name), ("gateway", its first host), or a laptop's (common name, name).
+
+    What is absent is "".
+    """
     common = _attribute(certificate.subject, NameOID.COMMON_NAME)
     unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
     try:

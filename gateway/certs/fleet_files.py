@@ -2,14 +2,14 @@
 
 Zenoh's access control compares a certificate's common name whole and cannot put it into a key expression, so the
 router's file has one block for each robot, and is rewritten when a robot is added. Common names: `robot.NAME` of a
-robot's gateway, `operator.NAME` and `observer.NAME` of its people, `gateway` of the routers.
+robot's gateway, `operator-07.NAME` and `observer-07.NAME` of its people, `gateway` of the routers.
 tests/zenoh/test_fleet.py has the gateways, a router and people as processes of their own.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 
-from gateway.certs import access
+from gateway.certs import LAPTOP_ROLES, access, pool
 from gateway.certs.zenoh_files import endpoint, fill
 
 _ROUTER = """\
@@ -69,12 +69,6 @@ _ROUTER = """\
 }
 """
 
-_SUBJECTS = """\
-      { id: "robot.@NAME@", cert_common_names: ["robot.@NAME@"] },
-      { id: "operator.@NAME@", cert_common_names: ["operator.@NAME@"] },
-      { id: "observer.@NAME@", cert_common_names: ["observer.@NAME@"] },
-"""
-
 _POLICIES = """\
       { subjects: ["robot.@NAME@"],
         rules: @ROBOTS_RULES@ },
@@ -129,13 +123,18 @@ _ROBOT = """\
 """
 
 
-def router_json5(robots: Sequence[str], port: int) -> bytes:
-    """The router's configuration: mTLS on all addresses, and one block of access control for each robot."""
+def router_json5(
+    robots: Sequence[str], port: int, numbers: Iterable[int] = range(pool.SIZE), revoked: Container[str] = ()
+) -> bytes:
+    """The router's configuration: mTLS on all addresses, and one block of access control for each robot.
+
+    `numbers`: of the pool of common names that each role has. `revoked`: those that are not listed.
+    """
     return fill(
         _ROUTER,
         PORT=str(port),
         RULES="".join(map(_rules, robots)),
-        SUBJECTS="".join(fill(_SUBJECTS, NAME=robot).decode() for robot in robots),
+        SUBJECTS="".join(_subjects(robot, numbers, revoked) for robot in robots),
         POLICIES="".join(map(_policies, robots)),
     )
 
@@ -149,6 +148,15 @@ def _rules(robot: str) -> str:
     """The robot's side and the people's side of the same traffic: what comes in at one goes out at the other."""
     sides = (access.rules(f"{robot}: ", robot, robots_side=side) for side in (False, True))
     return f"      // ---- {robot}\n" + "".join(sides)
+
+
+def _subjects(robot: str, numbers: Iterable[int], revoked: Container[str]) -> str:
+    """Who has which common names. A role of which all are revoked keeps its subject: none would mean anybody."""
+    subjects = access.subject(f"robot.{robot}", [f"robot.{robot}"])
+    for role in LAPTOP_ROLES:
+        named = [name for name in pool.names(role, numbers, robot) if name not in revoked]
+        subjects += access.subject(f"{role}.{robot}", named or [pool.NOBODY])
+    return subjects
 
 
 def _policies(robot: str) -> str:

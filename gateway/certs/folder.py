@@ -15,34 +15,49 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
+from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 
-from gateway.certs import CA_DAYS, CONSOLE_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, fleet_files, zenoh_files
+from gateway.certs import (
+    CA_DAYS,
+    CONSOLE_DAYS,
+    LAPTOP_ROLES,
+    LEAF_DAYS,
+    authority,
+    fleet_files,
+    pool,
+    revocation,
+    zenoh_files,
+)
 from gateway.certs.authority import KeyPair
 from gateway.certs.publish import SECRET, Content, publish, replace
-from gateway.certs.reading import read_certificate, read_key
+from gateway.certs.reading import read_certificate, read_certificates, read_file, read_key
 from gateway.errors import ConfigError
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _RESERVED = ("ca", "gateway", "router")
 _ROBOT = "robot."  # in front of a robot's name in the common name of its certificate
-_ROBOT_LENGTH = 48  # a common name has at most 64 characters, "operator." among them
+_ROBOT_LENGTH = 48  # a common name has at most 64 characters, "operator-1000." among them
 _WEB_CA = "-ca"  # behind a console's name in the names of its CA's files
 ROUTER_FILE = "router.json5"
+EARLIER = "earlier"
+"""The folder for files that others have taken the place of: their certificates may still be good."""
 
 
 @dataclass(frozen=True)
 class Certificate:
     """One certificate of a folder. `role` is ca, gateway, operator or observer.
 
-    In a fleet: robot.NAME, operator.NAME or observer.NAME, NAME being the robot's.
+    In a fleet: robot.NAME, operator.NAME or observer.NAME, NAME being the robot's. The common name has a laptop's
+    number besides.
     """
 
     path: Path
     name: str
     role: str
+    common_name: str
     serial: str
     not_before: dt.datetime
     not_after: dt.datetime
@@ -59,11 +74,13 @@ def init(
     days: int = LEAF_DAYS,
     port: int = zenoh_files.DEFAULT_PORT,
     namespace: str = "",
+    size: int = pool.SIZE,
     now: dt.datetime | None = None,
 ) -> list[Path]:
     """Makes a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; returns what it made.
 
-    `namespace` goes before all keys of this robot. `directory` is made (0700) if missing.
+    `namespace` goes before all keys of this robot. `size`: how many laptops of each role the rules know in advance.
+    `directory` is made (0700) if missing.
     Raises ConfigError if it has a CA already, or any file of the same name.
     """
     now = now or _now()
@@ -73,6 +90,7 @@ def init(
             "name at least one host by which laptops reach the robot: --host robot.local --host 192.0.2.7"
         )
     _check_days(days)
+    check_size(size)
     if not 1 <= port <= 65535:
         raise ConfigError(f"port {port} is not between 1 and 65535")
     if namespace and not _NAME.fullmatch(namespace):
@@ -89,7 +107,7 @@ def init(
         directory / "ca.pem": Content(ca.certificate_pem()),
         directory / "gateway.key": Content(gateway.key_pem(), SECRET),
         directory / "gateway.pem": Content(gateway.certificate_pem()),
-        directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port, namespace)),
+        directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port, namespace, size)),
     }
     publish(files)
     return list(files)
@@ -118,14 +136,13 @@ def issue(
             f"unknown role {role!r}: choose {' (commands and watches) or '.join(LAPTOP_ROLES)} (only watches)"
         )
     _check_days(days)
-    ca = _load_ca(directory, now)
+    ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
     hosts, (port, namespace) = authority.hosts_of(gateway), _port_and_namespace(directory / "gateway.json5")
     if robot and robot not in _robots(directory):
         raise ConfigError(f"{directory} has no robot {robot!r}: add it with `hexapod-gateway certs robot {robot}`")
     _check_free(directory, name)
-    common_name = f"{role}.{robot}" if robot else role
-    laptop = authority.make_laptop(ca, name, common_name, days, now)
+    laptop = authority.make_laptop(ca, name, _free_common_name(directory, ca, role, robot), days, now)
     certificate, key, config = _laptop_files(directory, name)
     files = {
         key: Content(laptop.key_pem(), SECRET),
@@ -137,7 +154,7 @@ def issue(
             raise ConfigError(f"--bundle {bundle} is the place of another file: name it {name}.zip")
         expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
         members = {path.name: content for path, content in files.items()}
-        members["ca.pem"] = Content(ca.certificate_pem())
+        members["ca.pem"] = Content(read_file(directory / "ca.pem", "certificate"))
         members["README.txt"] = Content(zenoh_files.laptop_readme(name, role, hosts, expiry))
         files[bundle] = Content(_zip(members, now), SECRET)
     if absolute:
@@ -162,7 +179,7 @@ def console(
     names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
     if not names:
         raise ConfigError("name at least one host by which browsers reach the console: --host robot.local")
-    _load_ca(directory, now)
+    load_ca(directory, now)
     _check_free(directory, name)
     ca = authority.make_web_ca(names, now)
     made = authority.make_console(ca, name, names, days, now)
@@ -187,7 +204,7 @@ def add_robots(
     """
     now = now or _now()
     _check_days(days)
-    ca = _load_ca(directory, now)
+    ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
     host, port = authority.hosts_of(gateway)[0], _port_and_namespace(directory / "gateway.json5")[0]
     _check_free(directory, "router")
@@ -203,9 +220,18 @@ def add_robots(
         files[certificate] = Content(robot.certificate_pem())
         files[config] = Content(fleet_files.robot_json5(name, host, port))
     publish(files)
-    router = directory / ROUTER_FILE
-    replace(router, Content(fleet_files.router_json5(_robots(directory), port)))
-    return [*files, router]
+    return [*files, write_router(directory)]
+
+
+def write_router(directory: Path) -> Path:
+    """Makes router.json5 anew: all robots of the folder, its pool, and nobody who is revoked; returns its path."""
+    path, config = directory / ROUTER_FILE, directory / "gateway.json5"
+    port, listed = _port_and_namespace(config)[0], listed_names(config)
+    numbers = sorted({number for name in listed if (number := pool.holder(name).number) is not None})
+    known = revoked(directory)
+    shut_out = frozenset() if known is None else known.common_names
+    replace(path, Content(fleet_files.router_json5(_robots(directory), port, numbers, shut_out)))
+    return path
 
 
 def renew(
@@ -220,12 +246,9 @@ def renew(
     if name != authority.GATEWAY:
         _check_name(name)
     own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else "ca"
-    ca, path = _load_ca(directory, now, own), directory / f"{name}.pem"
+    ca, path = load_ca(directory, now, own), directory / f"{name}.pem"
     old = read_certificate(path)
-    try:
-        old.verify_directly_issued_by(ca.certificate)
-    except (ValueError, TypeError, InvalidSignature) as error:
-        raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there") from error
+    _check_renewable(directory, path, old, ca, own)
     known = authority.hosts_of(old)
     if hosts and not known:
         raise ConfigError(f"{path} is a laptop's, and nobody dials it: --host is for the gateway, or a console")
@@ -273,18 +296,94 @@ def expiries(directory: Path) -> list[Certificate]:
 def describe(path: Path) -> Certificate:
     """Whose certificate the PEM file at `path` is, and until when; raises ConfigError if it cannot be read."""
     certificate = read_certificate(path)
-    role, name = authority.role_and_name(certificate)
+    common_name, name = authority.common_name_and_name(certificate)
     return Certificate(
         path,
         name,
-        role,
+        pool.holder(common_name).of,
+        common_name,
         f"{certificate.serial_number:x}",
         certificate.not_valid_before_utc,
         certificate.not_valid_after_utc,
     )
 
 
-def _load_ca(directory: Path, now: dt.datetime, name: str = "ca") -> KeyPair:
+def earlier(directory: Path) -> list[Certificate]:
+    """The laptops' certificates that others have taken the place of; those that are revoked among them."""
+    found = sorted((directory / EARLIER).glob("*.pem"))
+    return [certificate for path in found if (certificate := describe(path)).role != authority.CA]
+
+
+def revoked(directory: Path) -> revocation.RevocationList | None:
+    """Who is shut out, by the list in this folder; None: nobody was yet."""
+    path = directory / revocation.FILE_NAME
+    return revocation.read(path, read_certificates(directory / "ca.pem")) if path.exists() else None
+
+
+def listed_names(config: Path) -> set[str]:
+    """The common names that the rules of a gateway.json5 list."""
+    subjects = json.loads(_read_config(config).get_json("access_control/subjects")) or []
+    return {name for each in subjects for name in each.get("cert_common_names") or []}
+
+
+def port_of(directory: Path) -> int:
+    """The port that the robot of this folder listens on."""
+    return _port_and_namespace(directory / "gateway.json5")[0]
+
+
+def check_size(size: int) -> None:
+    """Raises ConfigError for a pool of another size than one may have."""
+    if not 1 <= size <= pool.MOST:
+        raise ConfigError(f"a pool of {size} common names will not do: choose 1 to {pool.MOST}")
+
+
+def _free_common_name(directory: Path, ca: KeyPair, role: str, robot: str) -> str:
+    """The first of the pool that nobody has, or had; the role alone where the rules list no pool."""
+    listed = [pool.holder(name) for name in listed_names(directory / "gateway.json5")]
+    numbers = sorted(each.number for each in listed if each.role == role and each.number is not None)
+    if not numbers:
+        return pool.names(role, (), robot)[0]
+    known = revoked(directory)
+    taken = {each.common_name for each in (*expiries(directory), *earlier(directory))}
+    taken |= frozenset() if known is None else known.common_names
+    first = authority.first_number(ca.certificate)
+    free = (name for n in numbers if n >= first and (name := pool.common_name(role, n, robot)) not in taken)
+    found = next(free, None)
+    if found is None:
+        raise ConfigError(
+            f"all common names of {role} that the rules list are taken; more: hexapod-gateway certs pool --size "
+            f"{numbers[-1] + 1 + pool.SIZE} --dir {directory}, and the same on the robot, in its folder"
+        )
+    return found
+
+
+def _check_renewable(directory: Path, path: Path, old: x509.Certificate, ca: KeyPair, own: str) -> None:
+    """Raises ConfigError for a certificate that is not to be signed again under its common name."""
+    common_name = authority.common_name_and_name(old)[0]
+    known = revoked(directory)
+    if known is not None and known.holds(common_name, old.serial_number):
+        raise ConfigError(f"{path} is revoked; `hexapod-gateway certs issue` makes another")
+    issuers = [ca.certificate] if own != "ca" else read_certificates(directory / "ca.pem")
+    issuer = next((each for each in issuers if is_issued(old, each)), None)
+    if issuer is None:
+        raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there")
+    if issuer != ca.certificate and pool.holder(common_name).role in LAPTOP_ROLES:
+        raise ConfigError(
+            f"{path} is of the older CA: `hexapod-gateway certs reissue {path.stem}` makes one of the new"
+        )
+
+
+def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
+    """Whether this CA has signed it."""
+    try:
+        certificate.verify_directly_issued_by(ca)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
+def load_ca(directory: Path, now: dt.datetime, name: str = "ca") -> KeyPair:
+    """A CA of the folder with its key, the newest one; raises ConfigError where it is missing or has expired."""
     try:
         (directory / f"{name}.key").lstat()
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -293,8 +392,11 @@ def _load_ca(directory: Path, now: dt.datetime, name: str = "ca") -> KeyPair:
         ) from error
     except OSError:
         pass  # it may be there: reading it says what is wrong
-    certificate, key = read_certificate(directory / f"{name}.pem"), read_key(directory / f"{name}.key")
-    if certificate.public_key() != key.public_key():
+    key = read_key(directory / f"{name}.key")
+    found = read_certificates(directory / f"{name}.pem")
+    # Of several CAs, the one that the key belongs to: while one takes another's place, its certificate comes first.
+    certificate = next((each for each in found if each.public_key() == key.public_key()), None)
+    if certificate is None:
         raise ConfigError(
             f"{directory}: {name}.key and {name}.pem do not belong together; restore both from the same copy"
         )
@@ -308,17 +410,21 @@ def _load_ca(directory: Path, now: dt.datetime, name: str = "ca") -> KeyPair:
 
 def _port_and_namespace(config: Path) -> tuple[int, str]:
     """Both from gateway.json5, so that a laptop's file follows changes that were made there by hand."""
-    try:
-        read = zenoh.Config.from_file(str(config))
-    except zenoh.ZError as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
+    read = _read_config(config)
     found = re.search(r'"tls/[^"]*:(\d+)', read.get_json("listen/endpoints"))
     if found is None:
         raise ConfigError(
             f"{config} listens on no tls endpoint with a port: fix listen.endpoints, such as tls/[::]:7447"
         )
     return int(found[1]), json.loads(read.get_json("namespace")) or ""
+
+
+def _read_config(config: Path) -> zenoh.Config:
+    try:
+        return zenoh.Config.from_file(str(config))
+    except zenoh.ZError as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
 
 
 def _robots(directory: Path) -> list[str]:

@@ -15,8 +15,10 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
-from gateway.certs.authority import role_and_name
+from gateway.certs import pool
+from gateway.certs.authority import common_name_and_name
 from gateway.certs.reading import read_certificate, read_certificates
+from gateway.certs.revocation import RevocationList
 from schemas.lease import Proof, signed_text
 
 OPERATOR: Final = "operator"
@@ -25,17 +27,18 @@ OPERATOR: Final = "operator"
 class ProofChecker:
     """Checks proofs against the CAs of one gateway. Holds nothing that changes."""
 
-    def __init__(self, cas: Sequence[x509.Certificate], robot: str = "") -> None:
+    def __init__(self, cas: Sequence[x509.Certificate], robot: str = "", revoked: RevocationList | None = None) -> None:
         """`robot`: its name in a fleet, whose people have certificates for one robot each."""
+        self._revoked = revoked
         self._cas = [ca for ca in cas if _is_ca(ca)]
         self._role = f"{OPERATOR}.{robot}" if robot else OPERATOR
 
     @classmethod
-    def of(cls, ca_file: Path, own_certificate: Path | None) -> "ProofChecker":
+    def of(cls, ca_file: Path, own_certificate: Path | None, revoked: RevocationList | None = None) -> "ProofChecker":
         """From the gateway's own files. Raises ConfigError where one cannot be read."""
-        common_name = role_and_name(read_certificate(own_certificate))[0] if own_certificate is not None else ""
+        common_name = common_name_and_name(read_certificate(own_certificate))[0] if own_certificate is not None else ""
         kind, _, robot = common_name.partition(".")
-        return cls(read_certificates(ca_file), robot if kind == "robot" else "")
+        return cls(read_certificates(ca_file), robot if kind == "robot" else "", revoked)
 
     def clock_fault(self, now: dt.datetime) -> str | None:
         """Why this robot's clock must be wrong; None: it may be right."""
@@ -62,7 +65,7 @@ class ProofChecker:
         return fault
 
     def _certificate_fault(self, certificate: x509.Certificate, source: str, now: dt.datetime) -> str | None:
-        role, person = role_and_name(certificate)
+        common_name, person = common_name_and_name(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         if not any(_issued(certificate, ca, now) for ca in self._cas):
             return "proof.certificate is not signed by this gateway's CA"
@@ -70,8 +73,13 @@ class ProofChecker:
             return f"proof.certificate is valid from {start:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
         if now > end:
             return f"proof.certificate expired at {end:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
-        if role != self._role:
-            return f"proof.certificate is not that of an operator of this robot (its common name must be {self._role})"
+        return self._holders_fault(certificate, common_name, person, source)
+
+    def _holders_fault(self, certificate: x509.Certificate, common_name: str, person: str, source: str) -> str | None:
+        if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
+            return f"proof.certificate is revoked ({common_name}); whoever keeps the CA issues another"
+        if pool.holder(common_name).of != self._role:
+            return f"proof.certificate is not that of an operator of this robot (its common name is {common_name})"
         if person != source:
             return "source is not the person of proof.certificate"
         return None

@@ -9,7 +9,7 @@ import ipaddress
 import json
 from collections.abc import Sequence
 
-from gateway.certs import access
+from gateway.certs import LAPTOP_ROLES, access, pool
 from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
 
 DEFAULT_PORT = 7447
@@ -51,7 +51,8 @@ _GATEWAY = """\
       },
     },
   },
-  // Who may do what. A laptop's certificate carries its role as common name, so a new laptop needs no change here.
+  // Who may do what. A laptop's certificate has one of these common names, its own, so a new laptop needs no change
+  // here. Those that are revoked stay listed: the gateway leaves them out when it starts (hexapod-gateway revoke).
   // Keys are exact: subscribe to hexapod/state, not to hexapod/*.
   access_control: {
     enabled: true,
@@ -59,9 +60,7 @@ _GATEWAY = """\
     rules: [
 @RULES@    ],
     subjects: [
-      { id: "operator", cert_common_names: ["operator"] },
-      { id: "observer", cert_common_names: ["observer"] },
-    ],
+@SUBJECTS@    ],
     policies: [
       { subjects: ["operator"],
         rules: @OPERATORS_RULES@ },
@@ -128,14 +127,18 @@ Other Zenoh programs read the paths in @NAME@.json5 from the folder they are sta
 """
 
 
-def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "") -> bytes:
-    """The robot's Zenoh configuration: mTLS on all addresses, access control by role, size limit, no scouting."""
+def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "", size: int = pool.SIZE) -> bytes:
+    """The robot's Zenoh configuration: mTLS on all addresses, access control by role, size limit, no scouting.
+
+    `size`: of the pool of common names that each role has.
+    """
     return fill(
         _GATEWAY,
         HOSTS=", ".join(hosts),
         PORT=str(port),
         NAMESPACE=_namespace(namespace),
         RULES=access.rules(namespace=namespace),
+        SUBJECTS="".join(access.subject(role, pool.names(role, range(size))) for role in LAPTOP_ROLES),
         OPERATORS_RULES=access.names(for_all=False),
         EVERYONES_RULES=access.names(for_all=True),
     )

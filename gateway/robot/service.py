@@ -27,6 +27,8 @@ from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.lease_request_reader import LeaseRequestReader, checker_of
 from gateway.robot.edge.outbox import ZenohOutbox
+from gateway.robot.edge.revocation_request_reader import RevocationRequestReader
+from gateway.robot.edge.revoked import Kept, kept, leave_out
 from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys
@@ -43,14 +45,15 @@ from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.lease_answers import LeaseAnswers
 from gateway.robot.runtime.report import wall_clock
-from gateway.robot.runtime.shutdown import END_S, End, close_within, leave, stop_the_robot
+from gateway.robot.runtime.revocations import Revocations
+from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
 from gateway.robot.settings import Settings, ZenohSettings
 from gateway.robot.spi import SpiDevice
 from gateway.robot.spi.bus import bus_for
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.zenoh_config import open_session
-from schemas.keys import CALIBRATION, CALIBRATION_CMD, LEASE, STATE
+from schemas.keys import CALIBRATION, CALIBRATION_CMD, LEASE, REVOCATION, STATE
 
 if TYPE_CHECKING:
     from gateway.certs import ProofChecker
@@ -129,27 +132,37 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
         _recorder(settings, simulated=simulated) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
-    leave(0)  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
+        end = runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
+        if end.failure is not None:
+            raise GatewayError(end.failure)
+    end.leave()  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
 
 
-def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None"]:
-    """Zenoh's configuration, and what checks who asks for the lease, where it names a CA. Raises ConfigError."""
+def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None", Kept | None]:
+    """Zenoh's configuration, what checks who asks for the lease, and who is shut out, where it names a CA.
+
+    Raises ConfigError.
+    """
     config = service_config(settings)
-    checker = checker_of(config)
+    shut_out = kept(config, settings)
+    revoked = None if shut_out is None else shut_out.known
+    leave_out(config, revoked)
+    if revoked is not None:
+        logger.info("list %d shuts out %s", revoked.number, ", ".join(sorted(revoked.common_names)) or "nobody")
+    checker = checker_of(config, revoked)
     fault = None if checker is None else checker.clock_fault(wall_clock())
     if fault is not None:
         logger.warning(fault)
-    return config, checker
+    return config, checker, shut_out
 
 
 async def _run(
     settings: Settings, recorder: Recorder, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]
-) -> None:
+) -> End:
     loop, owner = asyncio.get_running_loop(), Ownership()
     end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
-    config, checker = _configured(settings.zenoh)
+    config, checker, shut_out = _configured(settings.zenoh)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
     outbox = ZenohOutbox()
     conductor = Conductor(
@@ -164,6 +177,7 @@ async def _run(
         owner=owner,
     )
     calibrations = _calibrations(settings, conductor, loop)
+    revocations = Revocations(conductor, shut_out, loop, end.begin_again)
     try:
         # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
         with owner:
@@ -176,12 +190,20 @@ async def _run(
         if not opening.done():
             notifier.stopping()
             await stop_the_robot(conductor, bus, settings.watchdog)
-            leave(end.exit_code)
+            end.leave()
         ended.cancel()
         session = opening.result()
         outbox.open(session)
         with owner:  # its threads hear at once, and have to wait until it is connected
-            inbox = _inbox(session, loop, conductor, checker, settings, calibrations)
+            inbox = _inbox(
+                session,
+                loop,
+                conductor,
+                checker,
+                settings,
+                calibrations,
+                RevocationRequestReader(revocations, shut_out),
+            )
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
@@ -191,7 +213,7 @@ async def _run(
             conductor.announce_start()
             calibrations.announce_start()
         notifier.ready("takes commands")
-        connection_limiter, upkeep = _attendants(session, config, conductor, notifier)
+        connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
@@ -200,7 +222,7 @@ async def _run(
         for task in tasks:
             task.add_done_callback(end.task_done)
         await end.wait()
-        notifier.stopping()
+        notifier.stopping(anew=end.starts_anew)
         for task in tasks:
             task.cancel()
         deadline = loop.time() + END_S
@@ -209,7 +231,7 @@ async def _run(
             conductor.close()
         await close_within(
             deadline - loop.time(),
-            end.exit_code,
+            end.leave,
             outbox.close,
             connection_limiter.close,
             upkeep.close,
@@ -220,8 +242,7 @@ async def _run(
         with owner:
             conductor.close()
         notifier.close()
-    if end.failure is not None:
-        raise GatewayError(end.failure)
+    return end
 
 
 def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
@@ -251,6 +272,7 @@ def _inbox(
     checker: "ProofChecker | None",
     settings: Settings,
     calibrations: Calibrations,
+    revocations: RevocationRequestReader,
 ) -> Inbox:
     """What comes in, connected with the conductor."""
     desk = LeaseRequestReader(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
@@ -264,6 +286,7 @@ def _inbox(
         readers={
             LEASE: desk.note,
             CALIBRATION_CMD: CalibrationRequestReader(calibrations).note,
+            REVOCATION: revocations.note,
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
         },
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -274,12 +297,17 @@ def _inbox(
 
 
 def _attendants(
-    session: zenoh.Session, config: zenoh.Config, conductor: Conductor, notifier: SystemdNotifier
+    session: zenoh.Session,
+    config: zenoh.Config,
+    conductor: Conductor,
+    notifier: SystemdNotifier,
+    shut_out: Kept | None,
 ) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that look after the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
     conductor.certificate = upkeep.certificate
-    return ConnectionLimiter(session, conductor.metrics.count_sessions), upkeep
+    revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
+    return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked), upkeep
 
 
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from gateway.people.client.walk import Walk
     from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
+    from schemas.revocation import RevocationAck
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 R = TypeVar("R", bound=BaseModel)
@@ -248,6 +249,16 @@ class Client:
         from schemas.calibration import Calibration  # no emergency stop waits for what it loads
 
         return self._get(keys.CALIBRATION, None, Calibration, again=True)
+
+    def revocation(self, revoked: str | None = None) -> "RevocationAck":
+        """Put a list of revoked certificates in force (PEM), or ask which one is.
+
+        A gateway that takes it stops all legs and starts anew; the connection comes back by itself.
+        """
+        from schemas.revocation import RevocationAck  # no emergency stop waits for what it loads
+
+        payload = None if revoked is None else json.dumps({"revoked": revoked})
+        return self._get(keys.REVOCATION, payload, RevocationAck, again=False)
 
     def calibrate(
         self,

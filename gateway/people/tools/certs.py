@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gateway import certs
-from gateway.certs import expiry
+from gateway.certs import expiry, pool
 from gateway.people.terminal import this_command
 
 WIDE = 100
@@ -59,13 +59,19 @@ def init(
             show_default=False,
         ),
     ] = "",
+    size: Annotated[
+        int,
+        typer.Option(
+            "--pool", metavar="N", help="How many laptops of each role the rules know in advance. Example: --pool 256"
+        ),
+    ] = pool.SIZE,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Make a private CA, the robot's certificate, and a Zenoh configuration that admits only certificates of this CA.
 
     It never overwrites a file: a folder that has a CA already is an error, and then nothing is changed.
     """
-    certs.init(directory, host, days=days, port=port, namespace=namespace)
+    certs.init(directory, host, days=days, port=port, namespace=namespace, size=size)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")
     files = " ".join(str(directory / name) for name in ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem"))
     typer.echo("Leave ca.key here, and keep a copy of it somewhere safe.")
@@ -129,12 +135,19 @@ def issue(
 ) -> None:
     """Make a laptop's certificate and NAME.json5, ready for --zenoh-config. Nothing changes on the robot.
 
-    A certificate cannot be revoked: choose few --days for laptops that travel.
+    Lost: `certs revoke NAME`. Each laptop takes a common name of the pool that the robot's rules list, for good.
     """
     certs.issue(directory, name, role, robot=robot, bundle=bundle, days=days, absolute=absolute)
+    made = certs.describe(directory / f"{name}.pem")
     typer.echo(
-        f"Made {name}, {role}{f' of {robot}' if robot else ''}, in {directory}: {name}.json5 {name}.pem {name}.key"
+        f"Made {name}, {role}{f' of {robot}' if robot else ''} ({made.common_name}), in {directory}: {name}.json5 "
+        f"{name}.pem {name}.key"
     )
+    if pool.holder(made.common_name).number is None:
+        typer.echo(
+            f"All of {role} share this common name, so it cannot be revoked alone: {this_command()} certs pool --dir "
+            f"{directory}, the same on the robot, and {this_command()} certs reissue {name} --dir {directory}"
+        )
     if bundle is not None:
         typer.echo(
             f"All that the laptop needs is in {bundle}, its key included: hand it over in private, then delete it."
@@ -233,15 +246,27 @@ def renew(
 
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
 def show(directory: Directory) -> None:
-    """List all certificates: name, role, expiry, days left, serial number. Tab-separated if not on a terminal."""
+    """List all certificates: name, role, expiry, days left, serial number, common name, and how it stands with each.
+
+    `good`, `older CA` (move it: certs reissue), `replaced` (still good: revoke it by its common name once it is not in
+    use any more), `revoked`, `expired`. Tab-separated if not on a terminal.
+    """
     from rich.console import Console
     from rich.table import Table
 
     now = dt.datetime.now(dt.UTC)
-    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL")
+    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE")
     rows = [
-        (found.name, found.role, f"{found.not_after:%Y-%m-%d}", str(found.days_left(now)), found.serial)
-        for found in certs.expiries(directory)
+        (
+            found.name,
+            found.role,
+            f"{found.not_after:%Y-%m-%d}",
+            str(found.days_left(now)),
+            found.serial,
+            found.common_name,
+            state,
+        )
+        for found, state in certs.states(directory, now)
     ]
     console = Console()
     if not console.is_terminal:
@@ -258,7 +283,8 @@ def show(directory: Directory) -> None:
         )
     for row in rows:
         left = int(row[3])
-        table.add_row(*row, style="red" if left < 0 else "yellow" if left < expiry.WARN_DAYS else None)
+        style = "yellow" if left < expiry.WARN_DAYS or row[-1] in ("older CA", "replaced") else None
+        table.add_row(*row, style="red" if row[-1] in ("expired", "revoked") else style)
     console.print(table)
 
 

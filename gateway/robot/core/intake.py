@@ -98,9 +98,9 @@ def echo_of(key: str) -> str:
     return without_secrets(key[: 2 * MAX_KEY])[:MAX_KEY]
 
 
-def too_large(size: int) -> Rejection:
+def too_large(size: int, most: int = MAX_PAYLOAD_BYTES) -> Rejection:
     """The rejection of a payload that is not read."""
-    return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {MAX_PAYLOAD_BYTES} are read")
+    return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {most} are read")
 
 
 def too_many_fields(payload: bytes) -> Rejection:

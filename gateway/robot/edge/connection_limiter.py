@@ -1,8 +1,12 @@
-"""Keeps sessions free for operators: clients without that role (visitors) get only a share of those that Zenoh allows.
+"""Keeps sessions free for operators: clients without that role (visitors) get only a share of those that Zenoh allows,
+and whoever is revoked gets none.
 
 Zenoh limits all sessions together, not those of a role, and its API cannot close one. So the newest visitors beyond
 their share lose their connection: their socket is shut down, and Zenoh drops the session within a millisecond. Older
 sessions stay. Without client certificates nobody can be told apart, and nothing is done.
+
+TLS lets in whoever has a certificate of the CA. Access control lets nothing of the revoked through; their sockets are
+shut down besides, so that they take no place.
 """
 
 import ipaddress
@@ -19,6 +23,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import RingChannel
 
+from gateway.certs import pool
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 
@@ -32,8 +37,14 @@ logger = logging.getLogger(__name__)
 class ConnectionLimiter:
     """Counts the visitors whenever a link opens or closes, on a thread of its own."""
 
-    def __init__(self, session: zenoh.Session, count: Callable[[int], None]) -> None:
-        """`count` is called with the number of sessions whenever it may have changed."""
+    def __init__(
+        self, session: zenoh.Session, count: Callable[[int], None], revoked: Collection[str] = frozenset()
+    ) -> None:
+        """`count` is called with the number of sessions whenever it may have changed.
+
+        `revoked`: the common names that are shut out.
+        """
+        self._revoked = revoked
         self._session = session
         self._count = count
         self._since: dict[str, int] = {}
@@ -62,14 +73,24 @@ class ConnectionLimiter:
         links = self._session.info.links()
         self._since = {str(link.zid): self._arrival(str(link.zid)) for link in links}
         self._count(len(self._since))
-        visitors = [link for link in links if link.auth_identifier and not is_operator(link.auth_identifier)]
+        shut_out = [link for link in links if link.auth_identifier in self._revoked]
+        visitors = [
+            link
+            for link in links
+            if (name := link.auth_identifier) and name not in self._revoked and not is_operator(name)
+        ]
         surplus = sorted(visitors, key=lambda link: self._since[str(link.zid)])[VISITORS:]
-        if not surplus:
+        if not surplus and not shut_out:
             return
         with suppress(OSError):  # no descriptor left to look
-            shut_down({address for link in surplus if (address := _address(str(link.dst))) is not None})
-        if time.monotonic() - self._said_s > SAY_AGAIN_S:
-            self._said_s = time.monotonic()
+            shut_down({address for link in surplus + shut_out if (address := _address(str(link.dst))) is not None})
+        if time.monotonic() - self._said_s <= SAY_AGAIN_S:
+            return
+        self._said_s = time.monotonic()
+        if shut_out:
+            names = sorted({str(link.auth_identifier) for link in shut_out})
+            logger.warning("%s is revoked, tries to connect, and is turned away", ", ".join(names))
+        if surplus:
             logger.warning(
                 "%d clients that are no operators are connected; those beyond %d are turned away, so that an operator "
                 "finds a place",
@@ -83,8 +104,8 @@ class ConnectionLimiter:
 
 
 def is_operator(identity: str) -> bool:
-    """Whether a certificate's common name is an operator's: `operator`, or `operator.ROBOT` in a fleet."""
-    return identity.partition(".")[0] == "operator"
+    """Whether a certificate's common name is an operator's: `operator-07`, or `operator-07.ROBOT` in a fleet."""
+    return pool.holder(identity).role == "operator"
 
 
 def shut_down(addresses: Collection[Any]) -> None:

@@ -27,6 +27,7 @@ from schemas.telemetry import Reason
 
 if TYPE_CHECKING:
     from gateway.certs import ProofChecker
+    from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
 """6 ms a second of the interpreter's lock. A person asks once, and a program once for each lease."""
@@ -123,12 +124,14 @@ def _why(error: ValidationError) -> tuple[Reason, str]:
     return Reason.INVALID, f"{'.'.join(known)} is missing, or not what docs/interface.md says"
 
 
-def checker_of(config: zenoh.Config) -> "ProofChecker | None":
+def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) -> "ProofChecker | None":
     """Checks proofs against the CA that the Zenoh file names; None where it names none. Raises ConfigError."""
     ca = _path(config, "root_ca_certificate")
     if ca is None:
         return None
-    return certs.ProofChecker.of(ca, _path(config, "connect_certificate") or _path(config, "listen_certificate"))
+    return certs.ProofChecker.of(
+        ca, _path(config, "connect_certificate") or _path(config, "listen_certificate"), revoked
+    )
 
 
 def _path(config: zenoh.Config, name: str) -> Path | None:

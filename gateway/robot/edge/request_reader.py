@@ -18,13 +18,13 @@ BY_WILDCARD: Final = Rejection(Reason.INVALID, "this key is not asked by wildcar
 BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
 
 
-def payload_of(query: zenoh.Query) -> bytes | Rejection:
-    """The payload, or why it is not read."""
+def payload_of(query: zenoh.Query, most: int = MAX_PAYLOAD_BYTES) -> bytes | Rejection:
+    """The payload, of `most` bytes at most, or why it is not read."""
     payload = query.payload
     if "*" in str(query.key_expr):  # whoever lists what there is wants to see, and asks for nothing
         return BY_WILDCARD
-    if payload is not None and len(payload) > MAX_PAYLOAD_BYTES:
-        return too_large(len(payload))
+    if payload is not None and len(payload) > most:
+        return too_large(len(payload), most)
     if query.encoding is not None and str(query.encoding) not in ENCODINGS:
         return BAD_ENCODING
     return b"" if payload is None else payload.to_bytes()

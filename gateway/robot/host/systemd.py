@@ -16,6 +16,9 @@ HANGS_AFTER: Final = 3
 systemd stops looking once it has asked the service to end, and would then wait for all of TimeoutStopSec=, which is as
 long as `stop-servos` may take on a busy machine."""
 
+ANEW_S: Final = 20.0
+"""From the last sign of the old program to the first of the new one. TimeoutStartSec= is 30 s."""
+
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), for commands that systemd did not start."""
 
@@ -44,8 +47,13 @@ class SystemdNotifier:
         return self._ping_period_s
 
     def ready(self, status: str) -> None:
-        """Commands are taken from now on."""
-        self._tell(f"READY=1\nSTATUS={status}")
+        """Commands are taken from now on, and systemd's watchdog has the period of the unit."""
+        period = (
+            ""
+            if self._ping_period_s is None
+            else f"\nWATCHDOG_USEC={round(self._ping_period_s * PINGS_PER_TIMEOUT * 1e6)}"
+        )
+        self._tell(f"READY=1\nSTATUS={status}{period}")
 
     def status(self, status: str) -> None:
         """A sentence for `systemctl status`; from any thread."""
@@ -56,10 +64,17 @@ class SystemdNotifier:
         self._tell("WATCHDOG=1")
         self._end_unless_alive()
 
-    def stopping(self) -> None:
-        """The service ends."""
-        self._tell("STOPPING=1")
-        self._end_unless_alive()
+    def stopping(self, *, anew: bool = False) -> None:
+        """The service ends, or (`anew`) its program is about to be replaced by itself, in the same process.
+
+        Then nobody has to hear of it for ANEW_S; after that the kernel ends it, or else systemd's watchdog.
+        """
+        if not anew:
+            self._tell("STOPPING=1")
+            self._end_unless_alive()
+        elif self._ping_period_s is not None:
+            self._tell(f"RELOADING=1\nSTATUS=starts anew\nWATCHDOG_USEC={round(ANEW_S * 1e6)}\nWATCHDOG=1")
+            signal.setitimer(signal.ITIMER_REAL, ANEW_S)  # a new program in this process keeps it
 
     def _end_unless_alive(self) -> None:
         """Let the kernel end this process if it is not called again in time: no thread of it has to go on for that."""

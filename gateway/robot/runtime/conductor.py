@@ -129,6 +129,10 @@ class Conductor:
         self._tell(Kind.STARTED, f"hexapod-gateway {__version__} takes commands")
         self._tell_mode()
 
+    def announce(self, kind: Kind, detail: str, key: str | None = None) -> None:
+        """Publish what happened beside the robot's own state."""
+        self._tell(kind, detail, None, key)
+
     def shut_down(self) -> bool:
         """Reject all commands from now on, and stop all six legs: whether all Stops were written without a fault."""
         self._reopen_timer.cancel()

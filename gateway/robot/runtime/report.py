@@ -40,6 +40,7 @@ WARNINGS: Final = frozenset(
         Kind.BUS_UNBATCHED,
         Kind.STOPPED_OUTSIDE,
         Kind.OVERFLOW,
+        Kind.REVOKED,
     }
 )
 """Events that somebody should look at; the others are the normal course."""

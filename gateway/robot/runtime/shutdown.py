@@ -4,6 +4,7 @@ import asyncio
 import logging
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -30,6 +31,9 @@ REPEATS_S = 0.3
 LAST_WORDS_S = 0.1
 """Beyond that, what the log may take where nothing else waits for the end."""
 
+EXEC_S = 5.0
+"""How long the kernel may take to replace the program; it takes milliseconds."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -42,6 +46,7 @@ class End:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
         self.failure: str | None = None
+        self._starts_anew = False
         self._owner = owner
         self._recorder = recorder
         self._event = asyncio.Event()
@@ -68,6 +73,22 @@ class End:
             self._recorder.mistake(failure)
         self.failure = self.failure or failure
         self._event.set()
+
+    def begin_again(self) -> None:
+        """End, and start anew in the same process, with the configuration as it is then."""
+        self._starts_anew = True
+        self._event.set()
+
+    @property
+    def starts_anew(self) -> bool:
+        """Whether the process goes on with a service that starts anew, and nothing has failed."""
+        return self._starts_anew and self.failure is None
+
+    def leave(self) -> NoReturn:
+        """Leave the process, or let it start anew."""
+        if self.starts_anew:
+            start_anew()
+        leave(self.exit_code)
 
     def task_done(self, task: "asyncio.Task[None]") -> None:
         """A task of the service may be cancelled, but must not fail."""
@@ -119,10 +140,10 @@ def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None
         logger.warning("all six legs got their Stop at the last attempt")
 
 
-async def close_within(timeout_s: float, exit_code: int, *closes: Callable[[], object]) -> None:
+async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes: Callable[[], object]) -> None:
     """Close in a thread that nobody has to wait for: a frozen peer can hold Zenoh's close for ten seconds.
 
-    The servos are safe by then, so after `timeout_s` the process goes without it.
+    The servos are safe by then, so after `timeout_s` the process goes without it, by `leave`.
     """
     closed = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -139,10 +160,23 @@ async def close_within(timeout_s: float, exit_code: int, *closes: Callable[[], o
         await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
     except TimeoutError:
         logger.warning("a peer does not let go of its connection; ending without waiting for it")
-        leave(exit_code)
+        leave()
 
 
 def leave(exit_code: int) -> NoReturn:
     """End at once: a thread inside Zenoh would keep the interpreter from ending."""
     logs.close(LAST_WORDS_S)
     os._exit(exit_code)
+
+
+def start_anew() -> NoReturn:
+    """Replace this program by itself, as it was called, in the same process: every thread of it ends, whatever it does.
+
+    So systemd sees no end, and waits for none of what it does between two starts: the service is back after what Python
+    takes to start. On a thread of its own, since the new program has the scheduling class of the thread that calls
+    this, and ours may not give up its own (SCHED_RESET_ON_FORK).
+    """
+    logs.close(LAST_WORDS_S)
+    threading.Thread(target=os.execv, args=(sys.executable, sys.orig_argv), daemon=True).start()
+    threading.Event().wait(EXEC_S)
+    os._exit(GatewayError.exit_code)

@@ -1,0 +1,149 @@
+"""The list of who is shut out: a certificate revocation list (X.509 CRL) that the CA signs, with a number that grows.
+
+A CRL, since `openssl crl -in revoked.crl -text` shows it, and since Zenoh would read one, if it read any. It names
+certificates by serial number. Zenoh's rules go by common names, so each entry has its certificate's common name and
+its holder in an extension of our own, which other readers pass over.
+
+Nothing here is judged by the clock: a list does not expire, and a robot that believes to be in 1970 takes it.
+"""
+
+import datetime as dt
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+
+from gateway.certs.authority import KeyPair
+from gateway.certs.reading import read_file
+from gateway.errors import ConfigError
+
+FILE_NAME: Final = "revoked.crl"
+MAX_BYTES: Final = 1_000_000
+"""Of a file: one entry takes some 125 bytes."""
+
+_HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
+"""`operator-07/alice` as UTF8String. An identifier made from a UUID (ITU-T X.667), which nobody has to grant."""
+_UTF8_STRING: Final = 0x0C
+_HOLDER_TEXT: Final = re.compile(r"([A-Za-z0-9._-]{1,64})/([A-Za-z0-9_-]{0,63})")
+_SHORT: Final = 128  # DER lengths below this take one byte; common name and person take at most 64 + 1 + 63
+
+
+class ForeignListError(ConfigError):
+    """A list that none of the CAs has signed."""
+
+
+@dataclass(frozen=True)
+class Revoked:
+    """One certificate that is shut out."""
+
+    common_name: str
+    name: str
+    """Its person or laptop."""
+    serial: int
+    since: dt.datetime
+
+
+@dataclass(frozen=True)
+class RevocationList:
+    """A list whose signature was checked, or that was just signed."""
+
+    number: int
+    entries: tuple[Revoked, ...]
+    pem: bytes
+
+    @property
+    def common_names(self) -> frozenset[str]:
+        """Those that no rule may list any more."""
+        return frozenset(entry.common_name for entry in self.entries)
+
+    def holds(self, common_name: str, serial: int) -> bool:
+        """Whether this certificate is shut out: by its common name, whatever its serial number, or by that."""
+        return any(common_name == entry.common_name or serial == entry.serial for entry in self.entries)
+
+
+def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime) -> RevocationList:
+    """The list of these certificates, signed by the CA."""
+    kept = tuple(entries)
+    builder = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(ca.certificate.subject)
+        .last_update(now)
+        .next_update(ca.certificate.not_valid_after_utc)
+        .add_extension(x509.CRLNumber(number), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
+    )
+    for entry in kept:
+        builder = builder.add_revoked_certificate(
+            x509.RevokedCertificateBuilder()
+            .serial_number(entry.serial)
+            .revocation_date(entry.since)
+            .add_extension(x509.UnrecognizedExtension(_HOLDER, _encoded(entry)), critical=False)
+            .build()
+        )
+    pem = builder.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    return RevocationList(number, kept, pem)
+
+
+def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
+    """The list in `data`, PEM, if one of these CAs has signed it. Raises ConfigError with one sentence."""
+    try:
+        found = x509.load_pem_x509_crl(data)
+        number = found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
+        entries = tuple(map(_entry, found))
+    except (ValueError, TypeError, UnsupportedAlgorithm, x509.ExtensionNotFound, x509.DuplicateExtension) as error:
+        raise ConfigError("this is no list of `hexapod-gateway certs revoke`, or it was cut off") from error
+    if not any(_signed_by(found, ca) for ca in cas):
+        raise ForeignListError("the list is not signed by a CA of this robot: is it another robot's?")
+    return RevocationList(number, entries, data)
+
+
+def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
+    """The list that is kept there; None: there is none. Raises ConfigError, naming the file."""
+    if not path.exists():
+        return None
+    data = read_file(path, "list of revoked certificates")
+    if len(data) > MAX_BYTES:
+        raise ConfigError(f"{path} has {len(data)} bytes; that is no list of revoked certificates")
+    try:
+        return parse(data, cas)
+    except ConfigError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def why_not_newer(found: RevocationList, known: RevocationList | None) -> str | None:
+    """Why `found` must not take the place of `known`; None: it may."""
+    if known is None or found.number > known.number:
+        return None
+    if found.number == known.number:
+        return f"another list with the number {known.number} is in force; sign a newer one (certs revoke --to)"
+    return f"its number is {found.number}, and number {known.number} is in force; a list only ever grows newer"
+
+
+def _entry(found: x509.RevokedCertificate) -> Revoked:
+    extension = found.extensions.get_extension_for_oid(_HOLDER).value
+    value = extension.value if isinstance(extension, x509.UnrecognizedExtension) else b""
+    text = value[2:].decode() if value[:1] == bytes([_UTF8_STRING]) and value[1] == len(value) - 2 else ""
+    named = _HOLDER_TEXT.fullmatch(text)
+    if named is None:
+        raise ValueError("an entry names no common name")
+    return Revoked(named[1], named[2], found.serial_number, found.revocation_date_utc)
+
+
+def _encoded(entry: Revoked) -> bytes:
+    text = f"{entry.common_name}/{entry.name}".encode()
+    if len(text) >= _SHORT or _HOLDER_TEXT.fullmatch(text.decode()) is None:
+        raise ConfigError(f"{entry.common_name} of {entry.name} cannot stand in a list of revoked certificates")
+    return bytes([_UTF8_STRING, len(text)]) + text
+
+
+def _signed_by(found: x509.CertificateRevocationList, ca: x509.Certificate) -> bool:
+    key = ca.public_key()
+    if not isinstance(key, ec.EllipticCurvePublicKey | rsa.RSAPublicKey) or found.issuer != ca.subject:
+        return False
+    return found.is_signature_valid(key)

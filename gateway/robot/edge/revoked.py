@@ -1,0 +1,106 @@
+"""Who is shut out: the signed list that the robot keeps, and a configuration that lists none of those any more.
+
+Zenoh's access control is read when a session opens, so a newer list takes effect with the next start.
+"""
+
+import json
+import logging
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import zenoh
+
+from gateway import certs
+from gateway.certs import pool
+from gateway.errors import ConfigError
+from gateway.robot.host.systemd import SERVICE_STATE, state_directory
+from gateway.robot.settings import ZenohSettings
+from gateway.zenoh_config import get
+
+if TYPE_CHECKING:
+    from cryptography import x509
+
+    from gateway.certs.revocation import RevocationList
+
+_CA: Final = "transport/link/tls/root_ca_certificate"
+_SUBJECTS: Final = "access_control/subjects"
+
+logger = logging.getLogger(__name__)
+
+
+class Kept(NamedTuple):
+    """What a robot needs to judge a list, and where it keeps the one in force."""
+
+    cas: "tuple[x509.Certificate, ...]"
+    path: Path
+    known: "RevocationList | None"
+
+
+def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True) -> Kept | None:
+    """What is in force; None where the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.
+
+    `started_by_systemd`: this process is the service itself, or none is installed; else the service's folder is looked
+    at. A list beside the Zenoh file counts as well: whoever copies a folder of certificates brings it along.
+    """
+    ca = get(config, _CA)
+    if not isinstance(ca, str) or not settings.config:
+        return None
+    cas = tuple(certs.read_certificates(Path(ca)))
+    beside = Path(settings.config).absolute().parent
+    state = state_directory()
+    if state is None and not started_by_systemd and SERVICE_STATE.is_dir():
+        state = SERVICE_STATE
+    folders = [beside] if state is None else [state, beside]
+    lists = [each for folder in folders if (each := _read(folder / certs.revocation.FILE_NAME, cas)) is not None]
+    return Kept(cas, folders[0] / certs.revocation.FILE_NAME, max(lists, key=lambda each: each.number, default=None))
+
+
+def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
+    """Take those who are revoked out of the rules. A subject without names would be everybody to Zenoh."""
+    subjects = get(config, _SUBJECTS)
+    if known is None or not subjects:
+        return
+    for subject in subjects:
+        names = subject.get("cert_common_names")
+        if names:
+            subject["cert_common_names"] = [name for name in names if name not in known.common_names] or [pool.NOBODY]
+    config.insert_json5(_SUBJECTS, json.dumps(subjects))
+
+
+def keep(path: Path, found: "RevocationList") -> None:
+    """Write the list: it is on the disk when this returns, or the one before is. Raises ConfigError.
+
+    Written by root, it belongs to the folder's owner, which is the service.
+    """
+    staged = path.with_name(f".{path.name}.new")
+    try:
+        with staged.open("wb") as file:
+            os.fchmod(file.fileno(), 0o644)
+            if os.geteuid() == 0:
+                owner = path.parent.stat()
+                os.fchown(file.fileno(), owner.st_uid, owner.st_gid)
+            file.write(found.pem)
+            file.flush()
+            os.fsync(file.fileno())
+        staged.replace(path)
+        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+    except OSError as error:
+        with suppress(OSError):
+            staged.unlink()
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the list before stays in force") from error
+
+
+def _read(path: Path, cas: "Sequence[x509.Certificate]") -> "RevocationList | None":
+    try:
+        return certs.revocation.read(path, cas)
+    except certs.revocation.ForeignListError as error:
+        # Those whom it shuts out have certificates of a CA that this robot does not know either.
+        logger.warning("%s; nobody is shut out by it", error)
+        return None
