@@ -79,7 +79,7 @@ class ProofChecker:
         if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
             return f"proof.certificate is revoked ({common_name}); whoever keeps the CA issues another"
         if pool.holder(common_name).of != self._role:
-            return f"proof.certificate is not that of an operator of this robot (its common name is {common_name})"
+            return f"proof.certificate is not that of an operator of this robot (its role must be {self._role})"
         if person != source:
             return "source is not the person of proof.certificate"
         return None

@@ -175,7 +175,7 @@ def with_observer(certificates: Path, lease_ms: int) -> Path:
     for ours, theirs in (
         ('protocols: ["tls"]', 'protocols: ["tls", "unixsock-stream"]'),
         ("lease: 1000", f"lease: {lease_ms}"),
-        ('cert_common_names: ["observer"] },', 'cert_common_names: ["observer"] },\n' + _ON_THE_ROBOT),
+        ("    subjects: [\n", "    subjects: [\n" + _ON_THE_ROBOT),
         ('subjects: ["operator"]', 'subjects: ["operator", "on the robot"]'),
         ('subjects: ["operator", "observer"]', 'subjects: ["operator", "observer", "on the robot"]'),
     ):
@@ -186,7 +186,7 @@ def with_observer(certificates: Path, lease_ms: int) -> Path:
     return made
 
 
-_ON_THE_ROBOT = '      { id: "on the robot", link_protocols: ["unixsock-stream"] },'
+_ON_THE_ROBOT = '      { id: "on the robot", link_protocols: ["unixsock-stream"] },\n'
 
 
 def is_command(*legs: int) -> Callable[[FrameRecord], bool]:

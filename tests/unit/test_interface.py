@@ -20,6 +20,7 @@ from schemas import keys
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand
 from schemas.lease import Challenge, Claim, LeaseAck, Proof, Release, Renew
+from schemas.revocation import RevocationAck, RevocationRequest
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason, WatchdogState
 
@@ -58,14 +59,14 @@ def fields(model: type[BaseModel]) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("model", [Ack, LeaseAck, Calibration, GatewayState, Event, FrameRecord])
+@pytest.mark.parametrize("model", [Ack, LeaseAck, RevocationAck, Calibration, GatewayState, Event, FrameRecord])
 def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
     assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
 
 
 def test_what_comes_in_has_these_fields() -> None:
     assert set(names("### ServoCommand")) == set(MoveCommand.model_fields) | set(StopCommand.model_fields)
-    for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand):
+    for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand, RevocationRequest):
         assert set(names(f"### {model.__name__}")) == set(model.model_fields)
     asked = {name for model in (Challenge, Claim, Renew, Release) for name in model.model_fields}
     assert set(names("### LeaseRequest")) == asked - {"proof"} | {f"proof.{name}" for name in Proof.model_fields}

@@ -15,6 +15,7 @@ from schemas.__main__ import documents
 from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
 from schemas.lease import LEASE_REQUEST, LeaseAck
+from schemas.revocation import RevocationAck
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
 from tests.support.bad_commands import FAULTS
@@ -196,6 +197,8 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
     st.builds(LeaseAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
               nonce=st.none() | texts, lease=st.none() | texts, holder=st.none() | texts, ttl_ms=st.none() | floats,
               verified=st.none() | st.booleans()),
+    st.builds(RevocationAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
+              number=st.none() | st.integers(0), revoked=st.none() | texts),
     st.just(state()),
 )  # fmt: skip
 
@@ -252,18 +255,18 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 @pytest.mark.parametrize(("enumeration", "words"), [
     (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping "
-     "not_holder no_lease lease_held lease_denied landing overflow"),
+     "not_holder no_lease lease_held lease_denied landing overflow revocation_denied"),
     (Mode, "starting idle active estopped bus_fault stopping"),
     (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
      "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked "
-     "landing calibrated overflow bus_unbatched"),
+     "landing calibrated overflow bus_unbatched revoked"),
     (Cause, "command watchdog estop startup shutdown repeat"),
 ])  # fmt: skip
 def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:
     assert [str(word) for word in enumeration] == words.split()
 
 
-REPORTS = ("Ack", "LeaseAck", "Calibration", "GatewayState", "Event", "FrameRecord")
+REPORTS = ("Ack", "LeaseAck", "RevocationAck", "Calibration", "GatewayState", "Event", "FrameRecord")
 
 
 def every_object(schema: object) -> list[dict[str, Any]]:

@@ -68,7 +68,7 @@ def test_a_laptops_certificate_carries_role_and_name_and_cannot_serve(folder: Pa
     ca, alice = certs.read_certificate(folder / "ca.pem"), certs.read_certificate(folder / "alice.pem")
     alice.verify_directly_issued_by(ca)
     # The first common name, the only one, is all that Zenoh looks at.
-    assert [a.value for a in alice.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] == ["operator"]
+    assert [a.value for a in alice.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] == ["operator-00"]
     assert [a.value for a in alice.subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)] == ["alice"]
     usage = alice.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -236,7 +236,7 @@ def test_the_commands_from_init_to_list(tmp_path: Path) -> None:
     assert (code, "alice.json5" in text, bundle in text) == (0, True, True)
     code, text = run("list", "--dir", directory)
     rows = [line.split("\t") for line in text.splitlines()]
-    assert rows[0] == ["NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL"]
+    assert rows[0] == ["NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE"]
     assert [row[1] for row in rows[1:]] == ["ca", "gateway", "operator"]
     assert (rows[3][0], rows[3][3]) == ("alice", "89")
     code, text = run("console", "--dir", directory, "--host", "robot.local")
@@ -259,7 +259,9 @@ def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
         assert len(text.splitlines()) == 1
 
 
-@pytest.mark.parametrize("command", ["init", "issue", "console", "list", "renew"])
+@pytest.mark.parametrize(
+    "command", ["init", "issue", "console", "list", "renew", "revoke", "reissue", "pool", "replace-ca", "drop-ca"]
+)
 def test_every_help_has_an_example(command: str) -> None:
     code, text = run(command, "--help")
     assert code == 0

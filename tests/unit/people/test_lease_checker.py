@@ -109,8 +109,8 @@ def test_in_a_fleet_the_role_names_the_robot() -> None:
     carla = authority.make_laptop(CA, "carla", "operator.robot-1", 30, NOW)
     made = proof(carla, source="carla")
     assert first.fault(made, "acquire", "carla", NOW) is None
-    assert "common name must be operator.robot-2" in str(second.fault(made, "acquire", "carla", NOW))
-    assert "common name must be operator)" in str(CHECKER.fault(made, "acquire", "carla", NOW))
+    assert "role must be operator.robot-2" in str(second.fault(made, "acquire", "carla", NOW))
+    assert "role must be operator)" in str(CHECKER.fault(made, "acquire", "carla", NOW))
     assert first.fault(proof(), "acquire", "anna", NOW)
 
 
