@@ -148,16 +148,6 @@ ZENOH_FILES = Subject(
             "observers command",
         ),
         Mutant('default_permission: "deny"', 'default_permission: "allow"', "observers command"),
-        Mutant(
-            '{ id: "observer", cert_common_names: ["observer"] }',
-            '{ id: "observer" }',
-            "a certificate without a role watches",
-        ),
-        Mutant(
-            '{ id: "operator", cert_common_names: ["operator"] }',
-            '{ id: "operator", cert_common_names: ["operator", "observer"] }',
-            "observers command",
-        ),
         Mutant("rules: @OPERATORS_RULES@", "rules: @EVERYONES_RULES@", "operators watch only"),
         Mutant('{ subjects: ["operator"],\n', '{ subjects: ["operator", "observer"],\n', "observers command"),
         Mutant('{ subjects: ["operator", "observer"],\n', '{ subjects: ["observer"],\n', "operators see nothing"),

@@ -1,0 +1,182 @@
+"""A lost laptop is out: two laptops with certificates, each on its own link, a robot, and an observer on the robot."""
+
+import datetime as dt
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import certs
+from gateway.client import Client
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Reason
+from tests.net.hosts import LaptopHost, RobotHost, with_certificates
+from tests.net.namespaces import Network
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND
+
+pytestmark = pytest.mark.net
+
+PORT = 7460
+BACK_S = 3.0
+"""Within which everybody else is back, as it was promised."""
+AGAIN_S = 0.05
+LATE_MS = 500.0
+"""What a busy machine may add to an answer."""
+
+
+@dataclass
+class Scene:
+    """The robot keeps its list in `state`; `folder` has the CA, and is on a third machine (the robot's own, here)."""
+
+    robot: RobotHost
+    anna: LaptopHost
+    bert: LaptopHost
+    folder: Path
+    state: Path
+    network: Network
+
+    def revoke(self, *arguments: str) -> Child:
+        """`certs revoke` with that, over bert's connection."""
+        endpoint = f"tls/{self.network.robot_address(1)}:{PORT}"
+        bert = ("--zenoh-config", str(self.folder / "bert.json5"))
+        command = [*COMMAND, "certs", "revoke", *arguments, "--dir", str(self.folder), "--to", endpoint, *bert]
+        child = Child([*self.network.laptop(1), *command], os.environ)
+        child.wait(30)
+        child.close()
+        return child
+
+    def on_the_robot(self) -> Client:
+        """The client that needs no certificate, once it has come back."""
+        self.robot.client.wait_ready(20)
+        return self.robot.client
+
+
+@pytest.fixture
+def scene(hosts_network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    """Anew for each test: a list only ever grows."""
+    state = tmp_path / "state"
+    state.mkdir()
+    monkeypatch.setenv("STATE_DIRECTORY", str(state))
+    for number in hosts_network.laptops:
+        hosts_network.fix(number)
+    settings: dict[str, dict[str, Any]] = {"lease": {"ttl_ms": 2000.0}}
+    with with_certificates(hosts_network, tmp_path, "anna", "bert", port=PORT, settings=settings) as (robot, laptops):
+        yield Scene(robot, laptops[0], laptops[1], tmp_path / "D", state, hosts_network)
+
+
+def walk(scene: Scene, laptop: LaptopHost) -> None:
+    """All six legs, at 50 Hz, with the lease."""
+    assert laptop.ask("lease acquire")["verified"] is True
+    laptop.start(*LEGS)
+    laptop.stream(*LEGS)
+    scene.robot.wait_for_commands(*LEGS)
+
+
+def nothing_of(scene: Scene, laptop: LaptopHost) -> None:
+    """What this laptop sends changes nothing: not even its emergency stop arrives."""
+    before = scene.on_the_robot().state().estop
+    with pytest.raises(AssertionError):
+        laptop.ask("estop")
+    assert scene.on_the_robot().state().estop == before
+
+
+def logged(robot: RobotHost, kind: Kind) -> dt.datetime:
+    """When the gateway has logged such an event for the last time."""
+    lines = robot.gateway.child.stdout + robot.gateway.child.stderr
+    found = [line for line in lines.splitlines() if f'"kind": "{kind}"' in line]
+    return dt.datetime.fromisoformat(json.loads(found[-1])["timestamp"])
+
+
+def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(scene: Scene) -> None:
+    robot, anna, bert = scene.robot, scene.anna, scene.bert
+    walk(scene, anna)
+    child = scene.revoke("anna")
+    assert child.returncode == 0, child.stderr
+    bert.wait_for_answer()
+    back = dt.datetime.now(dt.UTC)
+    revoked, stopping, started = (logged(robot, kind) for kind in (Kind.REVOKED, Kind.STOPPING, Kind.STARTED))
+    print(
+        f"revoked: legs stopped after {(stopping - revoked).total_seconds() * 1000:.1f} ms, commands taken after "
+        f"{(started - revoked).total_seconds():.2f} s, bert answered after {(back - revoked).total_seconds():.2f} s"
+    )
+    assert revoked <= stopping <= started
+    assert (back - revoked).total_seconds() < BACK_S
+    state = scene.on_the_robot().state()
+    assert state.lease.holder is None
+    assert not robot.running
+    assert bert.ask("lease acquire")["verified"] is True
+    bert.start(*LEGS)
+    bert.stream(*LEGS)
+    nothing_of(scene, anna)
+    assert bert.ask("stop")["accepted"]
+    bert.ask("pause")
+
+
+def test_a_revoked_laptop_that_comes_again_every_50_ms_costs_nobody_a_stop(scene: Scene) -> None:
+    robot, bert = scene.robot, scene.bert
+    assert scene.revoke("anna").returncode == 0
+    bert.wait_for_answer()
+    config = next((scene.folder / "earlier").glob("anna-*.json5"))
+    config = Path(shutil.copy(config, scene.folder / "lost.json5"))
+    for suffix in ("key", "pem"):
+        shutil.copy(next((scene.folder / "earlier").glob(f"anna-*.{suffix}")), scene.folder / f"anna.{suffix}")
+    knocking = [*scene.network.laptop(0), sys.executable, "-m", "tests.net.knocking", str(config), str(AGAIN_S)]
+    child = Child(knocking, os.environ)
+    try:
+        child.wait_for_line(10, 20)
+        assert bert.ask("lease acquire")["verified"] is True
+        bert.start(*LEGS)
+        bert.stream(*LEGS)
+        bert.ask("sent 300")
+        answers_ms = [bert.ask("state")["answered_ms"] for _ in range(50)]
+        child.wait_for_line(40, 20)
+        assert robot.running == {*LEGS}, "bert's stream was never silent"
+        stopped = bert.ask("stop")
+        print(f"state answered within {max(answers_ms):.1f} ms, stop within {stopped['answered_ms']:.1f} ms")
+        assert stopped["accepted"]
+        assert stopped["answered_ms"] < LATE_MS
+        state = scene.on_the_robot().state()
+        assert state.estop == 0, "none of its emergency stops arrived"
+        assert state.watchdog.expirations == 0
+    finally:
+        child.close()
+        bert.ask("pause")
+    robot.gateway.child.wait_for_output("operator-00 is revoked, tries to connect, and is turned away")
+
+
+def test_a_robot_that_was_off_when_it_was_revoked(scene: Scene, tmp_path: Path) -> None:
+    scene.robot.gateway.child.terminate()
+    scene.robot.gateway.child.wait(10)
+    child = scene.revoke("anna")
+    assert child.returncode == 4
+    assert "Once it is there: " in child.stderr
+    folder = tmp_path / "again"
+    folder.mkdir()
+    with RobotHost(scene.network, folder, port=PORT, certificates=scene.folder) as robot:
+        # The folder of this test is also the robot's: what is beside its Zenoh file counts.
+        assert "list 1 shuts out operator-00" in robot.gateway.child.stdout + robot.gateway.child.stderr
+
+
+def test_two_lists_that_cross(scene: Scene, tmp_path: Path) -> None:
+    """Two people with copies of the folder each shut somebody out; both stay out, in whichever order it arrives."""
+    theirs = tmp_path / "theirs"
+    certs.issue(scene.folder, "carl", "operator")
+    shutil.copytree(scene.folder, theirs)
+    first = certs.revoke(theirs, "anna")
+    assert scene.on_the_robot().revocation(first.pem.decode()).accepted
+    scene.bert.wait_for_answer()
+    child = scene.revoke("carl")
+    assert child.returncode == 0, child.stderr
+    assert "list 2 has both" in child.stderr
+    scene.bert.wait_for_answer()
+    answer = scene.on_the_robot().revocation(first.pem.decode())
+    assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
+    assert "number is 1, and number 2 is in force" in str(answer.detail)
+    assert scene.robot.client.revocation().number == 2
