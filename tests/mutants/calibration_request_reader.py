@@ -11,7 +11,7 @@ DESKS = Subject(
     mutants=(
         Mutant('    if "*" in str(query.key_expr):', "    if False:", "a look at all keys is a request"),
         Mutant(
-            "    if payload is not None and len(payload) > MAX_PAYLOAD_BYTES:\n",
+            "    if payload is not None and len(payload) > most:\n",
             "    if False:\n",
             "a large payload is read whole",
         ),

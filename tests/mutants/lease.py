@@ -136,7 +136,7 @@ PROOF = Subject(
         ),
         Mutant("        if now < start:\n", "        if False:\n", "a certificate of tomorrow counts today"),
         Mutant("        if now > end:\n", "        if False:\n", "a certificate counts for ever"),
-        Mutant("        if role != self._role:\n", "        if False:\n", "an observer drives"),
+        Mutant("        if pool.holder(common_name).of != self._role:\n", "        if False:\n", "an observer drives"),
         Mutant(
             '        self._role = f"{OPERATOR}.{robot}" if robot else OPERATOR\n',
             "        self._role = OPERATOR\n",

@@ -205,7 +205,7 @@ def test_an_observer_commands_nothing(robot: SecuredRobot, carol: Remote) -> Non
 def test_two_laptops_of_one_role_work_side_by_side(robot: SecuredRobot, alice: Remote) -> None:
     with Remote() as bob:
         zid = robot.join(bob, "bob")
-        assert robot.gateway.identity(zid) == "operator"
+        assert robot.gateway.identity(zid) == "operator-01"
         assert bob.matching("hexapod/leg/1/cmd")
         for each in (alice, bob):
             put_and_settle(each, ["hexapod/leg/1/cmd"])
