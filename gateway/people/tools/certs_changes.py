@@ -7,8 +7,8 @@ import typer
 
 from gateway import certs
 from gateway.certs import pool
-from gateway.people.tools.certs import Days, Directory, app
 from gateway.people.terminal import this_command
+from gateway.people.tools.certs import Days, Directory, app
 
 __all__ = ["app"]
 
