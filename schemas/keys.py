@@ -20,7 +20,9 @@ CALIBRATION_CMD: Final = f"{ROOT}/calibration/cmd"
 """Changes the calibration."""
 REVOCATION: Final = f"{ROOT}/revocation/cmd"
 """Shuts certificates out."""
-GET_ONLY: Final = (LEASE, CALIBRATION_CMD, REVOCATION)
+BUTTON: Final = f"{ROOT}/button/cmd"
+"""Who watches with a hand on a stop."""
+GET_ONLY: Final = (LEASE, CALIBRATION_CMD, REVOCATION, BUTTON)
 """They take `get` only, and command nothing that moves, so they are none of COMMAND_KEYS."""
 STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
@@ -91,6 +93,8 @@ def parse(key: str) -> CommandKey:
             )
         case [_, "lease", "cmd"]:
             raise ValueError(f"{LEASE} takes get only: its answer is for one alone")
+        case [_, "button", "cmd"]:
+            raise ValueError(f"{BUTTON} takes get only: a check-in that is not answered is none")
         case [_, "calibration", "cmd"]:
             raise ValueError(f"{CALIBRATION_CMD} takes get only: whoever changes it has to know what became of it")
         case [_, "revocation", "cmd"]:

@@ -38,6 +38,9 @@ class Reason(StrEnum):
     LANDING = "landing"
     OVERFLOW = "overflow"
     REVOCATION_DENIED = "revocation_denied"
+    NO_BUTTON = "no_button"
+    UNKNOWN_BUTTON = "unknown_button"
+    BUTTON_DENIED = "button_denied"
 
 
 class Mode(StrEnum):
@@ -74,6 +77,10 @@ class Kind(StrEnum):
     OVERFLOW = "overflow"
     BUS_UNBATCHED = "bus_unbatched"
     REVOKED = "revoked"
+    BUTTON_REGISTERED = "button_registered"
+    BUTTON_SILENT = "button_silent"
+    BUTTON_LEFT = "button_left"
+    BUTTON_RETURNED = "button_returned"
 
 
 class Cause(StrEnum):
@@ -211,6 +218,14 @@ class LeaseReport(Report):
     asked_by: str | None = None
 
 
+class ButtonsReport(Report):
+    """The buttons that watch; nothing moves while fewer are alive than are required."""
+
+    required: Count = 0
+    alive: Count = 0
+    names: Annotated[tuple[str, ...], Field(description="of those that are alive")] = ()
+
+
 class CalibrationReport(Report):
     """The calibration in force, without its numbers; those are on `hexapod/calibration`."""
 
@@ -267,6 +282,7 @@ class GatewayState(Report):
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
     estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
+    buttons: Annotated[ButtonsReport, Field(description="an older gateway has none")] = ButtonsReport()
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
     loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
     incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None

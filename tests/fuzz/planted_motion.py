@@ -26,7 +26,7 @@ class LandingMadeLonger(Supervisor):
     def _touch_down(self, ends_ns: int, now_ns: int) -> list[Effect]:
         del ends_ns
         silent = [leg for leg in self.legs if leg.heard_ns and now_ns == leg.heard_ns + self._rules.timeout_ns]
-        return self._begin_landing(1, now_ns + self._rules.landing_ns, now_ns) if silent else []
+        return self._begin_landing("", now_ns + self._rules.landing_ns, now_ns) if silent else []
 
 
 class CommandsDuringLanding(Supervisor):

@@ -38,6 +38,8 @@ from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.core.transitions import TRANSITIONS
 from schemas.telemetry import Mode
+from tests.support.buttons_history import ButtonsHistory
+from tests.support.buttons_model import button_requests, buttons_key, copied_buttons
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.calibration_model import calibrating_key, changes, copy_calibrating
 from tests.support.history import STOP_SERVOS, Violation, demand, speed_age_ns
@@ -94,6 +96,7 @@ _SUPERVISOR_FIELDS: Final = {
     "_rules",
     "legs",
     "lease",
+    "buttons",
     "calibrating",
     "_reach",
     "_opened",
@@ -141,7 +144,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
         _, _, _, *rest = _leg_fields(leg)
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
-    other.lease = copied_lease(supervisor.lease)
+    other.lease, other.buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
     copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
@@ -171,6 +174,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
         lease_key(supervisor.lease, now_ns),
+        buttons_key(supervisor.buttons, now_ns),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -211,6 +215,8 @@ def events(
     estops: int,
     lease: LeaseHistory,
     calibration: CalibrationHistory,
+    buttons: ButtonsHistory,
+    now_ns: int,
 ) -> Iterator[tuple[str, Event]]:
     """Everything that can happen, with a name. The next command is `number`, the latest emergency stop `estops`."""
     # Where every command is rejected, one is as good as another.
@@ -221,6 +227,7 @@ def events(
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
     yield from lease_requests(configuration.drivers, number, lease)
+    yield from button_requests(configuration.buttons, number, now_ns, configuration.delays_ns, buttons)
     yield from changes(configuration.changes, number, calibration)
     if configuration.calm:
         return
@@ -275,13 +282,19 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
     mode = state.supervisor.mode
     waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
     waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
-    oracle = state.oracle
-    for name, event in events(
-        configuration, mode, state.number, state.supervisor.estops, oracle.lease, oracle.calibration
-    ):
-        if type(event) not in TRANSITIONS[mode]:
-            continue
-        for wait_ns, same_instant in waits:
+    for wait_ns, same_instant in waits:
+        for name, event in events(
+            configuration,
+            mode,
+            state.number,
+            state.supervisor.estops,
+            state.oracle.lease,
+            state.oracle.calibration,
+            state.oracle.buttons,
+            state.now_ns + wait_ns,
+        ):
+            if type(event) not in TRANSITIONS[mode]:
+                continue
             supervisor, oracle = copied(state.supervisor), state.oracle.clone()
             way = (state.way, f"+{wait_ns}{' in the same instant' if wait_ns and same_instant else ''} {name}")
             now_ns = state.now_ns + wait_ns

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
+    ButtonRequest,
     Calibrate,
     Command,
     Completed,
@@ -69,8 +70,9 @@ class Oracle(RobotHistory):
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
         self.lease.pass_time(now_ns, effects)
+        self.buttons.pass_time(now_ns, effects)
         match event:
-            case Command() | Reset() | TimePassed() | Calibrate():
+            case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest():
                 self._in_time(event, now_ns, effects)
             case Kept():
                 self._must_be_rejected(event, effects, kept)
@@ -135,17 +137,21 @@ class Oracle(RobotHistory):
 
     def _in_time(
         self,
-        event: Command | Reset | LeaseRequest | TimePassed | StoppedOutside | Calibrate | Kept,
+        event: Command | Reset | LeaseRequest | ButtonRequest | TimePassed | StoppedOutside | Calibrate | Kept,
         now_ns: int,
         effects: Sequence[Effect],
     ) -> None:
         frames = [effect for effect in effects if isinstance(effect, Transmit)]
         if not self.bus_ok:
             demand(not frames, "nothing is sent while the bus is at fault")
-        watchdog = self._expired(now_ns)
+        watchdog = self._unwatched(now_ns) + self._expired(now_ns)
+        if isinstance(event, ButtonRequest):
+            self.buttons.judge(event, now_ns, effects, ended=self.ended)
+            watchdog += self._unwatched(now_ns)
         expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG and effect.frame.is_stop]
         demand(
-            expired == [stop_leg(leg) for leg in watchdog], f"legs not heard for the timeout are stopped: {watchdog}"
+            expired == [stop_leg(leg) for leg in watchdog],
+            f"legs not heard for the timeout, and those that too few buttons watch, are stopped: {watchdog}",
         )
         stops: frozenset[int] = frozenset()
         if isinstance(event, Command):
@@ -197,8 +203,26 @@ class Oracle(RobotHistory):
         if self.landing is not None:
             stopped = list(self.legs) if now_ns >= self.landing.ends_ns else []
             self.landing = None if stopped else self.landing
-        elif silent and self._lands(min(self.legs[number].heard_ns or 0 for number in silent), now_ns):
+        elif silent and self._lands(
+            min(self.legs[number].heard_ns or 0 for number in silent) + self.rules.timeout_ns, now_ns
+        ):
             return []
+        self._stopped_unasked(stopped, now_ns)
+        return stopped
+
+    def _unwatched(self, now_ns: int) -> list[int]:
+        """The legs that must be stopped now, since fewer buttons are alive than are required."""
+        armed = any(self.armed(number) for number in self.legs)
+        if not (self.bus_ok and self.buttons.closed and armed) or self.landing is not None:
+            return []
+        fell_ns = self.buttons.fell_ns
+        demand(fell_ns is not None, "nothing ran before enough buttons were alive")
+        if self._lands(fell_ns or 0, now_ns):
+            return []
+        self._stopped_unasked(list(self.legs), now_ns)
+        return list(self.legs)
+
+    def _stopped_unasked(self, stopped: Sequence[int], now_ns: int) -> None:
         for number in stopped:
             self.legs[number].source = None
             for servo in self.servos_of(number):
@@ -209,11 +233,10 @@ class Oracle(RobotHistory):
                 servo.owe(self.rules, now_ns)
         if stopped and self.rules.start_pause_ns:
             self._drop_starts()
-        return stopped
 
-    def _lands(self, heard_ns: int, now_ns: int) -> bool:
-        """Whether silence since `heard_ns` lands the robot now, where something runs and there is time left."""
-        ends_ns = heard_ns + self.rules.timeout_ns + self.rules.landing_ns
+    def _lands(self, deadline_ns: int, now_ns: int) -> bool:
+        """Whether the robot lands now, since `deadline_ns` has passed, something runs, and there is time left."""
+        ends_ns = deadline_ns + self.rules.landing_ns
         if not self.energised or now_ns >= ends_ns:
             return False
         ways = {}
@@ -289,7 +312,7 @@ class Oracle(RobotHistory):
     def _reset(self, reset: Reset, effects: Sequence[Effect], now_ns: int) -> None:
         reason = CLOSED.get(self.mode)
         if reason in (None, Reason.ESTOPPED):
-            reason = self.lease.reason_to_reject(reset.lease, reset=True) or reason
+            reason = self.lease.reason_to_reject(reset.lease, reset=True) or self.too_few_buttons or reason
         if reason is Reason.ESTOPPED and self.latched_ns is not None:
             age_ns = self.instant_ns - self.latched_ns
             reason = None if is_newer(reset, age_ns, self.estops, self.rules) else reason
@@ -362,11 +385,15 @@ class Oracle(RobotHistory):
     def _after(self, now_ns: int, due_ns: int | None) -> None:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
         demand(waited_for == self.pending.keys(), f"every command is answered: {waited_for} wait, not {self.pending}")
+        theirs = [each for each in (self.lease.due_ns, self.buttons.due_ns) if each is not None]
         if not self.bus_ok:
-            demand(due_ns == self.lease.due_ns, "no time but the lease's is awaited while the bus is at fault")
+            theirs_ns = min(theirs, default=None)
+            demand(due_ns == theirs_ns, "no time but the lease's and the buttons' is awaited while the bus is at fault")
             return
-        latest = self.head_of_queue(now_ns) + ([] if self.lease.due_ns is None else [self.lease.due_ns])
+        latest = self.head_of_queue(now_ns) + theirs
         self.landing = self.landing if self.energised else None
+        watched = not self.buttons.closed or self.landing is not None
+        demand(watched or not self.alive, "nothing runs while fewer buttons are alive than are required")
         for number, leg in self.legs.items():
             servos = self.servos_of(number)
             if self.landing is not None:

@@ -9,6 +9,7 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.protocol.frames import Op, servo_ids_of
 from schemas.robot import LEGS
 from schemas.telemetry import Mode, Reason
+from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import CLOSED, LegHistory, ServoHistory, demand
 from tests.support.lease_history import LeaseHistory
@@ -36,6 +37,7 @@ class RobotHistory:
         self.instant_ns = 0
         """When the present instant began: that of all that was collected together."""
         self.lease = LeaseHistory(rules)
+        self.buttons = ButtonsHistory(rules)
         self.calibration = CalibrationHistory(rules, calibration or Calibration(), fault)
         self.landing: LandingHistory | None = None
         self.energised_leg: int | None = None
@@ -54,6 +56,7 @@ class RobotHistory:
         other.pending = dict(self.pending)
         other.landing = self.landing and self.landing.clone()
         other.lease, other.calibration = self.lease.clone(), self.calibration.clone()
+        other.buttons = self.buttons.clone()
         return other
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -65,8 +68,21 @@ class RobotHistory:
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
         pending = tuple(self.pending[number] for number in sorted(self.pending))
-        lease = self.lease.key(now_ns), self.landing and self.landing.key(now_ns), self.calibration.key()
-        return self.opened, self.bus_ok, self.ended, self.outside, latched, pause, pending, legs, servos, lease
+        others = self.lease.key(now_ns), self.buttons.key(now_ns), self.calibration.key()
+        landing = self.landing and self.landing.key(now_ns)
+        return (
+            self.opened,
+            self.bus_ok,
+            self.ended,
+            self.outside,
+            latched,
+            pause,
+            pending,
+            legs,
+            servos,
+            landing,
+            others,
+        )
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
         """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
@@ -109,7 +125,7 @@ class RobotHistory:
             return CLOSED[self.mode]
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         if moves:
-            closed = self.reason_to_move_nothing(command.lease)
+            closed = self.reason_to_move_nothing(command.lease) or self.too_few_buttons
             closed = closed or self.calibration.reason_to_reject([servo_id for _, servo_id, _ in moves])
             if closed is not None:
                 return closed
@@ -126,6 +142,11 @@ class RobotHistory:
         if self.outside:
             return Reason.SERVO_STOPPED
         return self.lease.reason_to_reject(lease) or (None if self.landing is None else Reason.LANDING)
+
+    @property
+    def too_few_buttons(self) -> Reason | None:
+        """Why no start, set or reset is taken while fewer buttons are alive than are required."""
+        return Reason.NO_BUTTON if self.buttons.closed else None
 
     # ---- starts one after the other
 

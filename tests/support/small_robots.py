@@ -30,6 +30,10 @@ class Configuration:
     """Whether the service may be shut down, too."""
     drivers: tuple[str, ...] = ()
     """Who wants the lease."""
+    buttons: tuple[str, ...] = ()
+    """Who wants to be a button."""
+    delays_ns: tuple[int, ...] = ()
+    """How long a button's message may have been on its way, where it says when it was sent."""
     calibration: Calibration | None = None
     """What is in force at first."""
     fault: str | None = None
@@ -149,6 +153,47 @@ CONFIGURATIONS: Final = (
         (_ONE_SERVO[0], _ONE_SERVO[2]),
         (TICK, 3 * TICK),
         drivers=("anna",),
+    ),
+    Configuration(
+        "two buttons, one of which must be alive",
+        _rules(repeats=0, timeout_ns=2 * TICK, buttons_required=1, buttons_timeout_ns=3 * TICK),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+        ends=False,
+        buttons=("kitchen", "door"),
+        calm=True,
+    ),
+    Configuration(
+        "one button whose messages may be late",
+        _rules(repeats=0, buttons_required=1, buttons_timeout_ns=3 * TICK),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (TICK, 4 * TICK),
+        ends=False,
+        buttons=("kitchen",),
+        delays_ns=(0, TICK, 3 * TICK),
+        calm=True,
+    ),
+    Configuration(
+        "a button that must be alive, and whatever else may happen",
+        _rules(repeats=0, timeout_ns=2 * TICK, buttons_required=1, buttons_timeout_ns=2 * TICK),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+        buttons=("kitchen",),
+    ),
+    Configuration(
+        "two legs, landing, and a button that must be alive",
+        _rules(
+            repeats=0, landing_ns=8 * TICK, landing_cdeg={11: HIGH}, buttons_required=1, buttons_timeout_ns=3 * TICK
+        ),
+        (1, 2),
+        (("legs", _each(START, 11, 21)), ("servo", _each(STOP, 21))),
+        (TICK, 4 * TICK),
+        ends=False,
+        buttons=("kitchen",),
+        calm=True,
     ),
     Configuration(
         "two legs, started one after the other",

@@ -5,6 +5,9 @@ from gateway.robot.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    ButtonAnswer,
+    ButtonDo,
+    ButtonRequest,
     Calibrate,
     Command,
     Completed,
@@ -68,8 +71,18 @@ def said(effect: Effect) -> str:
             return f"rejected {effect.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
-        case LeaseAnswer() | Keep():
-            return f"lease {effect.reason or 'granted'}" if isinstance(effect, LeaseAnswer) else f"keep {effect.number}"
+        case LeaseAnswer() | ButtonAnswer() | Keep():
+            return _answer(effect)
+
+
+def _answer(effect: LeaseAnswer | ButtonAnswer | Keep) -> str:
+    match effect:
+        case LeaseAnswer():
+            return f"lease {effect.reason or 'granted'}"
+        case ButtonAnswer():
+            return f"button {effect.reason or 'granted'}, {effect.alive} alive"
+        case Keep():
+            return f"keep {effect.number}"
 
 
 def _word(command: ServoOp) -> str:
@@ -135,6 +148,14 @@ class Steps:
         to = name.removeprefix("to ") if name.startswith("to ") else None
         source = name if name and to is None else None
         return self.take(at_ms, LeaseRequest(Do(verb), source, token=token, to=to, fresh_token=fresh))
+
+    def button(
+        self, at_ms: float, verb: str, who: str = "", count: int = 0, *, sent_ms: float | None = None
+    ) -> list[str]:
+        """`register` by a name, whose token that then is as well; `alive` and `leave` by that token."""
+        do = ButtonDo(verb)
+        request = ButtonRequest(do, _ns(at_ms), who, token=who, count=count, sent_ms=sent_ms, fresh_token=who)
+        return self.take(at_ms, request)
 
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""

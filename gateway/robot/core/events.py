@@ -85,6 +85,30 @@ class LeaseRequest:
     fresh_token: str = field(default="", repr=False)
 
 
+class ButtonDo(StrEnum):
+    """What a button wants."""
+
+    REGISTER = "register"
+    ALIVE = "alive"
+    LEAVE = "leave"
+
+
+@value
+class ButtonRequest:
+    """A button registers (where names have to be proved, `source` is), checks in, or leaves.
+
+    `received_ns` is when that came; `fresh_token` is 128 random bits, for a registration.
+    """
+
+    do: ButtonDo
+    received_ns: int
+    source: str | None = None
+    token: str = field(default="", repr=False)
+    count: int = 0
+    sent_ms: float | None = None
+    fresh_token: str = field(default="", repr=False)
+
+
 @value
 class Calibrate:
     """Somebody wants the calibration changed: the one with this `revision`, or whichever is in force (None).
@@ -134,6 +158,7 @@ Event = (
     | EmergencyStop
     | Reset
     | LeaseRequest
+    | ButtonRequest
     | Calibrate
     | Kept
     | StoppedOutside
@@ -196,6 +221,16 @@ class LeaseAnswer:
 
 
 @value
+class ButtonAnswer:
+    """The answer to a ButtonRequest: granted, if there is no `reason`. `token` is that of the registration it gives."""
+
+    reason: Reason | None = None
+    detail: str | None = None
+    token: str | None = field(default=None, repr=False)
+    alive: int = 0
+
+
+@value
 class Keep:
     """Write this calibration to the disk, without making anything wait for it, and answer with Kept in any case.
 
@@ -206,4 +241,4 @@ class Keep:
     calibration: Calibration
 
 
-Effect = Transmit | Completed | Rejected | Announce | LeaseAnswer | Keep
+Effect = Transmit | Completed | Rejected | Announce | LeaseAnswer | ButtonAnswer | Keep

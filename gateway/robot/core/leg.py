@@ -36,6 +36,10 @@ class Rules:
     lease_ttl_ns: int = NS_PER_S
     lease_takeover: bool = True
     """Whether the lease may be taken from its holder, with a Stop of all legs."""
+    buttons_required: int = 0
+    """How many buttons must be alive for anything to move (Behaviour 14)."""
+    buttons_timeout_ns: int = NS_PER_S
+    """For how long a button is alive after a check-in."""
 
 
 @dataclass(slots=True)

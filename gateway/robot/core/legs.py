@@ -313,7 +313,7 @@ class Legs:
         self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
             leg.source, leg.landed_ns = None, 0
-        return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg fell silent")
+        return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg or a button fell silent")
 
     def land(self, now_ns: int) -> list[Effect]:
         """The frames of a landing that are due: only for servos that run, so nothing is started."""

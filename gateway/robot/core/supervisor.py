@@ -25,6 +25,8 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
 10. Angles here are users'; only a frame that goes out has the servo's own (`Legs`, by the calibration in force). The
     calibration changes for no servo that runs or waits to be started, and nothing starts one meanwhile (`calibrating`).
+11. While fewer buttons are alive than are required, starts, sets and resets are rejected, and what runs is stopped, or
+    lands, when they have become too few (`buttons`). Stops need no button.
 
 `StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -36,11 +38,14 @@ or Set that came by another channel, and the emergency stop wins over a reset.
 
 from typing import Final
 
+from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    ButtonAnswer,
+    ButtonRequest,
     Calibrate,
     Command,
     Completed,
@@ -72,7 +77,7 @@ _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
 _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
-_LANDING: Final = "the robot lands, since a leg fell silent; start it once all legs are stopped"
+_LANDING: Final = "the robot lands, since a leg or a button fell silent; start it once all legs are stopped"
 _REJECTING: Final = {
     Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
     Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
@@ -90,6 +95,7 @@ class Supervisor:
         self.calibrating = Calibrating(self._reach)
         self.legs = Legs(rules, self._reach)
         self.lease = Lease(rules)
+        self.buttons = Buttons(rules)
         self._opened = False  # ever
         self._bus_ok = False
         self._latched_ns: int | None = None
@@ -121,10 +127,19 @@ class Supervisor:
         if type(event) is Kept and not self.calibrating.awaits(event.number):
             raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
-        lease_due_ns = self.lease.due_ns
-        ended = self.lease.expire(now_ns) if lease_due_ns is not None and now_ns >= lease_due_ns else []
+        lease_ns, button_ns = self.lease.due_ns, self.buttons.due_ns
+        late = (lease_ns is not None and now_ns >= lease_ns) or (button_ns is not None and now_ns >= button_ns)
+        ended = [*self.lease.expire(now_ns), *self.buttons.expire(now_ns, self._without_buttons())] if late else []
         match event:
-            case Command() | Reset() | TimePassed() | StoppedOutside(at_work=False):
+            case (
+                Command()
+                | TimePassed()
+                | Reset()
+                | ButtonRequest()
+                | Calibrate()
+                | Kept()
+                | StoppedOutside(at_work=False)
+            ):
                 effects = self._in_time(event, now_ns)
             case LeaseRequest():
                 effects = self._lease_request(event, now_ns)
@@ -139,8 +154,6 @@ class Supervisor:
                 effects = self._bus_failed(event)
             case ShutDown():
                 effects = self._shut_down(now_ns)
-            case Calibrate() | Kept():
-                effects = self._in_time(event, now_ns)
         self.legs.look()
         if self.legs.landing is not None and self.legs.at_rest:
             self.legs.landing = None  # people have stopped all that was on its way down
@@ -148,6 +161,8 @@ class Supervisor:
         self.due_ns = self.legs.due_ns if self._bus_ok else None
         if self.lease.due_ns is not None:
             self.due_ns = self.lease.due_ns if self.due_ns is None else min(self.due_ns, self.lease.due_ns)
+        if self.buttons.due_ns is not None:
+            self.due_ns = self.buttons.due_ns if self.due_ns is None else min(self.due_ns, self.buttons.due_ns)
         effects = ended + effects if ended else effects
         return sorted(effects, key=_after_stops) if self.legs.stops else effects
 
@@ -164,7 +179,9 @@ class Supervisor:
     def _in_time(self, event: Event, now_ns: int) -> list[Effect]:
         """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
         due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
-        effects = self._expire(now_ns) if due else []
+        effects = self._stop_unwatched(now_ns) if self.buttons.closed else []
+        if due:
+            effects += self._expire(now_ns)
         match event:
             case Command():
                 effects += self._command(event, now_ns)
@@ -172,6 +189,8 @@ class Supervisor:
                 effects += self._reset(event, now_ns)
             case LeaseRequest():
                 effects += self._without_takeover(event, now_ns)
+            case ButtonRequest():
+                effects += self._button_request(event, now_ns)
             case StoppedOutside():
                 self.stopped_outside = False
             case Calibrate():
@@ -200,8 +219,8 @@ class Supervisor:
             return _REJECTING[self.mode]
         moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not OP_STOP]
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
-        if moves and (guarded or command.lease is not None):
-            rejection = self._why_closed(command.lease) or self.calibrating.rejection(moves)
+        if moves and (guarded or command.lease is not None or self.buttons.closed):
+            rejection = self._why_closed(command.lease) or self._why_unwatched() or self.calibrating.rejection(moves)
             if rejection is not None:
                 return rejection
         for servo_id, op in moves if self._reach.limited else ():
@@ -227,6 +246,10 @@ class Supervisor:
             return rejection
         return None if self.legs.landing is None else (Reason.LANDING, _LANDING)
 
+    def _why_unwatched(self) -> tuple[Reason, str] | None:
+        """Why too few watch for a start, a set or a reset; None: enough do."""
+        return self.buttons.rejection() if self.buttons.closed else None
+
     def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
         rejection = _REJECTING.get(self.mode) or self._why_closed(event.lease)
         if rejection is not None:
@@ -251,9 +274,9 @@ class Supervisor:
     def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:
             return [Rejected(event.number, *_REJECTING[self.mode])]
-        no_lease = self.lease.rejection(event.lease, reset=True)
-        if no_lease is not None:
-            return [Rejected(event.number, *no_lease)]
+        closed = self.lease.rejection(event.lease, reset=True) or self._why_unwatched()
+        if closed is not None:
+            return [Rejected(event.number, *closed)]
         older = None if self._latched_ns is None else self._may_be_older(event, self._latched_ns)
         if older is not None:
             return [Rejected(event.number, Reason.ESTOPPED, older)]
@@ -302,6 +325,12 @@ class Supervisor:
             dropped = self.legs.drop(self.legs.servos.values(), Reason.NOT_HOLDER, detail)
         return [*dropped, *told, answer]
 
+    def _button_request(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
+        if self._ended:
+            return [ButtonAnswer(Reason.STOPPING, _STOPPING)]
+        told, answer = self.buttons.grant(request, now_ns, self._without_buttons())
+        return [*(self._stop_unwatched(now_ns) if self.buttons.closed else ()), *told, answer]
+
     def _stop_with_outside(self, now_ns: int) -> list[Effect]:
         first, self.stopped_outside = not self.stopped_outside, True
         effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)
@@ -334,6 +363,28 @@ class Supervisor:
 
     # ---- Stops for the gateway's own reasons
 
+    def _stop_unwatched(self, now_ns: int) -> list[Effect]:
+        """While too few buttons are alive, nothing runs, but for a landing."""
+        if self._at_rest_without_buttons():
+            return []
+        fell_ns = now_ns if self.buttons.fell_ns is None else self.buttons.fell_ns
+        ends_ns = fell_ns + self._rules.landing_ns
+        if now_ns < ends_ns and not self.legs.at_rest:
+            return self._begin_landing("too few buttons are alive", ends_ns, now_ns)
+        due = dict.fromkeys(self.legs.by_number, fell_ns)
+        return self.legs.stop(due, Cause.WATCHDOG, now_ns, *self.buttons.rejection())
+
+    def _without_buttons(self) -> str:
+        """What is told if buttons become too few in this step; "": nothing is to be stopped."""
+        if self._at_rest_without_buttons():
+            return ""
+        lands = self._rules.landing_ns and not self.legs.at_rest
+        return "the robot lands" if lands else "all six legs are stopped"
+
+    def _at_rest_without_buttons(self) -> bool:
+        """Whether too few buttons stop nothing: all is stopped, or it lands already, or the bus sends nothing."""
+        return not self._bus_ok or self.legs.landing is not None or not any(leg.armed for leg in self.legs)
+
     def _expire(self, now_ns: int) -> list[Effect]:
         if self.legs.landing is not None:
             return self._touch_down(self.legs.landing.ends_ns, now_ns)
@@ -350,7 +401,8 @@ class Supervisor:
         first = min(silent.values())
         ends_ns = first + self._rules.landing_ns
         if now_ns < ends_ns and not self.legs.at_rest:
-            return self._begin_landing(min(silent), ends_ns, now_ns)
+            why = f"leg {min(silent)} was not heard for {timeout_ms:g} ms"
+            return self._begin_landing(why, ends_ns, now_ns)
         due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
         expired = [leg for leg in self.legs if leg.number in due and leg.armed]
         detail = "the command was pending longer than the watchdog allows"
@@ -364,17 +416,15 @@ class Supervisor:
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
         return effects
 
-    def _begin_landing(self, silent: int, ends_ns: int, now_ns: int) -> list[Effect]:
-        """A leg fell silent: the whole robot goes down, also legs that are still commanded.
+    def _begin_landing(self, why: str, ends_ns: int, now_ns: int) -> list[Effect]:
+        """A leg fell silent, or a button: the whole robot goes down, also legs that are still commanded.
 
         On five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what
         comes is rejected) nor a second leg's silence (whose own Stop would come later than this one).
         """
         dropped = self.legs.begin_landing(now_ns, ends_ns, self._reach.landing_cdeg())
-        timeout_ms, landing_ms = self._rules.timeout_ns / NS_PER_MS, self._rules.landing_ns / NS_PER_MS
-        detail = (
-            f"leg {silent} was not heard for {timeout_ms:g} ms; the robot lands, and is stopped {landing_ms:g} ms later"
-        )
+        landing_ms = self._rules.landing_ns / NS_PER_MS
+        detail = f"{why}; the robot lands, and is stopped {landing_ms:g} ms later"
         return [*dropped, Announce(Kind.LANDING, detail, legs=_ALL)]
 
     def _touch_down(self, ends_ns: int, now_ns: int) -> list[Effect]:

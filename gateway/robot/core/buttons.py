@@ -1,0 +1,208 @@
+"""Who watches the robot with a hand on a stop: buttons that check in. Pure: the time and the tokens are arguments.
+
+The rules (docs/interface.md, *Behaviour 14*), for each button:
+
+- Registered: it has a token that nobody else has. It does not count yet.
+- Alive: from its first check-in on, until `timeout_ns` after its latest one was sent. Deadlines come before a check-in
+  of the same step: one that is late does not keep it alive.
+- Silent: after that. Its next check-in makes it alive again, and starts nothing.
+
+A check-in names the token and a count that grows, so none counts twice. One that carries `sent_ms` counts from when it
+was sent, however late it comes: the button's own clock has shown how long its fastest message took, registration
+included, and whatever a later one takes longer is its delay. Without `sent_ms` it counts from its arrival.
+
+While fewer are alive than `buttons_required`, the supervisor starts and sets nothing, and stops what runs.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest, Effect
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Reason
+
+MOST_BUTTONS: Final = 16
+"""Twice as many as can be required. For one more, the oldest that is not alive is forgotten."""
+DRIFT_PPM: Final = 200
+"""How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
+_ALL: Final = tuple(LEGS)
+Outcome = tuple[list[Effect], ButtonAnswer]
+
+
+@dataclass(slots=True)
+class Button:
+    """One registration."""
+
+    name: str
+    count: int = -1
+    """Of its latest check-in."""
+    until_ns: int | None = None
+    """Until when it is alive; None: it has not checked in yet, or is silent."""
+    silent: bool = False
+    offset_ns: int | None = None
+    """The gateway's clock less the button's, plus the time that its fastest message took, as of `heard_ns`."""
+    heard_ns: int = 0
+
+    def sent_ns(self, sent_ms: float | None, received_ns: int) -> int:
+        """When a message of it was sent, by the gateway's clock: never later than it came."""
+        if sent_ms is None:
+            return received_ns
+        offset_ns = received_ns - round(sent_ms * NS_PER_MS)
+        if self.offset_ns is not None:
+            drift_ns = max(0, received_ns - self.heard_ns) * DRIFT_PPM // 1_000_000
+            self.offset_ns = min(offset_ns, self.offset_ns + drift_ns)
+        else:
+            self.offset_ns = offset_ns
+        self.heard_ns = received_ns
+        return received_ns - (offset_ns - self.offset_ns)
+
+
+class Buttons:
+    """The buttons of one robot. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._required = rules.buttons_required
+        self._timeout_ns = rules.buttons_timeout_ns
+        self._by_token: dict[str, Button] = {}
+        self.closed = self._required > 0
+        """Whether fewer are alive than are required."""
+        self.fell_ns: int | None = None
+        """Since when, if enough were alive before."""
+        self.due_ns: int | None = None
+        """When the next of them falls silent."""
+        self.changes: Counter[Kind] = Counter()
+        """How often what has happened to them."""
+
+    @property
+    def required(self) -> int:
+        """How many must be alive."""
+        return self._required
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those that are alive, in the order of their registrations."""
+        return tuple(button.name for button in self._by_token.values() if button.until_ns is not None)
+
+    def rejection(self) -> tuple[Reason, str]:
+        """Why nothing starts while they are too few."""
+        return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (hexapod-gateway button)"
+
+    # ---- time
+
+    def expire(self, now_ns: int, then: str = "") -> list[Effect]:
+        """Those whose time has come are silent. `then`: what the supervisor does once they are too few."""
+        late = [
+            button for button in self._by_token.values() if button.until_ns is not None and now_ns >= button.until_ns
+        ]
+        effects: list[Effect] = []
+        for button in sorted(late, key=_until):
+            at_ns, button.until_ns, button.silent = button.until_ns, None, True
+            what = f"the button {button.name} was not heard for {self._timeout_ns / NS_PER_MS:g} ms"
+            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns or now_ns, then, key=None)
+        return effects
+
+    # ---- requests
+
+    def grant(self, request: ButtonRequest, now_ns: int, then: str = "") -> Outcome:
+        """Answer one request; what is told of it, and the answer."""
+        match request.do:
+            case ButtonDo.REGISTER:
+                return self._register(request, now_ns, then)
+            case ButtonDo.ALIVE:
+                return self._check_in(request, now_ns)
+            case ButtonDo.LEAVE:
+                return self._leave(request, now_ns, then)
+
+    def _register(self, request: ButtonRequest, now_ns: int, then: str) -> Outcome:
+        name = request.source or ""
+        found = next((token for token, button in self._by_token.items() if button.name == name), None)
+        gives_way = found
+        if found is None and len(self._by_token) == MOST_BUTTONS:
+            gives_way = next((token for token, button in self._by_token.items() if button.until_ns is None), None)
+            if gives_way is None:
+                return self._rejected(Reason.BUTTON_DENIED, f"{MOST_BUTTONS} buttons are alive, and no more are taken")
+        if gives_way is not None:
+            del self._by_token[gives_way]
+        self._by_token[request.fresh_token] = button = Button(name)
+        button.sent_ns(request.sent_ms, request.received_ns)
+        what = f"{name} is registered as a button" + ("" if found is None else ", in place of the one of that name")
+        effects = self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns, then)
+        return effects, self._answer(request.fresh_token)
+
+    def _check_in(self, request: ButtonRequest, now_ns: int) -> Outcome:
+        button = self._by_token.get(request.token)
+        if button is None:
+            return self._rejected(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+        if request.count <= button.count:
+            detail = f"count is {request.count}, and {button.count} has come: a check-in counts once"
+            return self._rejected(Reason.STALE, detail)
+        button.count = request.count
+        until_ns = button.sent_ns(request.sent_ms, request.received_ns) + self._timeout_ns
+        if now_ns >= until_ns:
+            delay_ms = (now_ns - until_ns + self._timeout_ns) / NS_PER_MS
+            detail = f"the check-in is {delay_ms:.0f} ms old; it counts for {self._timeout_ns / NS_PER_MS:g} ms"
+            return self._rejected(Reason.STALE, detail)
+        silent, button.silent = button.silent, False
+        button.until_ns = until_ns if button.until_ns is None else max(until_ns, button.until_ns)
+        if not silent:
+            self._look(now_ns)
+            return [], self._answer()
+        return self._changed(
+            Kind.BUTTON_RETURNED, f"the button {button.name} is back", button.name, now_ns
+        ), self._answer()
+
+    def _leave(self, request: ButtonRequest, now_ns: int, then: str) -> Outcome:
+        button = self._by_token.pop(request.token, None)
+        if button is None:
+            return self._rejected(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+        what = f"the button {button.name} has left on purpose"
+        return self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, then), self._answer()
+
+    # ----
+
+    def _changed(
+        self, kind: Kind, what: str, name: str, at_ns: int, then: str = "", key: str | None = keys.BUTTON
+    ) -> list[Effect]:
+        """Something has happened to one of them; the legs are those that stop for it."""
+        self.changes[kind] += 1
+        fell = self._look(at_ns) and bool(then)
+        detail = f"{what}; {self._count()}{f'; {then}' if fell else ''}"
+        return [Announce(kind, detail, name, key, _ALL if fell else ())]
+
+    def _look(self, at_ns: int) -> bool:
+        """Count those that are alive. Whether they have become too few by this."""
+        times_ns = [button.until_ns for button in self._by_token.values() if button.until_ns is not None]
+        self.due_ns = min(times_ns, default=None)
+        closed, self.closed = self.closed, len(times_ns) < self._required
+        if not self.closed:
+            self.fell_ns = None
+            return False
+        if not closed:
+            self.fell_ns = at_ns
+        return not closed
+
+    def _count(self) -> str:
+        alive = len(self.names)
+        if not self._required:
+            return f"{alive} {'is' if alive == 1 else 'are'} alive, and none is required"
+        return f"{alive} of the {self._required} buttons that are required {'is' if alive == 1 else 'are'} alive"
+
+    def _answer(self, token: str | None = None) -> ButtonAnswer:
+        return ButtonAnswer(token=token, alive=len(self.names))
+
+    def _rejected(self, reason: Reason, detail: str) -> Outcome:
+        return [], ButtonAnswer(reason, detail, alive=len(self.names))
+
+
+def _until(button: Button) -> int:
+    return button.until_ns or 0
+
+
+_UNKNOWN: Final = (
+    "this gateway knows no such button: it has left, another has registered by its name, or the gateway was started "
+    "anew; register again"
+)

@@ -1,0 +1,73 @@
+"""Who watches with a hand on a stop: what is asked on `hexapod/button/cmd`, and the answer."""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter
+
+from schemas.command import Closed, SentMs, Source
+from schemas.lease import Challenge, Proof
+from schemas.telemetry import Answer, AnyReason, Count
+
+MAX_COUNT: Final = 2**53
+"""Larger whole numbers are not exact in every JSON reader."""
+
+ButtonToken = Annotated[
+    str,
+    Field(
+        min_length=32,
+        max_length=32,
+        pattern="^[0-9a-f]{32}$",
+        description="32 hex digits: the token of the registration, from the answer that gave it",
+    ),
+]
+"""A secret: it stands in no report, log line or repr."""
+
+
+class Register(Closed):
+    """Registers a button; an older one of that name is none any more."""
+
+    do: Literal["register"]
+    source: Source
+    proof: Proof | None = None
+    sent_ms: SentMs | None = None
+
+
+class Alive(Closed):
+    """Checks in: somebody is there, and can press."""
+
+    do: Literal["alive"]
+    button: Annotated[ButtonToken, Field(repr=False)]
+    count: Annotated[int, Field(ge=0, le=MAX_COUNT, description="greater than in each check-in before")]
+    sent_ms: SentMs | None = None
+
+
+class Leave(Closed):
+    """Watches no more, on purpose."""
+
+    do: Literal["leave"]
+    button: Annotated[ButtonToken, Field(repr=False)]
+
+
+ButtonRequest = Annotated[Challenge | Register | Alive | Leave, Field(discriminator="do")]
+"""The payload of a `get` on `hexapod/button/cmd`."""
+BUTTON_REQUEST: Final[TypeAdapter[Challenge | Register | Alive | Leave]] = TypeAdapter(
+    ButtonRequest, config=ConfigDict(hide_input_in_errors=True)
+)
+
+
+class ButtonAck(Answer):
+    """The answer to a ButtonRequest; fields that say nothing are left out of the JSON."""
+
+    accepted: bool
+    reason: AnyReason | None = None
+    detail: str | None = None
+    nonce: str | None = None
+    button: Annotated[str | None, Field(repr=False, description="the token that check-ins carry")] = None
+    timeout_ms: float | None = None
+    alive: Count | None = None
+    required: Count | None = None
+
+
+def signed_text(do: str, source: str, nonce: str) -> bytes:
+    """What the proof of a registration signs: ECDSA or RSA (PKCS #1 v1.5) with SHA-256."""
+    return f"hexapod-button-1\n{do}\n{source}\n{nonce}".encode()

@@ -1,0 +1,153 @@
+"""What a judge of the supervisor remembers of the buttons, and what it demands of each request; see `oracle.py`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest, Effect
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS
+from schemas.telemetry import Kind, Reason
+from tests.support.history import demand
+
+MOST_BUTTONS = 16
+_KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUTTON_RETURNED})
+
+
+@dataclass(frozen=True, slots=True)
+class ButtonHistory:
+    """One registration; `least_ns` is the smallest difference of the two clocks that a message has shown."""
+
+    name: str
+    count: int = -1
+    until_ns: int | None = None
+    silent: bool = False
+    least_ns: int | None = None
+
+
+class ButtonsHistory:
+    """Which buttons are registered, and until when each is alive. In a test's short time no clock drifts."""
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self.known: dict[str, ButtonHistory] = {}
+        self.old_token: str | None = None
+        """The latest that is not good any more."""
+        self.fell_ns: int | None = None
+
+    def clone(self) -> Self:
+        """A copy."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.known = dict(self.known)
+        return other
+
+    def key(self, now_ns: int) -> tuple[object, ...]:
+        """What of it still matters; one token is as good as another, and so is a count."""
+        each = tuple(
+            (
+                button.name,
+                button.until_ns and button.until_ns - now_ns,
+                button.silent,
+                button.least_ns,
+                button.count < 0,
+            )
+            for button in self.known.values()
+        )
+        return each, self.old_token is not None
+
+    @property
+    def alive(self) -> tuple[str, ...]:
+        return tuple(button.name for button in self.known.values() if button.until_ns is not None)
+
+    @property
+    def closed(self) -> bool:
+        """Whether fewer are alive than are required."""
+        return len(self.alive) < self.rules.buttons_required
+
+    @property
+    def due_ns(self) -> int | None:
+        return min((each.until_ns for each in self.known.values() if each.until_ns is not None), default=None)
+
+    # ---- time
+
+    def pass_time(self, now_ns: int, effects: Sequence[Effect]) -> None:
+        """Whoever is not heard for the timeout is silent, which is told once, and in that order."""
+        late = [(button.until_ns, token) for token, button in self.known.items() if button.until_ns is not None]
+        late = sorted((each for each in late if now_ns >= each[0]), key=lambda each: each[0])
+        silent = [each.source for each in _told(effects) if each.kind is Kind.BUTTON_SILENT]
+        demand(
+            silent == [self.known[token].name for _, token in late], f"a button that is not heard is silent: {silent}"
+        )
+        for until_ns, token in late:
+            self._change(token, replace(self.known[token], until_ns=None, silent=True), until_ns)
+
+    def _change(self, token: str, button: ButtonHistory | None, now_ns: int) -> None:
+        closed = self.closed
+        if button is None:
+            self.old_token = token
+            del self.known[token]
+        else:
+            self.known[token] = button
+        if self.closed and not closed:
+            self.fell_ns = now_ns
+
+    # ---- requests
+
+    def judge(self, request: ButtonRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> None:
+        """Judge the answer to a request, and what is told of it."""
+        reason, told = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
+        answers = [effect for effect in effects if isinstance(effect, ButtonAnswer)]
+        demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
+        kinds = [(each.kind, each.source) for each in _told(effects) if each.kind is not Kind.BUTTON_SILENT]
+        demand(kinds == ([] if told is None else [told]), f"{request.do}: {told} is told, not {kinds}")
+        (answer,) = answers
+        demand(ended or answer.alive == len(self.alive), f"{len(self.alive)} are alive, not {answer.alive}")
+        gives = reason is None and request.do is ButtonDo.REGISTER
+        demand(
+            answer.token == (request.fresh_token if gives else None), "who registers gets the token, and nobody else"
+        )
+
+    def _outcome(self, request: ButtonRequest, now_ns: int) -> tuple[Reason | None, tuple[Kind, str] | None]:
+        if request.do is ButtonDo.REGISTER:
+            return self._registered(request, now_ns)
+        button = self.known.get(request.token)
+        if button is None:
+            return Reason.UNKNOWN_BUTTON, None
+        if request.do is ButtonDo.LEAVE:
+            self._change(request.token, None, now_ns)
+            return None, (Kind.BUTTON_LEFT, button.name)
+        if request.count <= button.count:
+            return Reason.STALE, None
+        button = replace(button, count=request.count)
+        came_ns = request.received_ns
+        if request.sent_ms is not None:
+            away_ns = came_ns - round(request.sent_ms * NS_PER_MS)
+            least_ns = away_ns if button.least_ns is None else min(away_ns, button.least_ns)
+            button = replace(button, least_ns=least_ns)
+            came_ns -= away_ns - least_ns
+        until_ns = came_ns + self.rules.buttons_timeout_ns
+        if until_ns <= now_ns:
+            self._change(request.token, button, now_ns)
+            return Reason.STALE, None
+        back = (Kind.BUTTON_RETURNED, button.name) if button.silent else None
+        button = replace(button, silent=False, until_ns=max(until_ns, button.until_ns or 0))
+        self._change(request.token, button, now_ns)
+        return None, back
+
+    def _registered(self, request: ButtonRequest, now_ns: int) -> tuple[Reason | None, tuple[Kind, str] | None]:
+        name = request.source or ""
+        older = [token for token, button in self.known.items() if button.name == name]
+        if not older and len(self.known) == MOST_BUTTONS:
+            older = [token for token, button in self.known.items() if button.until_ns is None][:1]
+            if not older:
+                return Reason.BUTTON_DENIED, None
+        for token in older:
+            self._change(token, None, now_ns)
+        least_ns = None if request.sent_ms is None else request.received_ns - round(request.sent_ms * NS_PER_MS)
+        self.known[request.fresh_token] = ButtonHistory(name, least_ns=least_ns)
+        return None, (Kind.BUTTON_REGISTERED, name)
+
+
+def _told(effects: Sequence[Effect]) -> list[Announce]:
+    return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in _KINDS]
