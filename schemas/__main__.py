@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from schemas.button import BUTTON_REQUEST, ButtonAck
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.lease import LEASE_REQUEST, LeaseAck
@@ -23,8 +24,9 @@ def documents() -> dict[str, str]:
         **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand)},
         "LeaseRequest": LEASE_REQUEST,
         "RevocationRequest": TypeAdapter(RevocationRequest),
+        "ButtonRequest": BUTTON_REQUEST,
     }
-    models = (Ack, LeaseAck, RevocationAck, GatewayState, Event, FrameRecord, Calibration)
+    models = (Ack, LeaseAck, RevocationAck, ButtonAck, GatewayState, Event, FrameRecord, Calibration)
     reports = {model.__name__: TypeAdapter(model) for model in models}
     made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
     return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}

@@ -1,14 +1,14 @@
-"""Proofs of who asks for the lease: a laptop has signed with the key of its certificate, and the gateway checks.
+"""Proofs of who asks for the lease, or is a button: signed with the key of a certificate; the gateway checks them.
 
 The person's name stands in the certificate beside the role (see `authority`). Zenoh has checked the certificate of the
-link, but behind a router that is the router's; so the gateway checks the person's here, once for each lease.
+link, but behind a router that is the router's; so the gateway checks the person's here, once for each lease or button.
 """
 
 import base64
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -19,9 +19,23 @@ from gateway.certs import pool
 from gateway.certs.authority import common_name_and_name
 from gateway.certs.reading import read_certificate, read_certificates
 from gateway.certs.revocation import RevocationList
-from schemas.lease import Proof, signed_text
+from schemas import button, lease
+from schemas.lease import Proof
 
 OPERATOR: Final = "operator"
+BUTTON: Final = "button"
+
+
+class Purpose(NamedTuple):
+    """What a proof is good for: whose certificate may make it, and what it signs (do, source and nonce)."""
+
+    roles: tuple[str, ...]
+    signed: Callable[[str, str, str], bytes]
+
+
+DRIVING: Final = Purpose((OPERATOR,), lease.signed_text)
+WATCHING: Final = Purpose((OPERATOR, BUTTON), button.signed_text)
+"""Whoever may drive may also be a button."""
 
 
 class ProofChecker:
@@ -31,7 +45,7 @@ class ProofChecker:
         """`robot`: its name in a fleet, whose people have certificates for one robot each."""
         self._revoked = revoked
         self._cas = [ca for ca in cas if _is_ca(ca)]
-        self._role = f"{OPERATOR}.{robot}" if robot else OPERATOR
+        self._robot = robot
 
     @classmethod
     def of(cls, ca_file: Path, own_certificate: Path | None, revoked: RevocationList | None = None) -> "ProofChecker":
@@ -50,21 +64,23 @@ class ProofChecker:
             "until it is set, no certificate can be checked"
         )
 
-    def fault(self, proof: Proof, do: str, source: str, now: dt.datetime) -> str | None:
+    def fault(self, proof: Proof, do: str, source: str, now: dt.datetime, purpose: Purpose = DRIVING) -> str | None:
         """Why the proof does not show that `source` wants this; None: it does. The nonce is not looked at."""
         wrong_clock = self.clock_fault(now)
         if wrong_clock is not None:
             return wrong_clock
         try:
             certificate = x509.load_pem_x509_certificates(proof.certificate.encode())[0]
-            fault = self._certificate_fault(certificate, source, now)
-            if fault is None and not _signed(certificate, proof.signature, signed_text(do, source, proof.nonce)):
+            fault = self._certificate_fault(certificate, source, now, purpose.roles)
+            if fault is None and not _signed(certificate, proof.signature, purpose.signed(do, source, proof.nonce)):
                 fault = "proof.signature is not made with the certificate's key, for this do, source and nonce"
         except (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion, x509.DuplicateExtension):
             return "proof.certificate is no X.509 certificate in PEM form that can be read"
         return fault
 
-    def _certificate_fault(self, certificate: x509.Certificate, source: str, now: dt.datetime) -> str | None:
+    def _certificate_fault(
+        self, certificate: x509.Certificate, source: str, now: dt.datetime, roles: Sequence[str]
+    ) -> str | None:
         common_name, person = common_name_and_name(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         if not any(_issued(certificate, ca, now) for ca in self._cas):
@@ -73,15 +89,20 @@ class ProofChecker:
             return f"proof.certificate is valid from {start:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
         if now > end:
             return f"proof.certificate expired at {end:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
-        return self._holders_fault(certificate, common_name, person, source)
+        fault = self._holders_fault(certificate, common_name, roles)
+        if fault is None and person != source:
+            fault = "source is not the person of proof.certificate"
+        return fault
 
-    def _holders_fault(self, certificate: x509.Certificate, common_name: str, person: str, source: str) -> str | None:
+    def _holders_fault(self, certificate: x509.Certificate, common_name: str, roles: Sequence[str]) -> str | None:
         if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
             return f"proof.certificate is revoked ({common_name}); whoever keeps the CA issues another"
-        if pool.holder(common_name).of != self._role:
-            return f"proof.certificate is not that of an operator of this robot (its role must be {self._role})"
-        if person != source:
-            return "source is not the person of proof.certificate"
+        wanted = [f"{each}.{self._robot}" if self._robot else each for each in roles]
+        if pool.holder(common_name).of not in wanted:
+            return (
+                f"proof.certificate is not that of an {' or a '.join(roles)} of this robot "
+                f"(its role must be {' or '.join(wanted)})"
+            )
         return None
 
 

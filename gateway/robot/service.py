@@ -22,11 +22,13 @@ from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge.button_request_reader import ButtonRequestReader
 from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
 from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.lease_request_reader import LeaseRequestReader, checker_of
+from gateway.robot.edge.lease_request_reader import LeaseRequestReader
 from gateway.robot.edge.outbox import ZenohOutbox
+from gateway.robot.edge.proofs import checker_of
 from gateway.robot.edge.revocation_request_reader import RevocationRequestReader
 from gateway.robot.edge.revoked import Kept, kept, leave_out
 from gateway.robot.edge.rings import put_depth
@@ -41,6 +43,7 @@ from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.runtime import prometheus as exposition
+from gateway.robot.runtime.button_answers import ButtonAnswers
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.lease_answers import LeaseAnswers
@@ -53,7 +56,7 @@ from gateway.robot.spi.bus import bus_for
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.zenoh_config import open_session
-from schemas.keys import CALIBRATION, CALIBRATION_CMD, LEASE, REVOCATION, STATE
+from schemas.keys import BUTTON, CALIBRATION, CALIBRATION_CMD, LEASE, REVOCATION, STATE
 
 if TYPE_CHECKING:
     from gateway.certs import ProofChecker
@@ -90,6 +93,8 @@ def rules(settings: Settings) -> Rules:
         lease_required=settings.lease.required,
         lease_ttl_ns=round(settings.lease.ttl_ms * NS_PER_MS),
         lease_takeover=settings.lease.takeover == "stop",
+        buttons_required=settings.buttons.required,
+        buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
     )
 
 
@@ -275,7 +280,8 @@ def _inbox(
     revocations: RevocationRequestReader,
 ) -> Inbox:
     """What comes in, connected with the conductor."""
-    desk = LeaseRequestReader(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
+    lease = LeaseRequestReader(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
+    button = ButtonRequestReader(ButtonAnswers(conductor, settings.buttons), checker, wall_clock=wall_clock)
     inbox = Inbox(
         session,
         loop,
@@ -284,7 +290,8 @@ def _inbox(
         on_estop=lambda received: conductor.tick((received,)),
         on_state_query=conductor.answer_state,
         readers={
-            LEASE: desk.note,
+            LEASE: lease.note,
+            BUTTON: button.note,
             CALIBRATION_CMD: CalibrationRequestReader(calibrations).note,
             REVOCATION: revocations.note,
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),

@@ -136,6 +136,15 @@ class LeaseSettings(Section):
     takeover: Literal["stop", "never"] = "stop"
 
 
+class ButtonSettings(Section):
+    """How many stop buttons must be alive for anything to move, and for how long a check-in counts."""
+
+    # More people with a hand on a stop than eight watch no robot of this size.
+    required: Annotated[int, Field(ge=0, le=8)] = 0
+    # A browser wakes a page in the background once a second, which is a stop by this default (docs/buttons.md).
+    timeout_ms: Annotated[float, Finite, Field(ge=200, le=10_000)] = 1000.0
+
+
 def _absolute(path: str) -> str:
     if (path and not path.startswith("/")) or "\0" in path:
         raise ValueError('write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none')
@@ -189,6 +198,7 @@ class Settings(Section):
     limits: LimitSettings = LimitSettings()
     watchdog: WatchdogSettings = WatchdogSettings()
     lease: LeaseSettings = LeaseSettings()
+    buttons: ButtonSettings = ButtonSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()

@@ -366,10 +366,5 @@ LEGS = Subject(
             "        if self.landing is None:\n",
             "a landing fills the bus with frames",
         ),
-        Mutant(
-            'return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg fell silent")',
-            "return []",
-            "what waits to be started is started during the landing",
-        ),
     ),
 )

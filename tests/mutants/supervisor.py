@@ -33,21 +33,6 @@ SUPERVISOR = Subject(
             "what stop-servos stopped counts as running",
         ),
         Mutant(
-            "if moves and (guarded or command.lease is not None):",
-            "if moves and guarded:",
-            "a former holder's queue moves the robot once the lease is free",
-        ),
-        Mutant(
-            "if moves and (guarded or command.lease is not None):",
-            "if guarded or command.lease is not None:",
-            "nobody but its driver can stop the robot",
-        ),
-        Mutant(
-            "        no_lease = self.lease.rejection(event.lease, reset=True)\n",
-            "        no_lease = None\n",
-            "anybody leaves the emergency stop that the driver has engaged",
-        ),
-        Mutant(
             "        if self._ended or not self.lease.is_takeover(request):\n",
             "        if True:\n",
             "the legs run on under whoever takes the lease",
@@ -61,11 +46,6 @@ SUPERVISOR = Subject(
             "        if answer.token is not None:\n",
             "        if False:\n",
             "what others had pending moves under the new holder",
-        ),
-        Mutant(
-            "now_ns >= lease_due_ns else []",
-            "now_ns > lease_due_ns else []",
-            "woken when the lease is due, it does not expire",
         ),
         Mutant(
             "        if self.lease.due_ns is not None:\n            self.due_ns",
@@ -114,11 +94,6 @@ SUPERVISOR = Subject(
         ),
         Mutant("if self.legs.at_rest else", "if not self.legs.at_rest else", "the state says idle while legs run"),
         Mutant("now_ns >= self.due_ns\n", "now_ns > self.due_ns\n", "woken when due, nothing happens"),
-        Mutant(
-            "effects = self._expire(now_ns) if due else []",
-            "effects = []",
-            "no watchdog",
-        ),
         Mutant("            effects += self.legs.repeat_stops(now_ns)\n", "", "no Stop is repeated"),
         Mutant("            effects += self.legs.take_slots(now_ns)\n", "", "what is pending is never sent"),
         Mutant(
@@ -134,11 +109,6 @@ SUPERVISOR = Subject(
         Mutant(
             "self.legs.landing is not None or self.calibrating.guards\n",
             "self.legs.landing is not None\n",
-            "a robot starts by a calibration that could not be read",
-        ),
-        Mutant(
-            "self._why_closed(command.lease) or self.calibrating.rejection(moves)",
-            "self._why_closed(command.lease)",
             "a robot starts by a calibration that could not be read",
         ),
         Mutant(
@@ -315,11 +285,6 @@ SUPERVISOR = Subject(
             "return not (isinstance(effect, Transmit) and effect.frame.is_stop)",
             "return isinstance(effect, Transmit)",
             "answers go out before a Stop",
-        ),
-        Mutant(
-            "        if now_ns < ends_ns and not self.legs.at_rest:\n",
-            "        if not self.legs.at_rest and self._rules.landing_ns:\n",
-            "after a pause longer than the landing, the robot lands instead of being stopped",
         ),
         Mutant(
             "        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs\n",

@@ -1,6 +1,6 @@
 """Settings that will not do: in a file (its text), or in a variable; and the line that says so, after the place."""
 
-SECTIONS = "the sections are zenoh, spi, limits, watchdog, lease, calibration, recorder, telemetry, log"
+SECTIONS = "the sections are zenoh, spi, limits, watchdog, lease, buttons, calibration, recorder, telemetry, log"
 NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"
 WORD = "will not do: input should be"
 INTEGER = f"{WORD} a valid integer"

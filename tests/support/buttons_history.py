@@ -11,6 +11,8 @@ from schemas.telemetry import Kind, Reason
 from tests.support.history import demand
 
 MOST_BUTTONS = 16
+DRIFT = 5000
+"""A nanosecond in so many: 200 ppm."""
 _KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUTTON_RETURNED})
 
 
@@ -23,10 +25,12 @@ class ButtonHistory:
     until_ns: int | None = None
     silent: bool = False
     least_ns: int | None = None
+    heard_ns: int = 0
+    """When a message last showed one; since then their clocks may have drifted apart by `DRIFT`."""
 
 
 class ButtonsHistory:
-    """Which buttons are registered, and until when each is alive. In a test's short time no clock drifts."""
+    """Which buttons are registered, and until when each is alive."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
@@ -123,8 +127,9 @@ class ButtonsHistory:
         came_ns = request.received_ns
         if request.sent_ms is not None:
             away_ns = came_ns - round(request.sent_ms * NS_PER_MS)
-            least_ns = away_ns if button.least_ns is None else min(away_ns, button.least_ns)
-            button = replace(button, least_ns=least_ns)
+            drift_ns = (came_ns - button.heard_ns) // DRIFT
+            least_ns = away_ns if button.least_ns is None else min(away_ns, button.least_ns + drift_ns)
+            button = replace(button, least_ns=least_ns, heard_ns=request.received_ns)
             came_ns -= away_ns - least_ns
         until_ns = came_ns + self.rules.buttons_timeout_ns
         if until_ns <= now_ns:
@@ -145,7 +150,7 @@ class ButtonsHistory:
         for token in older:
             self._change(token, None, now_ns)
         least_ns = None if request.sent_ms is None else request.received_ns - round(request.sent_ms * NS_PER_MS)
-        self.known[request.fresh_token] = ButtonHistory(name, least_ns=least_ns)
+        self.known[request.fresh_token] = ButtonHistory(name, least_ns=least_ns, heard_ns=request.received_ns)
         return None, (Kind.BUTTON_REGISTERED, name)
 
 

@@ -11,7 +11,7 @@ from gateway.robot.core.pacing import NS_PER_MS
 from tests.support.buttons_history import ButtonsHistory
 
 _FIELDS: Final = vars(Buttons(Rules())).keys()
-_KNOWN: Final = {"_required", "_timeout_ns", "_by_token", "closed", "fell_ns", "due_ns", "changes"}
+_KNOWN: Final = {"_required", "_timeout_ns", "_by_token", "closed", "fell_ns", "alive", "due_ns", "changes"}
 _OF_EACH: Final = {each.name for each in fields(Button)}
 _KNOWN_OF_EACH: Final = {"name", "count", "until_ns", "silent", "offset_ns", "heard_ns"}
 if _FIELDS != _KNOWN or _OF_EACH != _KNOWN_OF_EACH:

@@ -16,9 +16,11 @@ from pydantic import BaseModel
 from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge.button_request_reader import ButtonRequestReader
 from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
 from gateway.robot.edge.lease_request_reader import LeaseRequestReader
 from gateway.robot.protocol.frames import Frame, decode
+from gateway.robot.runtime.button_answers import ButtonAnswers
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.lease_answers import LeaseAnswers
@@ -27,6 +29,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import bus_for
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
+from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind
 
@@ -74,6 +77,12 @@ class Robot:
         fresh = (f"{number:032x}" for number in itertools.count(1))
         answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
         self.desk = LeaseRequestReader(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
+        self.button_desk = ButtonRequestReader(
+            ButtonAnswers(self.conductor, self.settings.buttons),
+            None,
+            wall_clock=lambda: datetime.now(UTC),
+            fresh=lambda: next(fresh),
+        )
         self.calibrations = Calibrations(self.conductor, keep, self.loop)
         self.calibration_request_reader = CalibrationRequestReader(self.calibrations)
         self._beat()
@@ -159,6 +168,15 @@ class Robot:
         self.desk.read(json.dumps(fields).encode(), self.now_ns(), answers.append)()
         (answer,) = answers
         return LeaseAck.model_validate_json(answer)
+
+    def button(self, do: str, source: str | None = None, **more: Any) -> ButtonAck:
+        """A button's request, and its answer."""
+        self._instants += 1
+        answers: list[bytes] = []
+        fields = {"do": do, **({} if source is None else {"source": source}), **more}
+        self.button_desk.read(json.dumps(fields).encode(), self.now_ns(), answers.append)()
+        (answer,) = answers
+        return ButtonAck.model_validate_json(answer)
 
     def calibrate(self, payload: object) -> list[Ack]:
         """A change of the calibration; the list that its answer will be in."""

@@ -17,6 +17,7 @@ from gateway.errors import ConfigError
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import ServoLimits, Settings, SpiSettings, load
 from schemas import keys
+from schemas.button import Alive, ButtonAck, Leave, Register
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand
 from schemas.lease import Challenge, Claim, LeaseAck, Proof, Release, Renew
@@ -59,7 +60,9 @@ def fields(model: type[BaseModel]) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("model", [Ack, LeaseAck, RevocationAck, Calibration, GatewayState, Event, FrameRecord])
+@pytest.mark.parametrize(
+    "model", [Ack, LeaseAck, RevocationAck, ButtonAck, Calibration, GatewayState, Event, FrameRecord]
+)
 def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
     assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
 
@@ -68,6 +71,8 @@ def test_what_comes_in_has_these_fields() -> None:
     assert set(names("### ServoCommand")) == set(MoveCommand.model_fields) | set(StopCommand.model_fields)
     for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand, RevocationRequest):
         assert set(names(f"### {model.__name__}")) == set(model.model_fields)
+    pressed = {name for model in (Register, Alive, Leave) for name in model.model_fields}
+    assert set(names("### ButtonRequest")) == pressed - {"proof"} | {f"proof.{name}" for name in Proof.model_fields}
     asked = {name for model in (Challenge, Claim, Renew, Release) for name in model.model_fields}
     assert set(names("### LeaseRequest")) == asked - {"proof"} | {f"proof.{name}" for name in Proof.model_fields}
 

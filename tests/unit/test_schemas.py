@@ -12,6 +12,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from schemas import telemetry
 from schemas.__main__ import documents
+from schemas.button import BUTTON_REQUEST, ButtonAck
 from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
 from schemas.lease import LEASE_REQUEST, LeaseAck
@@ -29,6 +30,7 @@ COMMANDS: dict[str, TypeAdapter[Any]] = {
     "LegsCommand": TypeAdapter(LegsCommand),
     "ResetCommand": TypeAdapter(ResetCommand),
     "LeaseRequest": LEASE_REQUEST,
+    "ButtonRequest": BUTTON_REQUEST,
 }
 NAMES = {
     Target.SERVO: "ServoCommand",
@@ -199,6 +201,9 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
               verified=st.none() | st.booleans()),
     st.builds(RevocationAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
               number=st.none() | st.integers(0), revoked=st.none() | texts),
+    st.builds(ButtonAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
+              nonce=st.none() | texts, button=st.none() | texts, timeout_ms=st.none() | floats,
+              alive=st.none() | st.integers(0), required=st.none() | st.integers(0)),
     st.just(state()),
 )  # fmt: skip
 
@@ -223,6 +228,8 @@ def test_what_carries_a_token_does_not_show_it() -> None:
     shown = [
         LeaseAck(accepted=True, lease=token),
         LEASE_REQUEST.validate_python({"do": "renew", "lease": token}),
+        ButtonAck(accepted=True, button=token),
+        BUTTON_REQUEST.validate_python({"do": "leave", "button": token}),
         LEASE_REQUEST.validate_python({"do": "release", "lease": token, "to": "bert"}),
         LegCommand.model_validate({"servos": ({"op": "stop"},) * 3, "lease": token}),
     ]
@@ -255,18 +262,19 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 @pytest.mark.parametrize(("enumeration", "words"), [
     (Reason, "too_large bad_encoding malformed invalid servo_stopped joint_limit stale estopped bus_fault stopping "
-     "not_holder no_lease lease_held lease_denied landing overflow revocation_denied"),
+     "not_holder no_lease lease_held lease_denied landing overflow revocation_denied no_button "
+     "unknown_button button_denied"),
     (Mode, "starting idle active estopped bus_fault stopping"),
     (Kind, "started command_rejected watchdog_expired estop_engaged estop_reset bus_fault bus_recovered stopping "
      "stopped_outside source_changed lease_acquired lease_released lease_expired lease_taken lease_asked "
-     "landing calibrated overflow bus_unbatched revoked"),
+     "landing calibrated overflow bus_unbatched revoked button_registered button_silent button_left button_returned"),
     (Cause, "command watchdog estop startup shutdown repeat"),
 ])  # fmt: skip
 def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Cause], words: str) -> None:
     assert [str(word) for word in enumeration] == words.split()
 
 
-REPORTS = ("Ack", "LeaseAck", "RevocationAck", "Calibration", "GatewayState", "Event", "FrameRecord")
+REPORTS = ("Ack", "LeaseAck", "RevocationAck", "ButtonAck", "Calibration", "GatewayState", "Event", "FrameRecord")
 
 
 def every_object(schema: object) -> list[dict[str, Any]]:

@@ -38,6 +38,8 @@ SHOWN_ELSEWHERE = {
     "lease.required": "test_lease_conductor.py",
     "lease.ttl_ms": "test_lease_conductor.py",
     "lease.takeover": "test_lease_conductor.py",
+    "buttons.required": "test_buttons_conductor.py",
+    "buttons.timeout_ms": "test_buttons_conductor.py",
     "calibration.path": "zenoh/test_calibration.py",
     "recorder.path": "test_recorder.py",
     "recorder.seconds": "test_recorder.py",

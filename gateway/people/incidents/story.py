@@ -26,6 +26,7 @@ _WHAT: Final = {
     "estop": "somebody requested an emergency stop",
     "bus-fault": "the SPI bus failed",
     "overflow": "messages were lost on the way to the gateway, and legs were stopped for it",
+    "button": "too few stop buttons were alive, and all legs were stopped",
     "lease-taken": "somebody took the lease from its holder, and all legs were stopped",
     "stopped-outside": "stop-servos stopped all legs past the gateway",
     "mistake": "a mistake in the gateway ended it",
@@ -41,6 +42,8 @@ _EVENTS: Final[dict[object, str]] = {
     Kind.OVERFLOW: "overflow",
     Kind.LEASE_TAKEN: "lease taken",
     Kind.STOPPED_OUTSIDE: "stopped outside",
+    Kind.BUTTON_SILENT: "button silent",
+    Kind.BUTTON_LEFT: "button left",
 }
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
 """Events that are told after their Stops are written, though what they tell of came before."""
@@ -51,7 +54,8 @@ _ENDINGS: Final[dict[str, str]] = {
 }
 """What an event's kind or a note's `what` is in an incident's id."""
 _WORSE: Final = (
-    "watchdog", "landing", "overflow", "lease-taken", "stopped-outside", "estop", "bus-fault", "mistake", "crash"
+    "watchdog", "button", "landing", "overflow", "lease-taken", "stopped-outside", "estop", "bus-fault", "mistake",
+    "crash",
 )  # fmt: skip
 """What a list names first where several happened, from the least on."""
 STOOD_NS: Final = 100_000_000

@@ -51,8 +51,13 @@ INCIDENTS: Final = {
     Kind.OVERFLOW: "overflow",
     Kind.LEASE_TAKEN: "lease-taken",
     Kind.STOPPED_OUTSIDE: "stopped-outside",
+    Kind.BUTTON_SILENT: "button",
+    Kind.BUTTON_LEFT: "button",
+    Kind.BUTTON_REGISTERED: "button",
 }
 """Events that are kept as incidents, and how their ids end."""
+_IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUTTON_REGISTERED})
+"""These are incidents only where legs are stopped for them."""
 MISTAKE: Final = "mistake"
 ACCEPTED: Final = "accepted"
 
@@ -121,7 +126,14 @@ class Recorder:
         """The gateway's mode changes."""
 
     def event(
-        self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
+        self,
+        kind: Kind,
+        source: str | None,
+        key: str | None,
+        reason: str | None,
+        detail: str,
+        left_out: int,
+        legs: tuple[int, ...] = (),
     ) -> str | None:
         """An event is published; returns the id of the incident that it belongs to, if it is one."""
 
@@ -231,11 +243,18 @@ class RingRecorder(Recorder):
         self._append(form.MODE, self._clock(), form.mode(mode))
 
     def event(
-        self, kind: Kind, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int
+        self,
+        kind: Kind,
+        source: str | None,
+        key: str | None,
+        reason: str | None,
+        detail: str,
+        left_out: int,
+        legs: tuple[int, ...] = (),
     ) -> str | None:
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(kind, source, key, reason, detail, left_out))
-        what = INCIDENTS.get(kind)
+        what = INCIDENTS.get(kind) if legs or kind not in _IF_LEGS_STOP else None
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:

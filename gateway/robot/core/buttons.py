@@ -72,6 +72,8 @@ class Buttons:
         """Whether fewer are alive than are required."""
         self.fell_ns: int | None = None
         """Since when, if enough were alive before."""
+        self.alive = 0
+        """How many check in."""
         self.due_ns: int | None = None
         """When the next of them falls silent."""
         self.changes: Counter[Kind] = Counter()
@@ -177,7 +179,8 @@ class Buttons:
         """Count those that are alive. Whether they have become too few by this."""
         times_ns = [button.until_ns for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min(times_ns, default=None)
-        closed, self.closed = self.closed, len(times_ns) < self._required
+        self.alive = len(times_ns)
+        closed, self.closed = self.closed, self.alive < self._required
         if not self.closed:
             self.fell_ns = None
             return False
@@ -186,16 +189,16 @@ class Buttons:
         return not closed
 
     def _count(self) -> str:
-        alive = len(self.names)
+        are = "is" if self.alive == 1 else "are"
         if not self._required:
-            return f"{alive} {'is' if alive == 1 else 'are'} alive, and none is required"
-        return f"{alive} of the {self._required} buttons that are required {'is' if alive == 1 else 'are'} alive"
+            return f"{self.alive} {are} alive, and none is required"
+        return f"{self.alive} of the {self._required} buttons that are required {are} alive"
 
     def _answer(self, token: str | None = None) -> ButtonAnswer:
-        return ButtonAnswer(token=token, alive=len(self.names))
+        return ButtonAnswer(token=token, alive=self.alive)
 
     def _rejected(self, reason: Reason, detail: str) -> Outcome:
-        return [], ButtonAnswer(reason, detail, alive=len(self.names))
+        return [], ButtonAnswer(reason, detail, alive=self.alive)
 
 
 def _until(button: Button) -> int:

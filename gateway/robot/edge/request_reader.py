@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 import zenoh
+from pydantic import ValidationError
 
 from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
 from gateway.robot.core.message import Reply
@@ -16,6 +17,20 @@ Reader = Callable[[zenoh.Query, int, Reply], Deal]
 
 BY_WILDCARD: Final = Rejection(Reason.INVALID, "this key is not asked by wildcard: name it")
 BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
+
+
+def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
+    """Why a request cannot be read, which may `do` these. Nothing of what was sent is repeated: it may be a secret."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    if first["type"] == "json_invalid":
+        return Reason.MALFORMED, "the payload is not JSON"
+    # The names in it are ours, but for one that is not known; the first is the verb's, which pydantic adds.
+    known = [str(part) for part in first["loc"][1:]]
+    if first["type"].startswith("union_tag") or not known:
+        return Reason.INVALID, f"do must be {does}"
+    if first["type"] == "extra_forbidden":
+        return Reason.INVALID, "the payload has a field that is not known here"
+    return Reason.INVALID, f"{'.'.join(known)} is missing, or not what docs/interface.md says"
 
 
 def payload_of(query: zenoh.Query, most: int = MAX_PAYLOAD_BYTES) -> bytes | Rejection:

@@ -17,6 +17,7 @@ from gateway.robot.core.events import (
     Announce,
     BusFailed,
     BusOpened,
+    ButtonRequest,
     Calibrate,
     Command,
     Completed,
@@ -224,7 +225,7 @@ class Conductor:
             if self._losses.key and self.answers.rejected != number:
                 self._losses.accepted(intent.targets)
 
-    def ask(self, event: LeaseRequest | Calibrate | Kept) -> list[Effect]:
+    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | Kept) -> list[Effect]:
         """Let the supervisor take what commands nothing that moves. Returns its effects, which are carried out."""
         if self._closed:
             return []

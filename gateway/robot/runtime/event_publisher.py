@@ -30,7 +30,7 @@ class Teller:
         legs: tuple[int, ...] = (),
     ) -> None:
         """Tell an event; `legs`, ascending, are those that it is about."""
-        incident = self._recorder.event(kind, source, key, reason, detail, left_out)
+        incident = self._recorder.event(kind, source, key, reason, detail, left_out, legs)
         level = logging.WARNING if kind in WARNINGS else logging.INFO
         extra = {
             "kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None,

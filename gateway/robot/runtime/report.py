@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway import __version__
+from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.supervisor import Supervisor
@@ -13,6 +14,7 @@ from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas.telemetry import (
+    ButtonsReport,
     CalibrationReport,
     CertificateReport,
     CommandCounts,
@@ -41,6 +43,8 @@ WARNINGS: Final = frozenset(
         Kind.STOPPED_OUTSIDE,
         Kind.OVERFLOW,
         Kind.REVOKED,
+        Kind.BUTTON_SILENT,
+        Kind.BUTTON_LEFT,
     }
 )
 """Events that somebody should look at; the others are the normal course."""
@@ -102,6 +106,7 @@ def report(
             p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
         ),
         lease=_lease(supervisor.lease, now_ns),
+        buttons=_buttons(supervisor.buttons),
         calibration=CalibrationReport(
             revision=supervisor.calibrating.in_force.revision,
             fault=supervisor.calibrating.fault,
@@ -127,6 +132,11 @@ def _lease(lease: Lease, now_ns: int) -> LeaseReport:
         expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
         asked_by=lease.asked_by,
     )
+
+
+def _buttons(buttons: Buttons) -> ButtonsReport:
+    names = buttons.names
+    return ButtonsReport(required=buttons.required, alive=len(names), names=names)
 
 
 def _leg(leg: Leg, now_ns: int) -> LegReport:

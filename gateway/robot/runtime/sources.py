@@ -21,6 +21,9 @@ LIMITED: Final = (
     Kind.LEASE_TAKEN,
     Kind.LEASE_ASKED,
     Kind.CALIBRATED,
+    Kind.BUTTON_REGISTERED,
+    Kind.BUTTON_LEFT,
+    Kind.BUTTON_RETURNED,
 )
 """What others can bring about as often as they like. Each kind has a limit of its own, so that none is left out for
 another's sake: two people who fight for a leg hide no takeover."""

@@ -47,6 +47,9 @@ landing = {}
 required = false
 ttl_ms = 1000
 takeover = "stop"
+[buttons]
+required = 0
+timeout_ms = 1000
 [calibration]
 path = ""
 [recorder]
@@ -109,6 +112,9 @@ landing = { 11 = 90 }
 required = true
 ttl_ms = 200
 takeover = "never"
+[buttons]
+required = 8
+timeout_ms = 200
 [calibration]
 path = "/mnt/calibration.toml"
 [recorder]
@@ -201,6 +207,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "watchdog.repeat_interval_ms": (1, 1000),
     "watchdog.landing_ms": (0, 5000),
     "lease.ttl_ms": (200, 10_000),
+    "buttons.required": (0, 8),
+    "buttons.timeout_ms": (200, 10_000),
     "recorder.seconds": (10, 600),
     "telemetry.state_hz": (0, 1000),
 }

@@ -1,0 +1,366 @@
+"""Who watches: each rule of the stop buttons, judged by the oracle as well."""
+
+import pytest
+
+from gateway.robot.core.buttons import DRIFT_PPM, MOST_BUTTONS
+from gateway.robot.core.events import Announce, ButtonAnswer
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.pacing import NS_PER_MS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.steps import Steps, all_stopped, leg_to, legs_to
+
+TIMEOUT_MS = 1000
+START, SET, STOP = leg_to(1, "start 90"), leg_to(1, "set 45"), leg_to(1, "stop")
+REGISTERED = ["announce button_registered", "button granted, 0 alive"]
+ALIVE = ["button granted, 1 alive"]
+REFUSED = "rejected 1 no_button"
+
+
+def rules(required: int = 1, landing_ms: int = 0) -> Rules:
+    """The watchdog is slower than the buttons, so that it is not what stops the legs."""
+    return Rules(repeats=0, timeout_ns=10_000 * NS_PER_MS, buttons_required=required, landing_ns=landing_ms * NS_PER_MS)
+
+
+def watched(required: int = 1, landing_ms: int = 0) -> Steps:
+    """The kitchen is alive since 0 ms, and leg 1 runs."""
+    robot = Steps(rules(required, landing_ms))
+    assert robot.button(0, "register", "kitchen") == REGISTERED
+    assert robot.button(0, "alive", "kitchen", 1) == ALIVE
+    if required == 1:
+        assert robot.command(1, START) == ["command 1 start 90", "completed 1"]
+    return robot
+
+
+def announced(robot: Steps) -> Announce:
+    """What is told of the latest step."""
+    found = [effect for effect in robot.effects if isinstance(effect, Announce)]
+    return found[0]
+
+
+def at_ns(at_ms: float) -> int:
+    """The supervisor's time; see `Steps`."""
+    return round((60_000 + at_ms) * NS_PER_MS)
+
+
+def answer(robot: Steps) -> ButtonAnswer:
+    (found,) = [effect for effect in robot.effects if isinstance(effect, ButtonAnswer)]
+    return found
+
+
+# ---- fewer than required
+
+
+def test_nothing_starts_before_a_button_is_alive() -> None:
+    robot = Steps(rules())
+    assert robot.command(1, START) == [REFUSED]
+    robot.button(2, "register", "kitchen")
+    assert robot.command(3, START) == ["rejected 2 no_button"], "who is registered has not checked in yet"
+    robot.button(4, "alive", "kitchen", 0)
+    assert robot.command(5, START) == ["command 1 start 90", "completed 3"]
+
+
+def test_a_stop_needs_no_button_and_a_reset_does() -> None:
+    robot = Steps(rules())
+    assert robot.command(1, STOP) == ["command 1 stop", "completed 1"]
+    assert robot.estop(2)[:6] == all_stopped("estop")
+    assert robot.reset(3) == ["rejected 2 no_button"]
+    robot.button(4, "register", "kitchen")
+    robot.button(4, "alive", "kitchen", 1)
+    assert robot.reset(5) == ["announce estop_reset", "completed 3"]
+
+
+def test_the_rejection_names_how_many_are_missing() -> None:
+    robot = Steps(rules(required=2))
+    robot.command(1, START)
+    assert robot.supervisor.buttons.rejection()[1].startswith("0 of the 2 buttons that are required are alive")
+
+
+def test_where_none_is_required_buttons_come_and_go_and_stop_nothing() -> None:
+    robot = Steps(rules(required=0))
+    robot.command(1, START)
+    robot.button(0, "register", "kitchen")
+    robot.button(0, "alive", "kitchen", 1)
+    assert robot.time(TIMEOUT_MS) == ["announce button_silent"]
+    assert announced(robot).legs == ()
+    assert robot.running
+
+
+# ---- silence
+
+
+def test_all_six_legs_stop_when_the_last_one_that_counts_falls_silent() -> None:
+    robot = watched()
+    assert robot.due_ms == TIMEOUT_MS
+    assert robot.time(TIMEOUT_MS - 1) == []
+    assert robot.time(TIMEOUT_MS) == [*all_stopped("watchdog"), "announce button_silent"]
+    told = announced(robot)
+    assert (told.source, told.legs) == ("kitchen", (1, 2, 3, 4, 5, 6))
+    assert told.detail == (
+        "the button kitchen was not heard for 1000 ms; 0 of the 1 buttons that are required are alive; "
+        "all six legs are stopped"
+    )
+    assert robot.running == []
+    assert robot.due_ms is None
+
+
+def test_a_command_that_comes_too_late_does_not_move_before_the_stop() -> None:
+    robot = watched()
+    assert robot.command(TIMEOUT_MS, SET) == [
+        *all_stopped("watchdog"),
+        "announce button_silent",
+        "rejected 2 no_button",
+    ]
+
+
+def test_a_check_in_of_the_step_in_which_it_falls_silent_does_not_save_it() -> None:
+    robot = watched()
+    took = robot.button(TIMEOUT_MS, "alive", "kitchen", 2)
+    assert took == [
+        *all_stopped("watchdog"),
+        "announce button_silent",
+        "announce button_returned",
+        "button granted, 1 alive",
+    ]
+    assert robot.command(TIMEOUT_MS + 1, SET) == ["rejected 2 servo_stopped"], "who is back starts nothing"
+
+
+def test_a_button_that_returns_starts_nothing_and_lets_start() -> None:
+    robot = watched()
+    robot.time(TIMEOUT_MS)
+    assert robot.button(5000, "alive", "kitchen", 2) == ["announce button_returned", "button granted, 1 alive"]
+    assert robot.running == []
+    assert robot.command(5001, START) == ["command 1 start 90", "completed 2"]
+
+
+def test_what_waits_to_be_started_is_dropped() -> None:
+    robot = Steps(Rules(repeats=0, period_ns=4000 * NS_PER_MS, timeout_ns=10_000 * NS_PER_MS, buttons_required=1))
+    robot.button(0, "register", "kitchen")
+    robot.button(0, "alive", "kitchen", 1)
+    for at_ms in (1, 2, 3):
+        robot.command(at_ms, START)
+        robot.command(at_ms, STOP)
+    robot.command(4, START)
+    assert robot.running == []
+    took = robot.time(TIMEOUT_MS)
+    assert took == [*all_stopped("watchdog"), "announce button_silent", "rejected 7 no_button"]
+
+
+def test_one_of_two_that_are_required_is_not_enough() -> None:
+    robot = watched(required=2)
+    robot.button(1, "register", "door")
+    robot.button(500, "alive", "door", 1)
+    robot.command(501, START)
+    robot.button(999, "alive", "door", 2)
+    assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog"), "the kitchen is silent, whoever else is alive"
+    assert announced(robot).source == "kitchen"
+
+
+def test_a_third_button_makes_up_for_a_silent_one() -> None:
+    robot = watched()
+    robot.button(10, "register", "door")
+    robot.button(500, "alive", "door", 1)
+    assert robot.time(TIMEOUT_MS) == ["announce button_silent"]
+    assert announced(robot).legs == ()
+    assert robot.running
+    assert robot.time(1500)[:6] == all_stopped("watchdog")
+
+
+def test_two_that_fall_silent_in_one_step_are_told_in_their_order() -> None:
+    robot = watched()
+    robot.button(10, "register", "door")
+    robot.button(10, "alive", "door", 1)
+    assert robot.time(2000) == [*all_stopped("watchdog"), "announce button_silent", "announce button_silent"]
+    told = [effect for effect in robot.effects if isinstance(effect, Announce)]
+    assert [(each.source, bool(each.legs)) for each in told] == [("kitchen", False), ("door", True)]
+
+
+def test_the_stop_is_known_to_be_late_from_the_buttons_own_deadline() -> None:
+    robot = watched()
+    robot.time(TIMEOUT_MS + 7)
+    deadlines = {getattr(effect, "deadline_ns", None) for effect in robot.effects[:6]}
+    assert deadlines == {(60_000 + TIMEOUT_MS) * NS_PER_MS}
+
+
+@pytest.mark.parametrize("event", ["estop", "outside", "fail", "end"])
+def test_what_stops_everything_anyway_stops_it_once(event: str) -> None:
+    robot = watched()
+    took = robot.outside(TIMEOUT_MS, at_work=True) if event == "outside" else getattr(robot, event)(TIMEOUT_MS)
+    assert "announce button_silent" in took
+    assert len([each for each in took if each.endswith("stop")]) == (0 if event == "fail" else 6)
+
+
+def test_a_bus_fault_does_not_keep_a_button_from_falling_silent() -> None:
+    robot = watched()
+    robot.fail(10)
+    assert robot.due_ms == TIMEOUT_MS
+    assert robot.time(TIMEOUT_MS) == ["announce button_silent"]
+    assert robot.open(1100)[:6] == all_stopped("startup")
+    assert robot.command(1101, START) == ["rejected 2 no_button"]
+
+
+# ---- landing
+
+
+def test_where_a_landing_is_configured_it_begins_and_ends_in_time() -> None:
+    robot = watched(landing_ms=400)
+    assert robot.time(TIMEOUT_MS) == ["announce button_silent", "announce landing"]
+    assert announced(robot).detail.endswith("the robot lands")
+    assert robot.command(1100, SET) == ["rejected 2 landing"]
+    robot.button(1200, "alive", "kitchen", 2)
+    took = robot.time(1400)
+    assert took == [*all_stopped("watchdog"), "announce watchdog_expired"], "who is back makes it no longer"
+
+
+def test_a_landing_that_would_begin_after_its_end_is_a_stop() -> None:
+    robot = watched(landing_ms=400)
+    assert robot.time(TIMEOUT_MS + 400)[:6] == all_stopped("watchdog")
+
+
+# ---- leaving, and registering anew
+
+
+def test_leaving_on_purpose_stops_as_silence_does() -> None:
+    robot = watched()
+    took = robot.button(10, "leave", "kitchen")
+    assert took == [*all_stopped("watchdog"), "announce button_left", "button granted, 0 alive"]
+    assert robot.command(11, START) == ["rejected 2 no_button"]
+    assert robot.button(12, "alive", "kitchen", 2) == ["button unknown_button, 0 alive"]
+
+
+def test_one_that_can_be_spared_leaves_and_stops_nothing() -> None:
+    robot = watched()
+    robot.button(10, "register", "door")
+    robot.button(10, "alive", "door", 1)
+    assert robot.button(11, "leave", "kitchen") == ["announce button_left", "button granted, 1 alive"]
+    assert robot.running
+
+
+def test_a_name_registers_once_and_the_older_registration_ends() -> None:
+    robot = watched()
+    robot.supervisor.buttons._by_token["the first"] = robot.supervisor.buttons._by_token.pop("kitchen")
+    robot.oracle.buttons.known["the first"] = robot.oracle.buttons.known.pop("kitchen")
+    took = robot.button(10, "register", "kitchen")
+    assert took == [*all_stopped("watchdog"), "announce button_registered", "button granted, 0 alive"]
+    assert announced(robot).detail.startswith("kitchen is registered as a button, in place of the one of that name")
+    assert robot.button(11, "alive", "the first", 2) == ["button unknown_button, 0 alive"]
+    assert robot.button(12, "alive", "kitchen", 0) == ALIVE
+
+
+def test_a_flood_of_registrations_takes_bounded_memory_and_pushes_out_nobody_who_is_alive() -> None:
+    robot = watched()
+    for number in range(1000):
+        robot.button(10, "register", f"flood {number}")
+    assert len(robot.supervisor.buttons._by_token) == MOST_BUTTONS
+    assert robot.button(20, "alive", "kitchen", 2) == ALIVE
+    assert robot.running
+
+
+def test_where_all_places_are_alive_no_more_are_taken() -> None:
+    robot = Steps(rules())
+    for number in range(MOST_BUTTONS):
+        robot.button(0, "register", f"button {number}")
+        robot.button(0, "alive", f"button {number}", 1)
+    assert robot.button(1, "register", "one more") == [f"button button_denied, {MOST_BUTTONS} alive"]
+    robot.time(TIMEOUT_MS)
+    assert robot.button(1001, "register", "one more") == REGISTERED
+
+
+# ---- what a check-in is worth
+
+
+@pytest.mark.parametrize("count", [1, 0])
+def test_a_check_in_that_was_recorded_and_is_sent_again_counts_for_nothing(count: int) -> None:
+    robot = watched()
+    assert robot.button(900, "alive", "kitchen", count) == ["button stale, 1 alive"]
+    assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog")
+
+
+def test_counts_may_leap() -> None:
+    robot = watched()
+    assert robot.button(900, "alive", "kitchen", 2**53) == ALIVE
+    assert robot.due_ms == 900 + TIMEOUT_MS
+
+
+def test_a_check_in_that_was_held_back_counts_no_longer_than_its_age() -> None:
+    """The button's clock is 5 s behind the gateway's, and its messages take 2 ms: the gateway knows neither."""
+    robot = Steps(rules())
+    robot.button(10, "register", "kitchen", sent_ms=55_008)
+    robot.button(22, "alive", "kitchen", 1, sent_ms=55_020)
+    assert robot.due_ms == 22 + TIMEOUT_MS
+    robot.button(600, "alive", "kitchen", 2, sent_ms=55_098)
+    assert robot.due_ms == pytest.approx(100 + TIMEOUT_MS, abs=0.2), "it came 500 ms late; clocks may drift by 200 ppm"
+
+
+def test_one_that_is_older_than_the_timeout_is_rejected() -> None:
+    robot = Steps(rules())
+    robot.button(10, "register", "kitchen", sent_ms=8)
+    robot.button(22, "alive", "kitchen", 1, sent_ms=20)
+    robot.time(1022)
+    assert robot.button(3000, "alive", "kitchen", 2, sent_ms=1500) == ["button stale, 0 alive"]
+    assert answer(robot).detail == "the check-in is 1497 ms old; it counts for 1000 ms"
+    assert robot.button(3001, "alive", "kitchen", 3, sent_ms=2999) == ["announce button_returned", *ALIVE]
+
+
+def test_the_first_check_in_is_judged_by_the_registration() -> None:
+    """Else one that was held back behind the answer to the registration would count from its arrival."""
+    robot = Steps(rules())
+    robot.button(10, "register", "kitchen", sent_ms=8)
+    assert robot.button(2000, "alive", "kitchen", 1, sent_ms=20) == ["button stale, 0 alive"]
+
+
+def test_check_ins_that_overtake_each_other_do_not_shorten_what_counts() -> None:
+    robot = Steps(rules())
+    robot.button(10, "register", "kitchen", sent_ms=10)
+    robot.button(100, "alive", "kitchen", 1, sent_ms=100)
+    robot.button(101, "alive", "kitchen", 2, sent_ms=50)
+    assert robot.due_ms == 100 + TIMEOUT_MS
+
+
+def test_a_clock_that_jumps_makes_a_button_silent_and_never_longer_alive() -> None:
+    robot = Steps(rules())
+    robot.button(10, "register", "kitchen", sent_ms=10)
+    robot.button(100, "alive", "kitchen", 1, sent_ms=900_000)
+    assert robot.due_ms == 100 + TIMEOUT_MS, "not 900 s ahead"
+    assert robot.button(200, "alive", "kitchen", 2, sent_ms=200) == ["button stale, 1 alive"], "it jumped back"
+    robot.time(1100)
+    assert robot.button(1200, "register", "kitchen", sent_ms=1200) == REGISTERED
+    assert robot.button(1201, "alive", "kitchen", 1, sent_ms=1201) == ALIVE, "registering anew helps"
+
+
+def test_a_button_whose_clock_runs_slow_stays_alive() -> None:
+    """A bad crystal loses a minute in ten days; after an hour of check-ins the delay that it seems to show is none."""
+    robot = Steps(rules())
+    robot.button(0, "register", "kitchen", sent_ms=0)
+    for second in range(1, 3600, 60):
+        at_ms = second * 1000
+        robot.button(at_ms, "alive", "kitchen", second, sent_ms=at_ms * (1 - DRIFT_PPM * 1e-6))
+        due_ns = robot.supervisor.buttons.due_ns
+        assert due_ns is not None
+        assert due_ns == pytest.approx(at_ns(at_ms + TIMEOUT_MS), abs=2 * NS_PER_MS)
+
+
+# ---- the end, and a new start
+
+
+def test_at_the_end_requests_are_rejected() -> None:
+    robot = watched()
+    robot.end(10)
+    assert robot.button(11, "alive", "kitchen", 2) == ["button stopping, 0 alive"]
+
+
+def test_a_gateway_that_was_started_anew_knows_no_button() -> None:
+    robot = Steps(rules())
+    assert robot.button(1, "alive", "kitchen", 7) == ["button unknown_button, 0 alive"]
+    assert answer(robot).reason is Reason.UNKNOWN_BUTTON
+    assert robot.command(2, START) == [REFUSED]
+
+
+def test_the_mode_and_the_counters_follow() -> None:
+    robot = watched()
+    robot.command(1, legs_to("23456", "start 90"))
+    modes = [robot.supervisor.mode]
+    robot.time(TIMEOUT_MS)
+    assert [*modes, robot.supervisor.mode] == [Mode.ACTIVE, Mode.IDLE]
+    changes = robot.supervisor.buttons.changes
+    assert changes == {Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
+    assert robot.supervisor.buttons.names == ()

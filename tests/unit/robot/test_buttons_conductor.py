@@ -1,0 +1,122 @@
+"""Who watches, from the payload on `hexapod/button/cmd` to the answer, the frames, the events and the state."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from gateway.robot.edge.proofs import Proofs
+from schemas import keys
+from schemas.button import ButtonAck
+from schemas.robot import LEGS
+from schemas.telemetry import ButtonsReport, Cause, Kind, Mode, Reason
+from tests.support.robot import Robot, leg, started_and_quiet
+
+LEG_3 = keys.leg_command(3)
+START, SET, STOP = leg("start", 90, 90, 90), leg("set", 45, 45, 45), leg("stop")
+pytestmark = pytest.mark.virtual_time
+
+
+async def watched(required: int = 1, **buttons: Any) -> tuple[Robot, ButtonAck]:
+    """The kitchen is alive."""
+    robot = await started_and_quiet(buttons={"required": required, **buttons}, watchdog={"timeout_ms": 10_000})
+    ack = robot.button("register", "kitchen")
+    assert robot.button("alive", button=ack.button, count=1).accepted
+    return robot, ack
+
+
+async def test_whoever_registers_hears_the_token_the_timeout_and_how_many_are_alive() -> None:
+    robot, ack = await watched()
+    assert (ack.accepted, ack.timeout_ms, ack.alive, ack.required) == (True, 1000, 0, 1)
+    assert ack.button is not None
+    assert ack.button not in repr(ack)
+    (event,) = robot.events(Kind.BUTTON_REGISTERED)
+    assert (event.source, event.key) == ("kitchen", keys.BUTTON)
+    assert robot.conductor.state().buttons == ButtonsReport(required=1, alive=1, names=("kitchen",))
+
+
+async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
+    robot, _ = await watched()
+    assert robot.ask(LEG_3, START).accepted
+    before = len(robot.frames)
+    await asyncio.sleep(0.999)
+    assert robot.mode == Mode.ACTIVE
+    await asyncio.sleep(0.002)
+    assert robot.mode == Mode.IDLE
+    assert len(robot.frames) == before + len(LEGS)
+    (event,) = robot.events(Kind.BUTTON_SILENT)
+    assert (event.source, event.legs) == ("kitchen", tuple(LEGS))
+    assert robot.conductor.metrics.frames[Cause.WATCHDOG] == len(LEGS)
+    assert robot.conductor.state().watchdog.stop_latency_us.max is not None
+    assert robot.conductor.state().buttons == ButtonsReport(required=1)
+
+
+async def test_the_timeout_is_the_setting() -> None:
+    robot, _ = await watched(timeout_ms=200)
+    await asyncio.sleep(0.201)
+    assert robot.ask(LEG_3, START).reason == Reason.NO_BUTTON
+
+
+@pytest.mark.parametrize("required", [0, 1, 2])
+async def test_so_many_are_required(required: int) -> None:
+    robot, _ = await watched(required=required)
+    assert robot.ask(LEG_3, START).accepted is (required < 2)
+
+
+async def test_what_is_rejected_is_told_with_its_reason() -> None:
+    robot, ack = await watched()
+    again = robot.button("alive", button=ack.button, count=1)
+    assert (again.accepted, again.reason) == (False, Reason.STALE)
+    assert robot.button("alive", button="0" * 32, count=1).reason == Reason.UNKNOWN_BUTTON
+    told = [(event.key, event.reason) for event in robot.events(Kind.COMMAND_REJECTED)]
+    assert told == [(keys.BUTTON, Reason.STALE), (keys.BUTTON, Reason.UNKNOWN_BUTTON)]
+    assert not any(str(ack.button) in event.detail for event in robot.events(Kind.COMMAND_REJECTED))
+
+
+@pytest.mark.parametrize(
+    ("payload", "detail"),
+    [
+        ({"do": "alive", "button": "0" * 32}, "count is missing, or not what docs/interface.md says"),
+        ({"do": "alive", "button": "0" * 31, "count": 1}, "button is missing, or not what docs/interface.md says"),
+        ({"do": "alive", "button": "0" * 32, "count": 1.5}, "count is missing, or not what docs/interface.md says"),
+        ({"do": "alive", "button": "0" * 32, "count": -1}, "count is missing, or not what docs/interface.md says"),
+        ({"do": "alive", "button": "0" * 32, "count": 2**53 + 1}, "count is missing, or not what"),
+        ({"do": "register"}, "source is missing, or not what docs/interface.md says"),
+        ({"do": "register", "source": "x" * 65}, "source is missing, or not what docs/interface.md says"),
+        ({"do": "press", "source": "x"}, 'do must be "challenge", "register", "alive" or "leave"'),
+        ({"do": "leave", "button": "0" * 32, "why": "x"}, "the payload has a field that is not known here"),
+    ],
+)
+async def test_what_cannot_be_read_changes_nothing(payload: dict[str, Any], detail: str) -> None:
+    robot, _ = await watched()
+    do = payload.pop("do")
+    ack = robot.button(do, **payload)
+    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+    assert str(ack.detail).startswith(detail)
+    assert robot.conductor.state().buttons.alive == 1
+
+
+async def test_a_flood_of_registrations_is_told_ten_times_a_second_and_the_button_lives_on() -> None:
+    robot, ack = await watched()
+    for _ in range(100):
+        robot.button("register", "somebody")
+    assert len(robot.events(Kind.BUTTON_REGISTERED)) == 1 + 10
+    assert robot.button("alive", button=ack.button, count=2).accepted
+
+
+async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they_are() -> None:
+    robot, _ = await watched()
+    ack = robot.button("challenge")
+    assert (ack.accepted, ack.nonce) == (True, None)
+    assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted
+
+
+async def test_what_waits_in_a_stopped_process_saves_nobody() -> None:
+    """The whole process stood still for 2 s: the deadline comes before the check-in that waited meanwhile."""
+    robot, ack = await watched()
+    assert robot.ask(LEG_3, START).accepted
+    robot.sleep_through(2)
+    assert robot.button("alive", button=ack.button, count=2).accepted
+    assert robot.mode == Mode.IDLE
+    kinds = [event.kind for event in robot.events()]
+    assert kinds[-2:] == [Kind.BUTTON_SILENT, Kind.BUTTON_RETURNED]
