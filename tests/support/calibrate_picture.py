@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gateway.people.tools.calibrate.screen import Screen
 from gateway.people.tools.calibrate.view import picture
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import calibration_of
 from schemas.calibration import ServoChange
 from tests.support.gateway_process import Gateway
 from tests.support.terminal_picture import svg

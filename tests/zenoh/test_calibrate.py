@@ -12,8 +12,7 @@ import pytest
 from gateway.client import Client
 from gateway.errors import ConfigError
 from gateway.people.tools.calibrate.command import calibrate
-from gateway.robot.core.calibration import ServoCalibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import ServoCalibration, calibration_of
 from schemas.calibration import ServoChange
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway

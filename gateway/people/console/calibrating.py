@@ -21,7 +21,6 @@ from schemas.telemetry import Ack, GatewayState
 
 MAX_WAITING: Final = 32
 """Steps of one page that wait for the one before; a key that is held jogs ten times a second."""
-_CDEG: Final = 100
 
 
 class Gateway(Protocol):
@@ -132,16 +131,10 @@ class Calibrating:
             id=number,
             revision=guide.in_force.revision,
             servos={
-                servo_id: Draft(
-                    trim_deg=servo.trim_cdeg / _CDEG,
-                    inverted=servo.inverted,
-                    min_deg=servo.min_cdeg / _CDEG,
-                    max_deg=servo.max_cdeg / _CDEG,
-                    changed=servo_id in changed,
-                )
+                servo_id: Draft(**servo.report.model_dump(), changed=servo_id in changed)
                 for servo_id, servo in guide.draft.items()
             },
-            landing={servo_id: angle / _CDEG for servo_id, angle in guide.in_force.landing_cdeg.items()},
+            landing={servo_id: angle / 100 for servo_id, angle in guide.in_force.landing_cdeg.items()},
             servo=guide.servo_id,
             shown_deg=guide.shown_deg if tested else None,
             command_deg=guide.command_deg if tested else None,
@@ -159,7 +152,7 @@ def _on_paper(step: Calibrate, guide: Guide) -> str | None:
         case "leave":
             guide.leave()
         case "jog":
-            guide.jog(round(deg * _CDEG))
+            guide.jog(round(deg * 100))
         case "stands_at":
             guide.stands_at(deg)
         case "wrong_way":

@@ -19,8 +19,7 @@ from gateway.people.console.messages import LinkMessage
 from gateway.people.console.stops import AT_ONCE
 from gateway.people.console.threads import Threads
 from gateway.people.tools import why
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.host.descriptors import Spare
 from schemas.telemetry import Ack, Event, GatewayState
 

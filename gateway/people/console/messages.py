@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, TypeA
 
 from gateway.people.walking import GAITS, Posture
 from schemas import keys
+from schemas.calibration import ServoCalibration
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
 from schemas.telemetry import Ack, Event, GatewayState, Report
 
@@ -317,13 +318,9 @@ class LinkForMessage(Report):
     error: str | None = None
 
 
-class Draft(Report):
+class Draft(ServoCalibration):
     """One servo's calibration as the page would write it; `changed`: it is not what is in force."""
 
-    trim_deg: float
-    inverted: bool
-    min_deg: float
-    max_deg: float
     changed: bool
 
 

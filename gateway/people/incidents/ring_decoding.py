@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.robot.blackbox import format as form
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import calibration_of
 from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause

@@ -4,8 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from gateway.people.recordings.reading import Message
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.protocol.frames import Frame, FrameError, decode
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, FRAME, STATE

@@ -15,8 +15,7 @@ from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.player import Player, without_pauses
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import Calibration, calibration_of
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState
 

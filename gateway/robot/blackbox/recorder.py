@@ -22,8 +22,7 @@ from gateway.errors import GatewayError
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.calibration_report import report_of
+from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.targets import Intent
 from gateway.robot.core.value import value
 from gateway.robot.protocol.frames import OP_STOP

@@ -4,14 +4,24 @@
 
 in hundredths of a degree, so that nothing is rounded and an angle that went to the wire comes back as it was. Users'
 angles stand in commands, limits, state and events; only frames carry the servo's own. This module is the one place
-where one becomes the other.
+where one becomes the other, and where hundredths become the degrees of `schemas.calibration`, and back.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
-from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, OP_STOP, STOP, Frame, OneLeg, OneServo, ServoOp
+from gateway.robot.protocol.frames import (
+    MAX_ANGLE_CDEG,
+    OP_STOP,
+    STOP,
+    Frame,
+    OneLeg,
+    OneServo,
+    ServoOp,
+    centidegrees,
+)
+from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 
 MAX_TRIM_CDEG: Final = 90_00
@@ -37,6 +47,22 @@ class ServoCalibration(NamedTuple):
         """The angle as users count it."""
         untrimmed = wire_cdeg - self.trim_cdeg
         return MAX_ANGLE_CDEG - untrimmed if self.inverted else untrimmed
+
+    @property
+    def report(self) -> wire.ServoCalibration:
+        """As it is published: degrees."""
+        return wire.ServoCalibration(
+            trim_deg=self.trim_cdeg / 100,
+            inverted=self.inverted,
+            min_deg=self.min_cdeg / 100,
+            max_deg=self.max_cdeg / 100,
+        )
+
+    @classmethod
+    def of_report(cls, report: wire.ServoCalibration) -> Self:
+        """As it was published. Raises OverflowError for an angle that is infinite."""
+        trim_cdeg, min_cdeg, max_cdeg = map(centidegrees, (report.trim_deg, report.min_deg, report.max_deg))
+        return cls(trim_cdeg, report.inverted, min_cdeg, max_cdeg)
 
 
 AS_DRAWN: Final = ServoCalibration()
@@ -143,6 +169,25 @@ class Change(NamedTuple):
 def changed_servos(before: Calibration, after: Calibration) -> frozenset[int]:
     """The servos whose frames or limits differ; the landing pose alone changes none."""
     return frozenset(servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id))
+
+
+def report_of(calibration: Calibration) -> wire.Calibration:
+    """What is published: all servos by name, so that it can be sent back whole."""
+    return wire.Calibration(
+        revision=calibration.revision,
+        servos={str(servo_id): calibration.of(servo_id).report for servo_id in SERVO_IDS},
+        landing={str(servo_id): angle / 100 for servo_id, angle in sorted(calibration.landing_cdeg.items())},
+    )
+
+
+def calibration_of(report: wire.Calibration) -> Calibration:
+    """What was published. Raises CalibrationError, or another ValueError, for what no gateway publishes."""
+    try:
+        servos = {int(name): ServoCalibration.of_report(servo) for name, servo in report.servos.items()}
+        landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
+    except OverflowError as error:
+        raise CalibrationError("an angle is infinite") from error
+    return Calibration(report.revision, servos, landing_cdeg)
 
 
 def _check(servo_id: int, servo: ServoCalibration) -> None:

@@ -5,21 +5,25 @@ servo would go where nobody sent it.
 """
 
 import glob
+import json
 import math
 import os
 import stat
 import tomllib
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Final
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
+from pydantic_core import ErrorDetails
 
 from gateway.errors import ConfigError
-from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration
+from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
 from gateway.robot.host.systemd import SERVICE_STATE, state_directory
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import Settings
+from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 
 NAME: Final = "calibration.toml"
@@ -169,19 +173,46 @@ def _sync(folder: Path) -> None:
 
 def to_toml(calibration: Calibration) -> str:
     """The file's text. Its last line names the revision again, so that a file that was cut off can be told."""
-    lines = [f"{_HEAD}version = {VERSION}", f"revision = {calibration.revision}", "", "[landing]"]
-    lines += [f"{servo_id} = {angle / 100!r}" for servo_id, angle in sorted(calibration.landing_cdeg.items())]
-    for servo_id in SERVO_IDS:
-        servo = calibration.of(servo_id)
-        lines += [
-            "",
-            f"[servos.{servo_id}]",
-            f"trim_deg = {servo.trim_cdeg / 100!r}",
-            f"inverted = {str(servo.inverted).lower()}",
-            f"min_deg = {servo.min_cdeg / 100!r}",
-            f"max_deg = {servo.max_cdeg / 100!r}",
-        ]
-    return "\n".join([*lines, "", "[end]", f"of_revision = {calibration.revision}", ""])
+    report = report_of(calibration)
+    lines = [f"{_HEAD}version = {VERSION}", f"revision = {report.revision}", "", "[landing]"]
+    lines += [f"{name} = {angle!r}" for name, angle in report.landing.items()]
+    for name, servo in report.servos.items():
+        lines += ["", f"[servos.{name}]", *(f"{each} = {json.dumps(value)}" for each, value in servo)]
+    return "\n".join([*lines, "", "[end]", f"of_revision = {report.revision}", ""])
+
+
+def _degrees(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError("it is a number of degrees")
+    if abs(value) > 360:
+        raise ValueError("that is more than a turn")
+    return value
+
+
+Degrees = Annotated[float, PlainValidator(_degrees)]
+
+
+class _Servo(wire.ServoCalibration):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    trim_deg: Degrees
+    inverted: bool
+    min_deg: Degrees
+    max_deg: Degrees
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    version: int
+    revision: Annotated[int, Field(ge=0, lt=10**MOST_DIGITS)]
+    landing: dict[str, Degrees]
+    servos: dict[str, _Servo]
+    end: dict[str, object]
+
+
+_WHOLE: Final = "a whole calibration names every servo and all of its numbers"
+_EXPECTED: Final = {"bool_type": "it is true or false", "dict_type": "it is a table", "model_type": "it is a table"}
 
 
 def from_toml(text: str) -> Calibration:
@@ -193,54 +224,40 @@ def from_toml(text: str) -> Calibration:
     version = values.get("version")
     if version != VERSION:
         raise ValueError(f"version is {version!r}; this gateway reads {VERSION}")
-    _names(values, {"version", "revision", "landing", "servos", "end"}, "the file")
-    revision = values["revision"]
-    if type(revision) is not int or not 0 <= revision < 10**MOST_DIGITS:
-        raise ValueError(f"revision is {revision!r}; it is a whole number")
-    if values["end"] != {"of_revision": revision}:
-        raise ValueError(f"the last line is not of_revision = {revision}; the file was cut off, or half of it changed")
-    servos = _table(values["servos"], "servos")
-    _names(servos, set(map(str, SERVO_IDS)), "servos")
-    landing = _table(values["landing"], "landing")
+    try:
+        found = _File.model_validate(values)
+    except ValidationError as error:
+        raise ValueError(_sentence(error.errors(include_url=False)[0])) from None
+    if found.end != {"of_revision": found.revision}:
+        raise ValueError(
+            f"the last line is not of_revision = {found.revision}; the file was cut off, or half of it changed"
+        )
+    missing = [servo_id for servo_id in SERVO_IDS if str(servo_id) not in found.servos]
+    if missing:
+        raise ValueError(f"servos has no {missing[0]}; {_WHOLE}")
     return Calibration(
-        revision,
-        {int(name): _servo(f"servos.{name}", servo) for name, servo in servos.items()},
-        {_servo_id(name): _cdeg(f"landing.{name}", angle) for name, angle in landing.items()},
+        found.revision,
+        {_servo_id(name): ServoCalibration.of_report(servo) for name, servo in found.servos.items()},
+        {_servo_id(name): centidegrees(angle_deg) for name, angle_deg in found.landing.items()},
     )
 
 
-def _servo(place: str, value: object) -> ServoCalibration:
-    table = _table(value, place)
-    _names(table, {"trim_deg", "inverted", "min_deg", "max_deg"}, place)
-    if type(table["inverted"]) is not bool:
-        raise ValueError(f"{place}.inverted is {table['inverted']!r}; it is true or false")
-    trim, low, high = (_cdeg(f"{place}.{name}", table[name]) for name in ("trim_deg", "min_deg", "max_deg"))
-    return ServoCalibration(trim, table["inverted"], low, high)
+def _sentence(fault: ErrorDetails) -> str:
+    *table, name = fault["loc"]
+    where = ".".join(map(str, table))
+    match fault["type"]:
+        case "missing":
+            return f"{where or 'the file'} has no {name}; {_WHOLE}"
+        case "extra_forbidden":
+            return f"{where or 'the file'} has {name!r}, which is not known here"
+        case "value_error":
+            expected = str(fault["ctx"]["error"])
+        case kind:
+            expected = _EXPECTED.get(kind, "it is a whole number")
+    return f"{'.'.join(map(str, fault['loc']))} is {fault['input']!r}; {expected}"
 
 
 def _servo_id(name: str) -> int:
     if name not in map(str, SERVO_IDS):
         raise CalibrationError(f"servo {name} does not exist; an id is the leg and the joint, such as 32")
     return int(name)
-
-
-def _cdeg(place: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{place} is {value!r}; it is a number of degrees")
-    if abs(value) > 360:
-        raise ValueError(f"{place} is {value!r}; that is more than a turn")
-    return centidegrees(value)
-
-
-def _table(value: object, place: str) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{place} is {value!r}; it is a table")
-    return value
-
-
-def _names(table: Mapping[str, object], wanted: set[str], place: str) -> None:
-    missing, unknown = sorted(wanted - table.keys()), sorted(table.keys() - wanted)
-    if missing:
-        raise ValueError(f"{place} has no {missing[0]}; a whole calibration names every servo and all of its numbers")
-    if unknown:
-        raise ValueError(f"{place} has {unknown[0]!r}, which is not known here")

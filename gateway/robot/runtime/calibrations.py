@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.calibration_intake import CalibrationIntent
-from gateway.robot.core.calibration_report import report_of
 from gateway.robot.core.events import Announce, Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.calibration import Calibration, CalibrationError, Change, ServoChange
+from gateway.robot.core.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
 from gateway.robot.core.calibration_intake import CalibrationIntent, read
-from gateway.robot.core.calibration_report import calibration_of, report_of
 from gateway.robot.core.intake import Rejection
 from schemas import calibration as wire
 from schemas.command import MAX_PAYLOAD_BYTES

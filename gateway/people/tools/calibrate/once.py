@@ -11,8 +11,7 @@ from gateway.people.terminal.question import agrees
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.calibrate.robot import once_kept
 from gateway.people.tools.reach import Connection
-from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration, calibration_of
 from gateway.robot.protocol.frames import centidegrees
 from schemas import keys
 from schemas.robot import SERVO_IDS
@@ -37,7 +36,7 @@ def show(connect: Connection) -> int:
 
 def row(servo: ServoCalibration) -> str:
     """One servo's trim, direction and limits, in columns."""
-    trim = f"{servo.trim_cdeg / _CDEG:+.2f}" if servo != AS_DRAWN else "0.00"
+    trim = f"{servo.trim_cdeg / 100:+.2f}" if servo != AS_DRAWN else "0.00"
     way = "inverted" if servo.inverted else "as drawn"
     return f"{trim:>8}  {way:<9}  {_angle(servo.min_cdeg)}  {_angle(servo.max_cdeg)}"
 
@@ -103,8 +102,6 @@ def unkept(report: CalibrationReport) -> str:
 
 # ---- inside
 
-_CDEG: Final = 100
-
 
 def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str, Any]) -> int:
     """Change the calibration, at once where nobody else drives, else once they have let go of the lease.
@@ -141,7 +138,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
 def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
     """Where the running servos of these legs, or of all, are commanded to be, in degrees."""
     return {
-        servo.id: centidegrees(servo.angle_deg) / _CDEG
+        servo.id: centidegrees(servo.angle_deg) / 100
         for leg in state.legs
         for servo in leg.servos
         if (not legs or leg.leg in legs) and servo.running and servo.angle_deg is not None
@@ -156,7 +153,7 @@ def _about(report: CalibrationReport, calibration: Calibration) -> str:
 
 
 def _angle(cdeg: int | None) -> str:
-    return " " * 9 if cdeg is None else f"{cdeg / _CDEG:9.2f}"
+    return " " * 9 if cdeg is None else f"{cdeg / 100:9.2f}"
 
 
 def _agree(question: str) -> bool:

@@ -2,18 +2,14 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Final
 
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
 from gateway.people.tools import kept_lease
-from gateway.robot.core.calibration import Calibration, ServoCalibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import Calibration, ServoCalibration, calibration_of
 from schemas import calibration as wire
 from schemas.telemetry import Ack
-
-_CDEG: Final = 100
 
 
 class ChangedMeanwhileError(GatewayError):
@@ -66,7 +62,7 @@ class Robot:
         Raises ChangedMeanwhileError, RejectedError, NotKeptYetError, DisconnectedError.
         """
         self.drive()
-        landing = {servo_id: None if cdeg is None else cdeg / _CDEG for servo_id, cdeg in landing_cdeg.items()}
+        landing = {servo_id: None if cdeg is None else cdeg / 100 for servo_id, cdeg in landing_cdeg.items()}
         changes = {name: change_of(servo) for name, servo in servos.items()}
         ack = once_kept(self.client, lambda: self.client.calibrate(changes, landing, revision=revision))
         found = self.calibration()
@@ -91,9 +87,4 @@ def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
 
 def change_of(servo: ServoCalibration) -> wire.ServoChange:
     """What is sent to make a servo's calibration this one."""
-    return wire.ServoChange(
-        trim_deg=servo.trim_cdeg / _CDEG,
-        inverted=servo.inverted,
-        min_deg=servo.min_cdeg / _CDEG,
-        max_deg=servo.max_cdeg / _CDEG,
-    )
+    return wire.ServoChange(**servo.report.model_dump())

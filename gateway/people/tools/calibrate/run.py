@@ -11,7 +11,7 @@ from gateway.people.tools.calibrate import once
 from gateway.people.tools.calibrate.guide import Guide
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import why_not_at_rest
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import calibration_of
 from gateway.robot.protocol.framing import avoided_by
 from schemas.telemetry import GatewayState
 

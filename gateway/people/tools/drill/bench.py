@@ -10,8 +10,7 @@ from typing import Any, Final, NamedTuple
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.client.live import reports, subscribed
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from schemas import keys
 from schemas.robot import JOINTS
