@@ -1,9 +1,10 @@
 """Keeps sessions free for operators: clients without that role (visitors) get only a share of those that Zenoh allows,
 and whoever is revoked gets none.
 
-Zenoh limits all sessions together, not those of a role, and its API cannot close one. So the newest visitors beyond
-their share lose their connection: their socket is shut down, and Zenoh drops the session within a millisecond. Older
-sessions stay. Without client certificates nobody can be told apart, and nothing is done.
+Nothing simpler does: Zenoh limits all sessions together, not those of a role or a listener, and its API cannot close
+one. So the newest visitors beyond their share lose their connection: their socket is shut down, and Zenoh drops the
+session within a millisecond. Older sessions stay. Without client certificates nobody can be told apart, and nothing is
+done.
 
 TLS lets in whoever has a certificate of the CA. Access control lets nothing of the revoked through; their sockets are
 shut down besides, so that they take no place.
