@@ -45,6 +45,12 @@ def holder(common_name: str) -> Holder:
     return Holder(found["role"], None if found["number"] is None else int(found["number"]), found["robot"] or "")
 
 
+def is_before(common_name: str, first: int) -> bool:
+    """Whether it is a laptop's of before the CA whose first number this is."""
+    found = holder(common_name)
+    return found.role in LAPTOP_ROLES and (found.number is None or found.number < first)
+
+
 def common_name(role: str, number: int, robot: str = "") -> str:
     """`operator-07`, in a fleet `operator-07.robot-1`."""
     return f"{role}-{number:02}" + (f".{robot}" if robot else "")

@@ -27,6 +27,7 @@ from gateway.robot.edge.calibration_request_reader import CalibrationRequestRead
 from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.lease_request_reader import LeaseRequestReader
+from gateway.robot.edge.older_ca import OlderCa
 from gateway.robot.edge.outbox import ZenohOutbox
 from gateway.robot.edge.proofs import checker_of
 from gateway.robot.edge.revocation_request_reader import RevocationRequestReader
@@ -314,7 +315,8 @@ def _attendants(
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
     conductor.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
-    return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked), upkeep
+    older = OlderCa(shut_out, conductor.metrics.count_older_ca)
+    return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
 
 
 async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:

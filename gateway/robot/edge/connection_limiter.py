@@ -39,13 +39,18 @@ class ConnectionLimiter:
     """Counts the visitors whenever a link opens or closes, on a thread of its own."""
 
     def __init__(
-        self, session: zenoh.Session, count: Callable[[int], None], revoked: Collection[str] = frozenset()
+        self,
+        session: zenoh.Session,
+        count: Callable[[int], None],
+        revoked: Collection[str] = frozenset(),
+        note: Callable[[Collection[str]], None] = lambda _: None,
     ) -> None:
         """`count` is called with the number of sessions whenever it may have changed.
 
-        `revoked`: the common names that are shut out.
+        `revoked`: the common names that are shut out. `note` is called with those that are connected.
         """
         self._revoked = revoked
+        self._note = note
         self._session = session
         self._count = count
         self._since: dict[str, int] = {}
@@ -74,6 +79,7 @@ class ConnectionLimiter:
         links = self._session.info.links()
         self._since = {str(link.zid): self._arrival(str(link.zid)) for link in links}
         self._count(len(self._since))
+        self._note({name for link in links if (name := link.auth_identifier)})
         shut_out = [link for link in links if link.auth_identifier in self._revoked]
         visitors = [
             link

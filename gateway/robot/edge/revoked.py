@@ -38,6 +38,11 @@ class Kept(NamedTuple):
     path: Path
     known: "RevocationList | None"
 
+    @property
+    def first_number(self) -> int | None:
+        """Of two CAs, the first number of the newer one's common names; None while there is one."""
+        return max(map(certs.first_number, self.cas)) if len(self.cas) > 1 else None
+
 
 def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True) -> Kept | None:
     """What is in force; None where the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.

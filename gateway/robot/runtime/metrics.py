@@ -25,8 +25,14 @@ class Metrics:
     """Request received → sixth Stop written; requests whose Stops could not be written are not in it."""
     sessions: int = 0
     """Zenoh sessions that are open: laptops, routers, programs on this machine."""
+    older_ca: int = 0
+    """Laptops that came with a certificate of the older of two CAs."""
     loop_lag: Latency = field(default_factory=Latency)
     """How late the loop's timers run."""
+
+    def count_older_ca(self, number: int) -> None:
+        """Called by a thread that owns nothing."""
+        self.older_ca = number
 
     def count_sessions(self, number: int) -> None:
         """Called by a thread that owns nothing."""

@@ -46,6 +46,11 @@ class _Numbers(Collector):
         metrics, bus = self._conductor.metrics, self._conductor.bus
         yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": VERSION})
         yield GaugeMetricFamily(f"{_PREFIX}_sessions", "Zenoh sessions that are open", metrics.sessions)
+        yield GaugeMetricFamily(
+            f"{_PREFIX}_older_ca_laptops",
+            "Laptops that came with a certificate of the older of two CAs since the start",
+            metrics.older_ca,
+        )
         yield CounterMetricFamily(
             f"{_PREFIX}_incidents", "Incidents that the black box has begun", self._conductor.recorder.incidents
         )

@@ -18,6 +18,7 @@ from gateway.people.tools.check import (
     access,
     calibration,
     device,
+    holders,
     laptop,
     machine,
     network,
@@ -142,6 +143,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     gateway_runs = device.held(spi_device)
     if zenoh_config is not None:
         yield from access.passes(zenoh_config, settings.zenoh.config)
+        yield from holders.at_the_robot(zenoh_config, settings.zenoh.config)
         endpoints = listen_endpoints(zenoh_config)
         ports = network.ports(endpoints, gateway_runs=gateway_runs)
         yield from ports

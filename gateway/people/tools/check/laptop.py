@@ -12,7 +12,7 @@ from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client
 from gateway.people.client.config import client_config
 from gateway.people.client.diagnosis import Finding, Identity, Step
 from gateway.people.tools import why
-from gateway.people.tools.check import machine
+from gateway.people.tools.check import holders, machine
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from schemas.telemetry import CertificateReport
 
@@ -39,6 +39,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         yield _result(finding)
     if (soon := diagnosis.own_expiry(config)) is not None:
         yield warning(Step.CERTIFICATE, soon, "hexapod-gateway certs renew, where ca.key is, and copy it here")
+    yield from holders.on_the_laptop(identity)
     try:
         client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
     except ZenohError:

@@ -1,0 +1,75 @@
+"""Whether each laptop has a common name of its own, and is of the newest CA: at the robot, and on the laptop itself."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import zenoh
+
+from gateway import certs
+from gateway.certs import pool
+from gateway.errors import ConfigError
+from gateway.people.client.diagnosis import Identity
+from gateway.people.terminal import this_command
+from gateway.people.tools.check.result import Result, ok, warning
+from gateway.robot.edge import older_ca
+from gateway.zenoh_config import get
+
+_NAME: Final = "laptops"
+_CA: Final = "transport/link/tls/root_ca_certificate"
+
+
+def at_the_robot(config: zenoh.Config, file: str) -> Iterator[Result]:
+    """Of a gateway's own configuration; nothing where it knows no roles."""
+    listed = [
+        pool.holder(name)
+        for subject in get(config, "access_control/subjects") or []
+        for name in subject.get("cert_common_names") or []
+    ]
+    laptops = [each for each in listed if each.role in certs.LAPTOP_ROLES]
+    if laptops and not any(each.number is not None for each in laptops):
+        yield warning(
+            _NAME,
+            f"{file} knows one common name for all operators, so a lost laptop cannot be shut out alone",
+            f"sudo {this_command()} certs pool --dir {Path(file).parent} && sudo systemctl restart hexapod-gateway; "
+            "where ca.key is, the same (certs pool), and then certs reissue for each laptop",
+        )
+    yield from _of_two_cas(config)
+
+
+def _of_two_cas(config: zenoh.Config) -> Iterator[Result]:
+    ca = get(config, _CA)
+    try:
+        if not isinstance(ca, str) or len(certs.read_certificates(Path(ca))) == 1:
+            return
+    except ConfigError:  # another line says it
+        return
+    try:
+        still = older_ca.names()
+    except OSError:
+        yield warning(_NAME, f"{ca} has two CAs; nobody has noted who still uses the older one", "start the service")
+        return
+    if not still:
+        yield ok(_NAME, "nobody has come with a certificate of the older CA since the service's start")
+        return
+    sentence = f"{len(still)} came with a certificate of the older CA since the service's start: {', '.join(still)}"
+    yield warning(_NAME, sentence, "where ca.key is: hexapod-gateway certs reissue NAME (certs list has the names)")
+
+
+def on_the_laptop(identity: Identity) -> Iterator[Result]:
+    """Of one's own certificate."""
+    if identity.certificate is None or identity.ca is None:
+        return
+    try:
+        own, cas = certs.describe(identity.certificate), certs.read_certificates(identity.ca)
+    except ConfigError:  # another line says it
+        return
+    fix = f"hexapod-gateway certs reissue {own.path.stem}, where ca.key is, and bring its files here"
+    if own.role.partition(".")[0] in certs.LAPTOP_ROLES and pool.holder(own.common_name).number is None:
+        yield warning(
+            _NAME,
+            f"{own.path.name} has the common name {own.common_name}, as all others: it cannot be revoked alone",
+            fix,
+        )
+    elif len(cas) > 1 and not certs.is_issued(certs.read_certificate(own.path), cas[0]):
+        yield warning(_NAME, f"{own.path.name} is of the older of two CAs, whose time ends", fix)

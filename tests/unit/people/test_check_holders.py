@@ -1,0 +1,82 @@
+"""What `check` says of the laptops' common names, and of two CAs."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gateway import certs
+from gateway.people.client.diagnosis import Identity
+from gateway.people.tools.check import holders
+from gateway.people.tools.check.result import Result, Verdict
+from gateway.robot.edge import revoked
+from gateway.robot.edge.older_ca import OlderCa
+from gateway.robot.settings import ZenohSettings
+from gateway.zenoh_config import load_config
+from tests.support.certs_folder import NOW, make_folder
+from tests.unit.people.test_certs_revoked import TODAY
+
+__all__ = ["make_folder"]  # a fixture
+
+
+def robot(directory: Path) -> list[Result]:
+    file = directory / "gateway.json5"
+    return list(holders.at_the_robot(load_config(file), str(file)))
+
+
+def laptop(directory: Path, name: str) -> list[Result]:
+    return list(holders.on_the_laptop(Identity(directory / "ca.pem", directory / f"{name}.pem")))
+
+
+def test_the_layout_before_is_named_with_the_command_that_moves_it(tmp_path: Path) -> None:
+    today = Path(shutil.copytree(TODAY, tmp_path / "today"))
+    (found,) = robot(today)
+    assert found.verdict is Verdict.WARNING
+    assert f"certs pool --dir {today} " in found.fix
+    (own,) = laptop(today, "anna")
+    assert "common name operator," in own.sentence
+    assert "certs reissue anna" in own.fix
+    certs.set_pool(today)
+    assert robot(today) == []
+    certs.reissue(today, "anna")
+    assert laptop(today, "anna") == []
+
+
+def test_a_new_folder_has_nothing_to_be_said_of(folder: Path) -> None:
+    certs.issue(folder, "anna", "operator", now=NOW)
+    assert robot(folder) == laptop(folder, "anna") == laptop(folder, "gateway") == []
+
+
+def test_who_still_comes_with_the_older_ca_is_counted(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    certs.issue(folder, "anna", "operator", now=NOW)
+    certs.replace_ca(folder, now=NOW)
+    certs.issue(folder, "bert", "operator", now=NOW)
+    (nobody_noted,) = robot(folder)
+    assert "nobody has noted" in nobody_noted.sentence
+    settings = ZenohSettings(config=str(folder / "gateway.json5"))
+    counted: list[int] = []
+    older = OlderCa(revoked.kept(load_config(folder / "gateway.json5"), settings), counted.append)
+    (none_yet,) = robot(folder)
+    assert none_yet.verdict is Verdict.OK
+    for connected in ({"operator-64"}, {"operator-00", "operator-64", "gateway"}, {"operator-00"}, {"operator"}):
+        older.note(connected)
+    assert counted == [1, 2]
+    (still,) = robot(folder)
+    assert still.verdict is Verdict.WARNING
+    assert still.sentence.startswith("2 came ")
+    assert still.sentence.endswith(": operator, operator-00")
+    (own,) = laptop(folder, "anna")
+    assert "older of two CAs" in own.sentence
+    assert laptop(folder, "bert") == []
+
+
+def test_with_one_ca_nobody_is_counted(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    settings = ZenohSettings(config=str(folder / "gateway.json5"))
+    counted: list[int] = []
+    OlderCa(revoked.kept(load_config(folder / "gateway.json5"), settings), counted.append).note({"operator-00"})
+    assert counted == []
+    assert robot(folder) == []

@@ -1,0 +1,255 @@
+"""Who is shut out at a running gateway, over TLS: two CAs at once, a clock in 1970, a list that comes as a file."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway import certs
+from gateway.client import Client
+from gateway.errors import ZenohError
+from gateway.people.client.proof import Identity
+from schemas.keys import LEASE
+from schemas.lease import LeaseAck
+from schemas.telemetry import Reason
+from tests.support.certs_folder import NOW
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+
+HOST = "127.0.0.1"
+CLOCK = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <time.h>
+static int (*real)(clockid_t, struct timespec *);
+static long offset;
+int clock_gettime(clockid_t id, struct timespec *now) {
+    if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
+    int result = real(id, now);
+    if (id == CLOCK_REALTIME || id == CLOCK_REALTIME_COARSE) {
+        if (!offset) offset = now->tv_sec - 100;
+        now->tv_sec -= offset;
+    }
+    return result;
+}
+time_t time(time_t *to) {
+    struct timespec now;
+    clock_gettime(CLOCK_REALTIME, &now);
+    if (to) *to = now.tv_sec;
+    return now.tv_sec;
+}
+"""
+"""A program that has this loaded began 100 s after the beginning of 1970, as on a board without a battery."""
+
+
+class Robot:
+    """A folder with the CA, and a copy of what the robot has of it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.own, self.state = folder / "D", folder / "robot", folder / "state"
+        self.state.mkdir()
+        self.port = free_port()
+        certs.init(self.folder, [HOST], port=self.port)
+        for name in ("anna", "bert"):
+            certs.issue(self.folder, name, "operator")
+        self.copy()
+
+    def copy(self) -> None:
+        """To the robot: what docs/backup.md names, and no list."""
+        self.own.mkdir(exist_ok=True)
+        for name in ("ca.pem", "gateway.pem", "gateway.key", "gateway.json5"):
+            shutil.copy(self.folder / name, self.own)
+
+    def start(self, **environment: str) -> Gateway:
+        settings: dict[str, dict[str, Any]] = {
+            "zenoh": {"config": str(self.own / "gateway.json5"), "listen": [f"tls/{HOST}:{self.port}"]}
+        }
+        return Gateway(self.own, settings, env={"STATE_DIRECTORY": str(self.state), **environment})
+
+    def client(self, file: Path) -> Client:
+        return Client(None, zenoh_config=file, source=file.stem, timeout_s=5, explain=False)
+
+    def laptop(self, name: str) -> Client:
+        return self.client(self.folder / f"{name}.json5")
+
+    def keep(self, gateway: Gateway, **environment: str) -> Child:
+        """`hexapod-gateway revoke FILE` on the robot."""
+        command = [*COMMAND, "revoke", str(self.folder / "revoked.crl"), "--config", str(gateway.config)]
+        child = Child(command, {**os.environ, "STATE_DIRECTORY": str(self.state), **environment})
+        child.wait()
+        child.close()
+        return child
+
+
+@pytest.fixture(name="robot")
+def make_robot(tmp_path: Path) -> Robot:
+    return Robot(tmp_path)
+
+
+def may_command(client: Client) -> bool:
+    """Whether an emergency stop of this client arrives, and is taken back."""
+    try:
+        return client.estop().accepted and client.reset().accepted
+    except ZenohError:
+        return False
+
+
+def lost(robot: Robot) -> Path:
+    """The files of anna as the thief has them."""
+    stolen = robot.folder.with_name("stolen")
+    stolen.mkdir()
+    for name in ("ca.pem", "anna.pem", "anna.key", "anna.json5"):
+        shutil.copy(robot.folder / name, stolen)
+    return stolen / "anna.json5"
+
+
+@pytest.fixture(scope="session")
+def in_1970(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What LD_PRELOAD is to be."""
+    folder = tmp_path_factory.mktemp("clock")
+    (folder / "clock.c").write_text(CLOCK)
+    made = folder / "clock.so"
+    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", made, folder / "clock.c", "-ldl"], check=True)
+    seen = subprocess.run(
+        [sys.executable, "-c", "import time; print(time.gmtime().tm_year)"],
+        env={**os.environ, "LD_PRELOAD": str(made)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert seen.stdout == "1970\n"
+    return str(made)
+
+
+def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_why(robot: Robot, in_1970: str) -> None:
+    stolen = lost(robot)
+    certs.revoke(robot.folder, "anna")
+    with robot.start(LD_PRELOAD=in_1970) as gateway:
+        with pytest.raises(ZenohError):
+            robot.laptop("bert")
+        assert "this robot's clock is wrong: it says 1970-01-01" in gateway.child.stdout + gateway.child.stderr
+        kept = robot.keep(gateway, LD_PRELOAD=in_1970)
+        assert kept.returncode == 0, kept.stderr
+        assert "list 1 shuts out operator-00" in kept.stdout
+    with robot.start(LD_PRELOAD=in_1970) as gateway:
+        assert "list 1 shuts out operator-00" in gateway.child.stdout + gateway.child.stderr
+    with robot.start(), robot.laptop("bert") as bert:  # the clock is set
+        assert may_command(bert)
+        with pytest.raises(ZenohError), robot.client(stolen) as anna:
+            anna.state()
+
+
+def test_a_list_as_a_file_is_older_newer_or_of_another_ca(robot: Robot, tmp_path: Path) -> None:
+    first, second = certs.revoke(robot.folder, "anna"), certs.revoke(robot.folder, "operator-40")
+    with robot.start() as gateway:
+        for data, code, sentence in (
+            (second.pem, 0, "list 2 shuts out operator-00, operator-40"),
+            (second.pem, 0, "List 2 is in force already"),
+            (first.pem, 1, "its number is 1, and number 2 is in force"),
+            (second.pem[:-60], 2, "no list of `hexapod-gateway certs revoke`"),
+            (b"", 2, "no list of `hexapod-gateway certs revoke`"),
+        ):
+            (robot.folder / "revoked.crl").write_bytes(data)
+            child = robot.keep(gateway)
+            assert (child.returncode, sentence in child.stdout + child.stderr) == (code, True), str(child)
+            assert "Traceback" not in child.stderr
+        certs.init(tmp_path / "other", [HOST])
+        certs.issue(tmp_path / "other", "carl", "operator")
+        certs.revoke(tmp_path / "other", "carl")
+        shutil.copy(tmp_path / "other" / "revoked.crl", robot.folder / "revoked.crl")
+        child = robot.keep(gateway)
+        assert (child.returncode, "not signed by a CA of this robot" in child.stderr) == (2, True)
+        assert (robot.state / "revoked.crl").read_bytes() == second.pem
+
+
+def test_an_observer_may_not_bring_a_list_and_an_operator_may_not_bring_a_false_one(robot: Robot) -> None:
+    certs.issue(robot.folder, "otto", "observer")
+    made = certs.revoke(robot.folder, "anna").pem.decode()
+    with robot.start():
+        with robot.laptop("otto") as otto, pytest.raises(ZenohError):
+            otto.revocation(made)
+        with robot.laptop("bert") as bert:
+            assert (bert.revocation().number, bert.revocation().revoked) == (0, None)
+            for false in ("", "x", made[:200], made.replace("A", "B")):
+                answer = bert.revocation(false)
+                assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
+            assert bert.state().uptime_s > 0
+            assert not (robot.state / "revoked.crl").exists()
+
+
+def ask(session: zenoh.Session, request: Mapping[str, Any]) -> LeaseAck:
+    reply = next(iter(session.get(LEASE, payload=json.dumps(request)))).ok
+    assert reply is not None
+    return LeaseAck.model_validate_json(reply.payload.to_bytes())
+
+
+def test_a_proof_of_somebody_who_is_revoked_is_rejected_even_where_the_link_is_anothers(robot: Robot) -> None:
+    """As behind a router: the link is bert's, the proof anna's."""
+    stolen = lost(robot)
+    certs.revoke(robot.folder, "anna")
+    shutil.copy(robot.folder / "revoked.crl", robot.state)
+    identity = Identity(stolen.with_suffix(".pem"), stolen.with_suffix(".key"))
+    with robot.start(), robot.laptop("bert") as bert:
+        for do in ("acquire", "ask", "take"):
+            nonce = ask(bert.session, {"do": "challenge"}).nonce
+            assert nonce is not None
+            proof = identity.prove(do, "anna", nonce)
+            answer = ask(bert.session, {"do": do, "source": "anna", "proof": proof})
+            assert (answer.accepted, answer.reason) == (False, Reason.LEASE_DENIED)
+            assert "proof.certificate is revoked (operator-00)" in str(answer.detail)
+        with bert.lease() as lease:
+            assert lease.verified
+
+
+def test_two_cas_for_a_while(robot: Robot) -> None:
+    """Laptops of the older and of the newer one are in at once; then only those of the newer one."""
+    old_bert = robot.folder.with_name("bert")
+    old_bert.mkdir()
+    for name in ("ca.pem", "bert.pem", "bert.key", "bert.json5"):
+        shutil.copy(robot.folder / name, old_bert)
+    certs.replace_ca(robot.folder)
+    certs.reissue(robot.folder, "anna")
+    robot.copy()
+    environment = {"RUNTIME_DIRECTORY": str(robot.state)}
+    with robot.start(**environment), robot.client(old_bert / "bert.json5") as bert, robot.laptop("anna") as anna:
+        assert may_command(bert)
+        assert may_command(anna)
+        assert (robot.state / "older-ca").read_text() == "operator-01\n"
+        with anna.lease() as lease:
+            assert lease.verified
+    certs.reissue(robot.folder, "bert")
+    certs.renew(robot.folder, "gateway", now=NOW)
+    certs.drop_ca(robot.folder)
+    robot.copy()
+    with robot.start():
+        with robot.laptop("bert") as bert, robot.laptop("anna") as anna:
+            assert may_command(bert)
+            assert may_command(anna)
+        with pytest.raises(ZenohError):
+            robot.client(old_bert / "bert.json5")
+
+
+def test_todays_files_go_on_with_todays_robot_and_with_one_that_has_a_pool(tmp_path: Path) -> None:
+    """The folder that release 1.1 made, as it is; only its port and host are this test's."""
+    robot = Robot(tmp_path)
+    shutil.rmtree(robot.folder)
+    shutil.copytree(Path(__file__).parents[1] / "data" / "certs" / "1.1", robot.folder)
+    certs.renew(robot.folder, "gateway", hosts=[HOST])
+    laptop = robot.folder / "anna.json5"
+    laptop.write_text(
+        laptop.read_text().replace(
+            json.dumps(["tls/robot.local:7447", "tls/192.0.2.7:7447"]), json.dumps([f"tls/{HOST}:{robot.port}"])
+        )
+    )
+    assert str(robot.port) in laptop.read_text()
+    robot.copy()
+    for _ in range(2):
+        with robot.start(), robot.laptop("anna") as anna:
+            assert may_command(anna)
+            with anna.lease() as lease:
+                assert lease.verified
+        certs.set_pool(robot.own)
