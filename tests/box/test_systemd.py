@@ -382,3 +382,45 @@ def test_device_that_comes_late(robot: InstalledGateway) -> None:
         robot.allow_device()
         journal.wait_for_output("Started ")
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
+
+
+def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(robot: InstalledGateway) -> None:
+    """Over Zenoh in the same process, with its watchdog; as a file by a restart. All legs stop before."""
+    box, folder, own = robot.box, "/root/certs", "/etc/hexapod-gateway/zenoh"
+    bert = ("--zenoh-config", f"{folder}/bert.json5")
+    robot.gateway("certs", "init", "--dir", folder, "--host", "127.0.0.1")
+    for name in ("anna", "bert", "carl"):
+        robot.gateway("certs", "issue", name, "--role", "operator", "--dir", folder)
+    box.run("sh", "-c", f"mkdir -p {own} && cd {folder} && cp ca.pem gateway.* {own} && chown -R root:{NAME} {own}")
+    box.run("chmod", "-R", "u=rwX,g=rX,o=", own)
+    robot.configure(f'zenoh.config = "{own}/gateway.json5"\nzenoh.listen = ["tls/127.0.0.1:7447"]\n')
+    robot.unit.systemctl("start")
+    pid, cursor = robot.unit.property("MainPID"), robot.cursor()
+    assert "accepted" in robot.gateway(*MOVE_LEG_3, "--zenoh-config", f"{folder}/anna.json5")
+    before = len(robot.bed.transfers)
+    robot.gateway("certs", "revoke", "anna", "--dir", folder, "--to", "127.0.0.1", *bert)
+    robot.wait_for_stops(before)
+    assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
+    assert robot.unit.properties("MainPID", "NRestarts", "ActiveState") == [pid, "0", "active"]
+    said = robot.journal_since(cursor)
+    assert "list 1 shuts out operator-00" in said
+    policy = box.run("chrt", "--all-tasks", "--pid", pid).stdout
+    assert ("SCHED_FIFO" in policy) is ("real-time priority granted" in said)
+    assert said.count("real-time priority granted") in (0, 1), "as at the first start, which came before"
+
+    before = len(robot.bed.transfers)
+    robot.gateway("certs", "revoke", "carl", "--dir", folder)
+    assert "list 2 is in force" in robot.gateway("revoke", f"{folder}/revoked.crl")
+    robot.wait_for_stops(before)
+    assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
+    assert box.run("stat", "--format=%U", f"/var/lib/{NAME}/revoked.crl").stdout.strip() == NAME
+
+    again = robot.unit.property("MainPID")
+    assert again != pid
+    robot.gateway("certs", "revoke", "operator-40", "--dir", folder, "--to", "127.0.0.1", *bert)
+    assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
+    before = len(robot.bed.transfers)
+    box.run("kill", "-STOP", again)
+    robot.wait_for_stops(before)
+    assert "Watchdog timeout (limit 1s)" in robot.journal_since(cursor)
+    box.run("rm", "-rf", own, folder, f"/var/lib/{NAME}/revoked.crl")
