@@ -6,6 +6,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from websockets.exceptions import ConnectionClosed
 
 from gateway import certs
 from gateway.people.console.register import Register
@@ -59,3 +60,31 @@ def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
                 assert page.stop_all()["stop_frames"] == 6
     finally:
         child.close()
+
+
+def test_sessions_of_a_console_end_when_its_certificate_is_revoked(tmp_path: Path) -> None:
+    with Secured(tmp_path) as running:
+        certs.console(running.folder, "web", ["127.0.0.1"])
+        certs.issue(running.folder, "bert", "operator")
+        child = console(running, tmp_path, "anna", port := free_port())
+        try:
+            child.wait_for_output(LINK)
+            context = ssl.create_default_context(cafile=running.folder / "web-ca.pem")
+            with httpx.Client(verify=context) as browser:
+                entered = browser.get(Register(tmp_path, port).new_link())
+                cookie = entered.headers["set-cookie"].partition(";")[0]
+                session = SignedIn(cookie, entered.headers["location"].partition("#")[2])
+                url = f"https://127.0.0.1:{port}"
+                for name in ("operator-40", "anna"):
+                    with Page(url, session, verify=context) as page, running.client("bert") as bert:
+                        page.state()
+                        assert browser.get(f"{url}/session", headers=session.headers).status_code == 200
+                        bert.wait_ready()
+                        assert bert.revocation(certs.revoke(running.folder, name).pem.decode()).accepted
+                        if name == "anna":
+                            child.wait_for_output("(operator-00) is revoked: all its sessions end", 20)
+                            with pytest.raises(ConnectionClosed):
+                                page.wait("nothing", timeout_s=20)
+                assert browser.get(f"{url}/session", headers=session.headers).status_code == 403
+        finally:
+            child.close()

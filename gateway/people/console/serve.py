@@ -26,6 +26,7 @@ from gateway.people.client.config import client_config
 from gateway.people.console import register
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.door import Door
+from gateway.people.console.ending import EndsWithCertificate
 from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.messages import Role
@@ -71,7 +72,7 @@ def serve(options: Options) -> NoReturn:
     connect = options.connect
     if connect is None and options.zenoh_config is None:
         connect = DEFAULT_ENDPOINT
-    person, role = _identity(connect, options.zenoh_config)
+    person, role, common_name = _identity(connect, options.zenoh_config)
     geometry = load(options.geometry)
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()
@@ -81,7 +82,7 @@ def serve(options: Options) -> NoReturn:
         found = Register(register.folder(), options.site.port)
         role = _least(role, options.role)
         found.begin(options.site.url, role)
-        asyncio.run(_run(options, listening, found, connect, person, role, geometry))
+        asyncio.run(_run(options, listening, found, connect, person, role, common_name, geometry))
 
 
 def show(link: str) -> None:
@@ -99,6 +100,7 @@ async def _run(
     connect: str | None,
     person: str,
     role: Role,
+    common_name: str,
     geometry: Geometry,
 ) -> NoReturn:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
@@ -106,7 +108,8 @@ async def _run(
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
     site, pages = options.site, Pages()
-    gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, pages)
+    listener = EndsWithCertificate(pages, common_name, found.revoke)
+    gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, listener)
     stops = Stops(gateway.estop)
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
     door = Door(site, Register(register.folder(), site.port), person=person, role=role)
@@ -184,16 +187,17 @@ def _listening(site: Site) -> Iterator[socket.socket]:
         yield listening
 
 
-def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role]:
-    """Whose console it is and what it may do at most: by its certificate; without one, the user's name."""
+def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role, str]:
+    """Whose console it is, what it may do at most, and its common name: by its certificate; without one, the user's."""
     config = client_config(connect, zenoh_config)
     certificate = get(config, "transport/link/tls/connect_certificate")
     if certificate:
         holder = certs.describe(Path(certificate))
-        return holder.name, "operator" if holder.role.partition(".")[0] == "operator" else "observer"
+        role: Role = "operator" if holder.role.partition(".")[0] == "operator" else "observer"
+        return holder.name, role, holder.common_name
     with suppress(OSError, KeyError):
-        return getpass.getuser(), "operator"
-    return "console", "operator"
+        return getpass.getuser(), "operator", ""
+    return "console", "operator", ""
 
 
 def _least(first: Role, second: Role) -> Role:
