@@ -5,13 +5,15 @@ Each command loads only what it needs, when it runs: an emergency stop must not 
 
 import os
 import sys
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperCommand
 
 from gateway import __version__
-from gateway.errors import GatewayError
+from gateway.errors import ConfigError, GatewayError
 from gateway.people.tools import certs_changes, incidents, lease, recordings
 from gateway.people.tools.calibrate import command as calibrate
 from gateway.people.tools.drill import command as drill
@@ -48,21 +50,103 @@ def _options(
     del version
 
 
-@app.command()
+class Sim(StrEnum):
+    """What is simulated."""
+
+    CONTROLLER = "controller"
+    PHYSICS = "physics"
+
+
+class _SimMayStandAlone(TyperCommand):
+    """`--sim` is `--sim=controller`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, [f"--sim={Sim.CONTROLLER}" if each == "--sim" else each for each in args])
+
+
+@app.command(cls=_SimMayStandAlone)
 def run(
     config: ConfigOption = None,
-    sim: Annotated[bool, typer.Option("--sim", help="Put a simulated controller in place of SPI.")] = False,
+    sim: Annotated[
+        Sim | None,
+        typer.Option(
+            "--sim",
+            metavar="[=physics]",
+            help="Put a simulated controller in place of SPI. With =physics its servos move a body, which can fall.",
+        ),
+    ] = None,
+    geometry: Annotated[
+        Path | None,
+        typer.Option(
+            "--geometry", metavar="FILE", help="Physics: another robot's shape (JSON). Default: the Elkapod's."
+        ),
+    ] = None,
+    mass_kg: Annotated[
+        float | None,
+        typer.Option(
+            "--mass-kg",
+            metavar="KG",
+            min=0.2,
+            max=50,
+            help="Physics: of the whole robot.",
+            show_default="2.68: assumed",
+        ),
+    ] = None,
+    servo_torque_nm: Annotated[
+        float | None,
+        typer.Option(
+            "--servo-torque-nm",
+            metavar="NM",
+            min=0.1,
+            max=50,
+            help="Physics: of each servo, at most.",
+            show_default="2.0: a servo of 20 kg·cm",
+        ),
+    ] = None,
+    friction: Annotated[
+        float | None,
+        typer.Option(
+            "--friction",
+            metavar="MU",
+            min=0.01,
+            max=3,
+            help="Physics: of feet on the ground.",
+            show_default="0.8: rubber on wood",
+        ),
+    ] = None,
+    terrain: Annotated[
+        str | None,
+        typer.Option(
+            "--terrain",
+            metavar="GROUND",
+            help="Physics: flat, slope:DEGREES (ahead, up) or rough:METRES.",
+            show_default="flat",
+        ),
+    ] = None,
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
     It stops all six legs first, then takes commands.
+
+    With --sim=physics the simulated robot has a body (MuJoCo, in a process of its own): it walks, and falls. Where it
+    is goes out on hexapod/sim/body, and the console, `record` and `foxglove` draw it. What is simulated is assumed:
+    nobody has weighed the Elkapod.
 
     Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
     from gateway.people.tools import serve
     from gateway.robot import settings
 
-    serve.run(settings.load(config, simulated=sim), simulated=sim)
+    physics = (geometry, mass_kg, servo_torque_nm, friction, terrain)
+    if sim is not Sim.PHYSICS and physics != (None,) * len(physics):
+        raise ConfigError("--geometry, --mass-kg, --servo-torque-nm, --friction and --terrain go with --sim=physics")
+    found = settings.load(config, simulated=sim is not None)
+    if sim is Sim.PHYSICS:
+        from gateway.people.physics.assumed import assumed
+
+        serve.run_with_physics(found, geometry, assumed(mass_kg, servo_torque_nm, friction, terrain))
+    else:
+        serve.run(found, simulated=sim is not None)
 
 
 @app.command("stop-servos")

@@ -29,9 +29,15 @@ EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
 CALIBRATION: Final = f"{ROOT}/calibration"
 ALIVE: Final = f"{ROOT}/alive"
+SIM_BODY: Final = f"{ROOT}/sim/body"
+"""Where a simulated robot's body is."""
+SIM_UPRIGHT: Final = f"{ROOT}/sim/upright"
+"""Puts it on its feet; takes `get` only."""
 
-PUBLISHED: Final = (STATE, EVENT, FRAME, CALIBRATION)
-"""What the gateway publishes, for all who may watch."""
+GATEWAYS: Final = (STATE, EVENT, FRAME, CALIBRATION)
+"""What the gateway itself publishes."""
+PUBLISHED: Final = (*GATEWAYS, SIM_BODY)
+"""What is published for all who may watch."""
 ASKABLE: Final = (STATE, CALIBRATION)
 """Of these, what a watcher may also `get`."""
 

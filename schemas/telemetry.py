@@ -291,6 +291,9 @@ class GatewayState(Report):
         CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
     ] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
+    physics: Annotated[
+        str | None, Field(description="Zenoh id of the process that simulates the robot's body; null: none does")
+    ] = None
 
 
 class Event(Report):
@@ -316,3 +319,27 @@ class FrameRecord(Report):
     monotonic_ns: int
     bytes: str
     cause: AnyCause
+
+
+class SimulatedServo(Report):
+    """Where a simulated servo is, and what it does against its load; the angle as commands name it."""
+
+    angle_deg: float
+    torque_nm: float
+
+
+class BodyReport(Report):
+    """The payload of `hexapod/sim/body`: where the body of a simulated robot is, 30 times a second.
+
+    In the ground's frame: x forward and y left as it was put down, z up. `feet`: which of legs 1 to 6 touch the ground.
+    """
+
+    time: AwareDatetime
+    position_m: tuple[float, float, float]
+    orientation_xyzw: tuple[float, float, float, float]
+    velocity_m_s: tuple[float, float, float]
+    upright: bool
+    feet: tuple[bool, bool, bool, bool, bool, bool]
+    servos: dict[str, SimulatedServo]
+    terrain: Annotated[str, Field(description="the ground, as `run --terrain` names it")] = "flat"
+    real_time_factor: Annotated[float, Field(ge=0, description="below 1 the machine is too slow")] = 1.0

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from math import ceil
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import zenoh
 
@@ -55,6 +55,7 @@ from gateway.robot.settings import Settings, ZenohSettings
 from gateway.robot.spi import SpiDevice
 from gateway.robot.spi.bus import bus_for
 from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.zenoh_config import open_session
 from schemas.keys import BUTTON, CALIBRATION, CALIBRATION_CMD, LEASE, REVOCATION, STATE
@@ -68,6 +69,15 @@ BEAT_S = 0.1
 T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
+
+
+class Physics(NamedTuple):
+    """Another process that simulates the robot's body."""
+
+    page: ServoPage
+    """Where it reads what the servos are sent to."""
+    zenoh_id: str
+    """By which it publishes."""
 
 
 def rules(settings: Settings) -> Rules:
@@ -99,13 +109,13 @@ def rules(settings: Settings) -> Rules:
     )
 
 
-def device_opener(settings: Settings, *, simulated: bool) -> Callable[[], SpiDevice]:
+def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None = None) -> Callable[[], SpiDevice]:
     """How the bus opens its device; a simulated controller lives on while the bus opens and closes it."""
     if not simulated:
         spare = Spare()
         return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
     controller = SimulatedController(
-        settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug
+        settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
     )
     return lambda: controller
 
@@ -126,7 +136,13 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
     return RingRecorder(settings, facts, time.monotonic_ns, time.time_ns)
 
 
-def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config], None] = lambda _: None) -> None:
+def run(
+    settings: Settings,
+    *,
+    simulated: bool,
+    physics: Physics | None = None,
+    on_ready: Callable[[zenoh.Config], None] = lambda _: None,
+) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     descriptors.ensure()
     realtime.prefer_process()
@@ -138,7 +154,7 @@ def run(settings: Settings, *, simulated: bool, on_ready: Callable[[zenoh.Config
         _recorder(settings, simulated=simulated) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        end = runner.run(_run(settings, recorder, simulated=simulated, on_ready=on_ready))
+        end = runner.run(_run(settings, recorder, simulated=simulated, physics=physics, on_ready=on_ready))
         if end.failure is not None:
             raise GatewayError(end.failure)
     end.leave()  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
@@ -163,13 +179,18 @@ def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | 
 
 
 async def _run(
-    settings: Settings, recorder: Recorder, *, simulated: bool, on_ready: Callable[[zenoh.Config], None]
+    settings: Settings,
+    recorder: Recorder,
+    *,
+    simulated: bool,
+    physics: Physics | None,
+    on_ready: Callable[[zenoh.Config], None],
 ) -> End:
     loop, owner = asyncio.get_running_loop(), Ownership()
     end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh)
-    bus = bus_for(settings.spi, device_opener(settings, simulated=simulated))
+    bus = bus_for(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page))
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -179,6 +200,7 @@ async def _run(
         loop,
         clock=time.monotonic_ns,
         simulated=simulated,
+        physics=physics and physics.zenoh_id,
         recorder=recorder,
         owner=owner,
     )
@@ -223,7 +245,9 @@ async def _run(
         on_ready(config)
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
-            asyncio.create_task(_beat(notifier, conductor, inbox, UnknownKeys(session), end)),
+            asyncio.create_task(
+                _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), end)
+            ),
         ]
         for task in tasks:
             task.add_done_callback(end.task_done)

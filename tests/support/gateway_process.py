@@ -72,9 +72,10 @@ class Gateway(AbstractContextManager["Gateway"]):
         env: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
         program: Sequence[str] = COMMAND,
+        options: Sequence[str] = ("--sim",),
         wait: bool = True,
     ) -> None:
-        """Start it. `prefix` goes before the command (`ip netns exec …`)."""
+        """Start it. `prefix` goes before the command (`ip netns exec …`); `options` behind it, without a `bed`."""
         sections = {name: dict(values) for name, values in (settings or {}).items()}
         zenoh = sections.setdefault("zenoh", {})
         zenoh.setdefault("listen", [f"tcp/127.0.0.1:{free_port()}"])
@@ -86,7 +87,7 @@ class Gateway(AbstractContextManager["Gateway"]):
         if bed is not None:
             self.child = bed.spawn(command, env=env)
         else:
-            self.child = Child([*command, "--sim"], {**os.environ, **(env or {})})
+            self.child = Child([*command, *options], {**os.environ, **(env or {})})
         if wait:
             self.child.wait_for_output(READY, timeout_s=20)
 

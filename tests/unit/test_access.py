@@ -11,12 +11,12 @@ import pytest
 import zenoh
 
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
-from schemas.keys import ALIVE, CALIBRATION, COMMAND_KEYS, EVENT, FRAME, STATE
+from schemas.keys import ALIVE, CALIBRATION, COMMAND_KEYS, EVENT, FRAME, SIM_BODY, STATE
 
 DECLARATIONS = ("declare_subscriber", "declare_queryable", "declare_liveliness_subscriber")
 MESSAGES = ("put", "delete", "query", "reply", "liveliness_token", "liveliness_query", *DECLARATIONS)
 FLOWS = ("ingress", "egress")
-TELEMETRY = (STATE, EVENT, FRAME, CALIBRATION)
+TELEMETRY = (STATE, EVENT, FRAME, CALIBRATION, SIM_BODY)
 OTHERS = ("hexapod/secret", "hexapod/*", "hexapod/**", "**", "robot2/hexapod/state", "robot2/hexapod/estop/cmd")
 KEYS = (*COMMAND_KEYS, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, *OTHERS)
 WILD = ("hexapod/leg/*/cmd", "hexapod/**/cmd")

@@ -23,7 +23,18 @@ from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, 
 from schemas.lease import Challenge, Claim, LeaseAck, Proof, Release, Renew
 from schemas.revocation import RevocationAck, RevocationRequest
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason, WatchdogState
+from schemas.telemetry import (
+    Ack,
+    BodyReport,
+    Cause,
+    Event,
+    FrameRecord,
+    GatewayState,
+    Kind,
+    Mode,
+    Reason,
+    WatchdogState,
+)
 
 INTERFACE = (Path(__file__).parents[2] / "docs" / "interface.md").read_text()
 
@@ -61,7 +72,7 @@ def fields(model: type[BaseModel]) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "model", [Ack, LeaseAck, RevocationAck, ButtonAck, Calibration, GatewayState, Event, FrameRecord]
+    "model", [Ack, LeaseAck, RevocationAck, ButtonAck, Calibration, GatewayState, Event, FrameRecord, BodyReport]
 )
 def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
     assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
@@ -90,10 +101,11 @@ def test_these_are_all_keys() -> None:
         pattern = next((pattern for pattern in spelled if pattern in key), None)
         for name in spelled[pattern] if pattern else [""]:
             found[key.replace(pattern, name) if pattern else key] = direction
+    get_only = {*keys.GET_ONLY, keys.SIM_UPRIGHT}
     assert {key for key, direction in found.items() if direction == "in"} == set(keys.COMMAND_KEYS)
-    assert {key for key, direction in found.items() if direction == "in, `get` only"} == set(keys.GET_ONLY)
+    assert {key for key, direction in found.items() if direction == "in, `get` only"} == get_only
     out = {value for name, value in vars(keys).items() if name.isupper() and isinstance(value, str)}
-    out -= {keys.ROOT, keys.ALL_COMMANDS, *keys.GET_ONLY, *keys.COMMAND_KEYS}
+    out -= {keys.ROOT, keys.ALL_COMMANDS, *get_only, *keys.COMMAND_KEYS}
     assert {key for key, direction in found.items() if direction == "out"} == out
 
 

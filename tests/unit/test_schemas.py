@@ -274,7 +274,17 @@ def test_the_words_are_the_contracts(enumeration: type[Reason | Mode | Kind | Ca
     assert [str(word) for word in enumeration] == words.split()
 
 
-REPORTS = ("Ack", "LeaseAck", "RevocationAck", "ButtonAck", "Calibration", "GatewayState", "Event", "FrameRecord")
+REPORTS = (
+    "Ack",
+    "LeaseAck",
+    "RevocationAck",
+    "ButtonAck",
+    "Calibration",
+    "GatewayState",
+    "Event",
+    "FrameRecord",
+    "BodyReport",
+)
 
 
 def every_object(schema: object) -> list[dict[str, Any]]:

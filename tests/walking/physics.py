@@ -13,7 +13,10 @@ import numpy as np
 
 from gateway.geometry import Geometry, load
 from gateway.geometry.masses import MASSES
-from gateway.people.physics import world as physics
+from gateway.people.physics.assumed import FRICTION, TORQUE_NM
+from gateway.people.physics.assumed import Assumed as Assumptions
+from gateway.people.physics.model import TIMESTEP_S
+from gateway.people.physics.world import World as Simulated
 from gateway.robot.protocol.frames import Op, decode
 from schemas.telemetry import FrameRecord
 
@@ -107,12 +110,12 @@ class World:
     """The robot, lying slack on its belly until its first setpoint."""
 
     def __init__(self, assumed: Assumed = Assumed(), geometry: Geometry | None = None) -> None:  # noqa: B008
-        self._world = physics.World(
+        self._world = Simulated(
             geometry or load(),
-            physics.Assumed(
+            Assumptions(
                 mass_kg=MASSES.total_kg * assumed.mass,
-                torque_nm=physics.TORQUE_NM * assumed.force,
-                friction=physics.FRICTION * assumed.friction,
+                torque_nm=TORQUE_NM * assumed.force,
+                friction=FRICTION * assumed.friction,
             ),
         )
         self._stood: dict[int, Any] = {}
@@ -128,7 +131,7 @@ class World:
             if each.joint_rad is not None:
                 first.setdefault(each.servo_id, each.joint_rad)
         world.lie_down(first)
-        next_one, steps = 0, round(LOOK_S / physics.TIMESTEP_S)
+        next_one, steps = 0, round(LOOK_S / TIMESTEP_S)
         end_s = wanted[-1].time_s + more_s
         while world.time_s < end_s:
             for _ in range(steps):

@@ -20,6 +20,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.errors import GatewayError
+from gateway.people.client.sim_body import is_of_physics
 from schemas import keys
 from schemas.telemetry import Event, GatewayState
 
@@ -92,10 +93,14 @@ class Received(NamedTuple):
 class ReportQueue:
     """Zenoh's threads put in what they receive; one thread takes it out. No more than `most` wait: memory ends."""
 
-    def __init__(self, models: Mapping[str, type[BaseModel]], most: int) -> None:
-        """`models`: what is published on which key. What has another key (`put`) is handed on without a report."""
+    def __init__(self, models: Mapping[str, type[BaseModel]], most: int, physics: str | None = None) -> None:
+        """`models`: what is published on which key. What has another key (`put`) is handed on without a report.
+
+        `physics`: the state's; its later states are looked at here.
+        """
         self._models = models
         self._most = most
+        self._physics = physics
         self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self.dropped = 0
@@ -108,7 +113,10 @@ class ReportQueue:
         """What is published meanwhile is put in."""
 
         def receive(key: str, sample: zenoh.Sample) -> None:
-            self.put(key, sample.payload.to_bytes())
+            if key == keys.SIM_BODY and not is_of_physics(sample, self._physics):
+                self.invalid += 1
+            else:
+                self.put(key, sample.payload.to_bytes())
 
         with subscribed(session, {key: partial(receive, key) for key in self._models}):
             yield
@@ -141,7 +149,10 @@ class ReportQueue:
                 if time.monotonic() >= end_s:
                     raise Empty from None
                 continue
-            return Received(key, json.loads(payload), time_ns)
+            report = json.loads(payload)
+            if key == keys.STATE:
+                self._physics = report.get("physics")
+            return Received(key, report, time_ns)
 
     def now_ns(self) -> int:
         """Nanoseconds since 1970, by a clock that nobody sets meanwhile."""

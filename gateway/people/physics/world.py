@@ -1,62 +1,75 @@
-"""The robot on the ground, in MuJoCo: the geometry's URDF with 18 servos. Time is what `step` adds; nothing here waits.
+"""The robot on the ground: its servos are driven, and it stands, walks or falls. Nothing here waits or reads a clock.
 
-A servo is a spring to its angle, as strong as its motor at most, and its target goes no faster than its motor turns
-without load. A servo that is stopped is slack: only its bearings brake it. Legs do not collide with each other.
+A servo's target goes no faster than its motor turns without load. A servo that is stopped is slack: only its bearings
+brake it.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
 
-from gateway.geometry import Geometry, joint_name, urdf
-from gateway.geometry.masses import MASSES
+from gateway.geometry import Geometry
+from gateway.geometry.kinematics import Quaternion, Vector, about, rotated
+from gateway.people.physics.assumed import Assumed
+from gateway.people.physics.model import TIMESTEP_S, built
 from gateway.robot.spi.simulator import MAX_SPEED_DEG_S
 from schemas.robot import LEGS, SERVO_IDS
 
-TORQUE_NM: Final = 2.0
-"""A servo of 20 kg·cm, the usual one in robots of this size. (An MG996R has 9.4 kg·cm at 4.8 V.)"""
-FRICTION: Final = 0.8
-"""Rubber on wood; the Elkapod's own simulation has the same for its feet."""
-TIMESTEP_S: Final = 0.002
-_STIFFNESS_NM_RAD: Final = 50.0
-"""It gives way by 2.3 degrees under its full load."""
-_DAMPING_NMS_RAD: Final = 1.0
-_ARMATURE_KGM2: Final = 0.01
-_JOINT_DAMPING: Final = 0.02
+FALLEN_DEG: Final = 45.0
+"""A body that leans further than this against the ground does not stand on its feet any more."""
 _STEP_RAD: Final = math.radians(MAX_SPEED_DEG_S) * TIMESTEP_S
 _DROP_M: Final = 0.02
 """Slack legs, a little above the ground."""
-_LEAST_HEIGHT_M: Final = 0.03
 _FREE: Final = 7
 """Of the positions, the first belong to the body: x, y, z and a quaternion (w first)."""
+_ABSURD: Final = 1000.0
+"""m/s or rad/s. A servo turns at 6 rad/s, and a robot that falls off a table hits the floor at 4 m/s."""
+_DEEP_M: Final = 0.002
 
 
-class Assumed(NamedTuple):
-    """What nobody has measured on the robot."""
+mujoco.set_mju_user_warning(lambda _: None)  # `fault` says it; MuJoCo would write a file where it was started
 
-    mass_kg: float = MASSES.total_kg
-    """Of the whole robot; its parts keep their shares."""
-    torque_nm: float = TORQUE_NM
-    friction: float = FRICTION
+
+class Body(NamedTuple):
+    """Where the robot is, in the world's frame: x forward, y left, z up; the ground is at z = 0 where it begins."""
+
+    position_m: Vector
+    rotation: Quaternion
+    velocity_m_s: Vector
+    tilt_deg: float
+    """Against the ground, which may be a slope."""
+    feet: tuple[bool, ...]
+    """Of legs 1 to 6: whether the foot touches the ground."""
+    joints_rad: dict[int, float]
+    torques_nm: dict[int, float]
+
+    @property
+    def upright(self) -> bool:
+        """Whether it has not fallen over."""
+        return self.tilt_deg <= FALLEN_DEG
 
 
 class World:
     """The robot, lying slack on its belly at first."""
 
     def __init__(self, geometry: Geometry, assumed: Assumed = Assumed()) -> None:  # noqa: B008
-        self._geometry = geometry
-        self._torque_nm = assumed.torque_nm
-        self.model: Any = _built(geometry, assumed)
+        """Raises ConfigError where MuJoCo cannot simulate it."""
+        self.model: Any = built(geometry, assumed)
         self.data: Any = mujoco.MjData(self.model)
         self.weight_n = float(sum(self.model.body_mass)) * 9.81
-        self.floor = self.model.geom("floor").id
         self.feet = {self._tip(leg): leg for leg in LEGS}
         """The geom that touches the ground: which leg's it is."""
+        self._torque_nm = assumed.torque_nm
+        self._level = about((0, 1, 0), -math.radians(assumed.terrain.slope_deg))
+        self._up = rotated(self._level, (0, 0, 1))
+        self._bumps_m = assumed.terrain.rough_m
+        self._robot = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] != 0]
         self._places = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
         self._wanted_rad = np.zeros(len(SERVO_IDS))
+        self._kept = np.zeros(0)
         self.lie_down({})
 
     @property
@@ -67,11 +80,10 @@ class World:
     def drive(self, servo_id: int, joint_rad: float | None) -> None:
         """Send a servo to an angle of its joint, starting it if need be; None: stop it."""
         place = self._places[servo_id]
-        runs = bool(self.model.actuator_forcerange[place][1])
         if joint_rad is None:
             self.model.actuator_forcerange[place] = 0.0, 0.0
             return
-        if not runs:
+        if not self.model.actuator_forcerange[place][1]:
             self.model.actuator_forcerange[place] = -self._torque_nm, self._torque_nm
             self.data.ctrl[place] = self.data.qpos[_FREE + place]
         self._wanted_rad[place] = joint_rad
@@ -82,15 +94,95 @@ class World:
         mujoco.mj_step(self.model, self.data)
 
     def lie_down(self, joints_rad: Mapping[int, float]) -> None:
-        """Upright and at rest, a little above the ground, slack, with its joints at these angles."""
+        """Upright and at rest where it began, a little above the ground, slack, with its joints at these angles."""
+        time_s = self.time_s
         mujoco.mj_resetData(self.model, self.data)
-        for servo_id, joint_rad in joints_rad.items():
-            self.data.qpos[_FREE + self._places[servo_id]] = joint_rad
+        self.data.time = time_s
         for servo_id in SERVO_IDS:
             self.drive(servo_id, None)
-        mujoco.mj_forward(self.model, self.data)
-        lowest_m = min(float(self.data.geom_xpos[geom][2]) for geom in range(self.model.ngeom) if geom != self.floor)
-        self.data.qpos[2] += _DROP_M + max(_LEAST_HEIGHT_M, -lowest_m)
+            self.data.qpos[_FREE + self._places[servo_id]] = joints_rad.get(servo_id, 0.0)
+        self._stand_at(0.0, 0.0)
+
+    def set_upright(self) -> None:
+        """As somebody picks it up and puts it down on its feet where it is: legs and servos stay as they are."""
+        self._stand_at(float(self.data.qpos[0]), float(self.data.qpos[1]))
+
+    def body(self) -> Body:
+        """Where it is now."""
+        data = self.data
+        w, *turned = map(float, data.qpos[3:_FREE])
+        rotation = turned[0], turned[1], turned[2], w
+        lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
+        geoms = {geom for number in range(data.ncon) for geom in data.contact[number].geom}
+        touching = {self.feet[geom] for geom in geoms & self.feet.keys()}
+        return Body(
+            position_m=_vector(data.qpos[:3]),
+            rotation=rotation,
+            velocity_m_s=_vector(data.qvel[:3]),
+            tilt_deg=math.degrees(math.acos(max(-1.0, min(1.0, lean)))),
+            feet=tuple(leg in touching for leg in LEGS),
+            joints_rad={servo_id: float(data.qpos[_FREE + place]) for servo_id, place in self._places.items()},
+            torques_nm={servo_id: float(data.actuator_force[place]) for servo_id, place in self._places.items()},
+        )
+
+    def fault(self) -> str | None:
+        """Why what was simulated since the last call is nonsense, in a sentence; the robot then lies down anew."""
+        speeds = np.abs(self.data.qvel)
+        if np.all(np.isfinite(self.data.qpos)) and np.all(speeds < _ABSURD):
+            self._kept = self.data.qpos.copy()
+            return None
+        worst = int(np.argmax(speeds))
+        fast = (
+            f": joint {SERVO_IDS[worst - _FREE + 1]} turned at {speeds[worst]:.0f} rad/s" if worst >= _FREE - 1 else ""
+        )
+        fast = fast if np.all(np.isfinite(speeds)) else ""
+        time_s = self.time_s
+        joints_rad = {}
+        if len(self._kept):
+            self.data.qpos[:] = self._kept
+            joints_rad = {servo_id: float(self._kept[_FREE + place]) for servo_id, place in self._places.items()}
+        depths = sorted(self._depths(), reverse=True)
+        self.lie_down(joints_rad)
+        inside = f"; {depths[0][1]} {1000 * depths[0][0]:.0f} mm deep" if depths else ""
+        return (
+            f"the simulation exploded after {time_s:.1f} s{fast}{inside}. The robot lies down anew; look at its "
+            "geometry, mass and torque"
+        )
+
+    def _stand_at(self, x_m: float, y_m: float) -> None:
+        """Level with the ground and at rest there, a little above it."""
+        data = self.data
+        x, y, z, w = self._level
+        data.qpos[:_FREE] = x_m, y_m, 0.0, w, x, y, z
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, data)
+        lowest_m = min(float(np.dot(data.geom_xpos[geom], self._up)) - self._half_m(geom) for geom in self._robot)
+        data.qpos[2] += (self._bumps_m + _DROP_M - lowest_m) / self._up[2]
+        mujoco.mj_forward(self.model, data)
+
+    def _depths(self) -> Iterator[tuple[float, str]]:
+        """How deep which part is in another one, or in the ground; parts of one leg may be."""
+        model = self.model
+        types = model.geom_contype.copy(), model.body_contype.copy()
+        model.geom_contype[:] = model.body_contype[:] = 3  # each other, too
+        mujoco.mj_forward(model, self.data)
+        model.geom_contype[:], model.body_contype[:] = types
+        for number in range(self.data.ncon):
+            contact = self.data.contact[number]
+            first, second = map(self._owner, contact.geom)
+            if contact.dist < -_DEEP_M and first != second:
+                yield -float(contact.dist), f"{first} is in {second}"
+
+    def _owner(self, geom: int) -> str:
+        name = self.model.body(self.model.geom_bodyid[geom]).name
+        if name == "world":
+            return "the ground"
+        return f"leg {name.split('_')[1]}" if name.startswith("leg_") else "the body"
+
+    def _half_m(self, geom: int) -> float:
+        """Half a box's least side, or a sphere's radius."""
+        sizes = self.model.geom_size[geom]
+        return float(min(sizes[sizes > 0]))
 
     def _tip(self, leg: int) -> int:
         """The solid sphere of a foot."""
@@ -99,37 +191,6 @@ class World:
         return int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))
 
 
-def _built(geometry: Geometry, assumed: Assumed) -> Any:
-    spec = mujoco.MjSpec.from_string(urdf(geometry))
-    spec.compiler.fusestatic = False
-    spec.body("base").add_freejoint()
-    friction = [assumed.friction, 0.005, 0.0001]
-    share = assumed.mass_kg / MASSES.total_kg
-    for body in spec.bodies:
-        body.mass *= share
-        body.inertia = body.inertia * share
-        for geom in body.geoms:
-            geom.contype, geom.conaffinity, geom.friction = 2, 1, friction
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    spec.worldbody.add_geom(name="floor", type=plane, size=[0, 0, 0.05], friction=friction, contype=1, conaffinity=2)
-    for servo_id in SERVO_IDS:
-        name = joint_name(servo_id)
-        spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    model = spec.compile()
-    model.opt.timestep = TIMESTEP_S
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    model.dof_damping[6:] = _JOINT_DAMPING
-    model.dof_armature[6:] = _ARMATURE_KGM2
-    for servo_id in SERVO_IDS:  # a horn ends at its stops
-        joint = model.joint(joint_name(servo_id))
-        joint.range[:] = sorted(geometry.joint_rad(servo_id, end_deg) for end_deg in (0.0, 180.0))
-    model.jnt_limited[1:] = 1
-    model.actuator_gaintype[:] = mujoco.mjtGain.mjGAIN_FIXED
-    model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
-    model.actuator_gainprm[:] = 0
-    model.actuator_biasprm[:] = 0
-    model.actuator_gainprm[:, 0] = _STIFFNESS_NM_RAD
-    model.actuator_biasprm[:, 1] = -_STIFFNESS_NM_RAD
-    model.actuator_biasprm[:, 2] = -_DAMPING_NMS_RAD
-    model.actuator_forcelimited[:] = 1
-    return model
+def _vector(values: Any) -> Vector:
+    x, y, z = map(float, values)
+    return x, y, z

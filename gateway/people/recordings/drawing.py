@@ -2,26 +2,35 @@
 
 The joints are where they were commanded to be: nothing comes back from the controller. A servo that was never
 commanded is not among the joint states, and stands at 90° in the frames.
+
+A robot that is simulated with physics is drawn where its body is, in the frame `world`; what was commanded stands
+beside it, in frames of the same names behind `commanded/`.
 """
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
+from gateway.geometry.kinematics import BASE, Transform
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.robot.protocol.frames import FrameError, Op
 from gateway.robot.protocol.frames import decode as decode_frame
-from schemas.keys import EVENT, FRAME, STATE
+from schemas.keys import EVENT, FRAME, SIM_BODY, STATE
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.telemetry import BodyReport, Kind
 
 JOINT_STATES: Final = "/joint_states"
+SIM_JOINT_STATES: Final = "/sim/joint_states"
 FRAMES: Final = "/tf"
 LOG: Final = "/log"
 DESCRIPTION: Final = "/robot_description"
 """Viewers look for a URDF under this name only."""
 
 UNKNOWN_DEG: Final = 90.0
+WORLD: Final = "world"
+COMMANDED: Final = "commanded/"
+BODY_NS: Final = 1_000_000_000
+"""A simulated body that is older than this is not drawn: its process has ended."""
 
 PICTURE_PERIOD_NS: Final = 50_000_000
 """Twenty pictures a second: all 24 frames take 4 kB, which at 50 Hz would be most of the file."""
@@ -38,6 +47,8 @@ class Drawing:
         self._geometry = geometry
         self._commanded_rad: dict[int, float] = {}
         self._drawn_ns: int | None = None
+        self._body: BodyReport | None = None
+        self._body_ns = 0
         self._angles = UserAngles()
 
     def take(self, topic: str, report: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
@@ -52,28 +63,41 @@ class Drawing:
             yield from self.picture(time_ns)
         elif topic == FRAME and self._angles.consistent:  # else the state alone says where it is
             self._take_frame(self._angles.record(report)["bytes"])
-            if self._drawn_ns is None or time_ns - self._drawn_ns >= PICTURE_PERIOD_NS:
-                yield from self.picture(time_ns)
+            yield from self._picture_if_due(time_ns)
+        elif topic == SIM_BODY:
+            self._body, self._body_ns = BodyReport.model_validate(report), time_ns
+            yield from self._picture_if_due(time_ns)
+
+    def _picture_if_due(self, time_ns: int) -> Iterator[Drawn]:
+        if self._drawn_ns is None or time_ns - self._drawn_ns >= PICTURE_PERIOD_NS:
+            yield from self.picture(time_ns)
 
     def picture(self, time_ns: int) -> Iterator[Drawn]:
         """The robot as it was commanded last."""
         self._drawn_ns = time_ns
         stamp = _stamp(time_ns)
-        yield (
-            JOINT_STATES,
-            {
-                "timestamp": stamp,
-                "joints": [
-                    {"name": joint_name(servo_id), "position": round(self._commanded_rad[servo_id], 5)}
-                    for servo_id in SERVO_IDS
-                    if servo_id in self._commanded_rad
-                ],
-            },
-        )
-        joints_rad = {
+        body = self._body if time_ns - self._body_ns < BODY_NS else None
+        commanded_rad = {
             servo_id: self._commanded_rad.get(servo_id, self._geometry.joint_rad(servo_id, UNKNOWN_DEG))
             for servo_id in SERVO_IDS
         }
+        yield JOINT_STATES, _joint_states(self._commanded_rad, stamp)
+        if body is None:
+            steps = list(transforms(self._geometry, commanded_rad))
+        else:
+            true_rad = {
+                int(name): self._geometry.joint_rad(int(name), servo.angle_deg) for name, servo in body.servos.items()
+            }
+            yield SIM_JOINT_STATES, _joint_states(true_rad, stamp)
+            steps = [
+                Transform(WORLD, BASE, body.position_m, body.orientation_xyzw),
+                *transforms(self._geometry, true_rad),
+                Transform(BASE, COMMANDED + BASE, (0, 0, 0), (0, 0, 0, 1)),
+                *(
+                    step._replace(parent=COMMANDED + step.parent, child=COMMANDED + step.child)
+                    for step in transforms(self._geometry, commanded_rad)
+                ),
+            ]
         yield (
             FRAMES,
             {
@@ -85,7 +109,7 @@ class Drawing:
                         "translation": _named("xyz", step.translation_m),
                         "rotation": _named("xyzw", step.rotation),
                     }
-                    for step in transforms(self._geometry, joints_rad)
+                    for step in steps
                 ]
             },
         )
@@ -106,6 +130,13 @@ class Drawing:
     def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
         if angle_deg is not None and servo_id in self._geometry.servos:
             self._commanded_rad[servo_id] = self._geometry.joint_rad(servo_id, angle_deg)
+
+
+def _joint_states(joints_rad: Mapping[int, float], stamp: Json) -> Json:
+    joints = [
+        {"name": joint_name(servo_id), "position": round(joints_rad[servo_id], 5)} for servo_id in sorted(joints_rad)
+    ]
+    return {"timestamp": stamp, "joints": joints}
 
 
 def _named(names: str, values: tuple[float, ...]) -> dict[str, float]:
@@ -166,12 +197,15 @@ _VECTOR: Final = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
 _QUATERNION: Final = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
 _LEVEL_NAMES: Final = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
+_JOINT_STATES: Final = _object(
+    "foxglove.JointStates",
+    timestamp=_TIME,
+    joints=_list(_object("foxglove.JointState", ("name",), name=_TEXT, position=_NUMBER)),
+)
+
 DRAWN_SCHEMAS: Final[dict[str, Json]] = {
-    JOINT_STATES: _object(
-        "foxglove.JointStates",
-        timestamp=_TIME,
-        joints=_list(_object("foxglove.JointState", ("name",), name=_TEXT, position=_NUMBER)),
-    ),
+    JOINT_STATES: _JOINT_STATES,
+    SIM_JOINT_STATES: _JOINT_STATES,
     FRAMES: _object(
         "foxglove.FrameTransforms",
         transforms=_list(

@@ -28,8 +28,8 @@ from gateway.people.recordings.locking import locked
 from gateway.people.recordings.plain_schema import Schema, plain_schema, without_nulls
 from gateway.people.recordings.reading import LIBRARY_NAME
 from schemas.calibration import Calibration
-from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
-from schemas.telemetry import Event, FrameRecord, GatewayState
+from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE
+from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState
 
 CHUNK_BYTES: Final = 16 * 1024
 FLUSH_NS: Final = 500_000_000
@@ -49,6 +49,7 @@ REPORTS: Final[Mapping[str, type[BaseModel]]] = {
     EVENT: Event,
     FRAME: FrameRecord,
     CALIBRATION: Calibration,
+    SIM_BODY: BodyReport,
 }
 """The keys that are recorded, which are their channels' names, and what is published there."""
 

@@ -40,8 +40,7 @@ def serve(connect: Connection, *, port: int, geometry: Path | None) -> int:
     """Serve until a signal. Returns the exit code. Raises AddressTakenError, ConfigError, ZenohError."""
     shape = load(geometry)
     with connect() as client:
-        client.state()
-        reports = ReportQueue(REPORTS, MOST_WAITING)
+        reports = ReportQueue(REPORTS, MOST_WAITING, client.state().physics)
         server = _Server(Drawing(shape), reports, port)
         with closing(server), reports.receives(client.session), on_end_signals(reports.end):
             say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{server.port}; Ctrl-C ends")

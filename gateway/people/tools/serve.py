@@ -1,11 +1,14 @@
 """`run`: the service, and what it prints once it is ready."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import zenoh
 
 from gateway.people.client.blocking import DEFAULT_ENDPOINT
+from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import say, this_command
+from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
 from gateway.robot.edge.exposure import listen_endpoints
 from gateway.robot.settings import Settings
@@ -13,15 +16,26 @@ from gateway.robot.settings import Settings
 
 def run(settings: Settings, *, simulated: bool) -> None:
     """Run the service and, once it is ready, say where it is and what to try next."""
+    _serve(settings, "a simulated controller" if simulated else settings.spi.device, simulated=simulated)
 
+
+def run_with_physics(settings: Settings, geometry: Path | None, assumed: Assumed) -> None:
+    """The same with a simulated controller, whose servos move a body in another process. Raises ConfigError."""
+    with BodyProcess(geometry, assumed) as body:
+        _serve(settings, "a simulated robot", simulated=True, body=body)
+
+
+def _serve(settings: Settings, robot: str, *, simulated: bool, body: BodyProcess | None = None) -> None:
     def ready(config: zenoh.Config) -> None:
-        robot = "a simulated controller" if simulated else settings.spi.device
+        if body is not None:
+            body.connect(config)
         endpoints = listen_endpoints(config)
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
         say(next_step(endpoints, this_command()))
 
-    service.run(settings, simulated=simulated, on_ready=ready)
+    physics = None if body is None else service.Physics(body.page, body.zenoh_id)
+    service.run(settings, simulated=simulated, physics=physics, on_ready=ready)
 
 
 def next_step(endpoints: Sequence[str], command: str) -> str:

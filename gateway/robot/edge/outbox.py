@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from zenoh.handlers import Handler, RingChannel
 
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
-from schemas.keys import ALIVE, PUBLISHED
+from schemas.keys import ALIVE, GATEWAYS
 
 MOST_WAITING: Final = 1000
 """Reports: some seconds of frames. What comes when so many wait is dropped, since it tells of what is over."""
@@ -43,7 +43,7 @@ class ZenohOutbox:
                 congestion_control=zenoh.CongestionControl.DROP,
                 allowed_destination=zenoh.Locality.REMOTE,  # the gateway itself receives all keys (unknown_keys.py)
             )
-            for key in PUBLISHED
+            for key in GATEWAYS
         }
         # Zenoh puts each change into a ring: to look there costs nothing, and waits for none of its tables.
         self._matching = {

@@ -11,13 +11,14 @@ from typing import Any, Final, NamedTuple
 import zenoh
 from zenoh.handlers import RingChannel
 
-from schemas.keys import ALIVE, COMMAND_KEYS, PUBLISHED, ROOT, leg_command, servo_command
+from schemas.keys import ALIVE, COMMAND_KEYS, GATEWAYS, ROOT, SIM_BODY, leg_command, servo_command
 
-DEPTH: Final = 32
-"""Messages between two looks. Six legs at 50 Hz are thirty; to look at so many takes 40 µs, at none 1.3 (measured)."""
+DEPTH: Final = 36
+"""Messages between two looks. Six legs at 50 Hz are thirty, a simulated body three; to look at thirty takes 40 µs, at
+none 1.3 (measured)."""
 MISSPELT: Final = ("Hexapod/**", "HEXAPOD/**")
 """Spelt out, and no wildcard in their first part: that would have a router send what is none of ours."""
-OURS: Final = frozenset({*COMMAND_KEYS, *PUBLISHED, ALIVE})
+OURS: Final = frozenset({*COMMAND_KEYS, *GATEWAYS, ALIVE})
 MAX_COMPARED: Final = 30
 """Characters that are compared; the gateway's keys have at most 20."""
 
@@ -33,7 +34,9 @@ class UnknownKey(NamedTuple):
 class UnknownKeys:
     """Looks for messages that no part of the gateway reads. Where access control lets none in, there are none."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, physics: str | None = None) -> None:
+        """`physics`: the Zenoh id of the only one who may publish SIM_BODY."""
+        self._physics = physics
         self._subscribers: list[Any] = [
             session.declare_subscriber(key, RingChannel(depth), allowed_origin=zenoh.Locality.REMOTE)
             for key, depth in ((f"{ROOT}/**", DEPTH), *((key, 1) for key in MISSPELT))
@@ -47,13 +50,24 @@ class UnknownKeys:
                 sample = subscriber.handler.try_recv()
                 if sample is None:
                     break
-                if is_strange(str(sample.key_expr)):
+                if is_strange(str(sample.key_expr)) and not self._is_physics(sample):
                     found = sample
         if found is None:
             return None
         key = str(found.key_expr)
-        source = str(found.source_info.source_id.zid) if found.source_info is not None else None
-        return UnknownKey(key, source, f"nothing reads this key; the nearest is {nearest(key)}")
+        if key == SIM_BODY:
+            why = (
+                "another program publishes it, not this gateway's physics" if self._physics else "no physics runs here"
+            )
+            return UnknownKey(key, _source(found), f"{why}; viewers ignore this one")
+        return UnknownKey(key, _source(found), f"nothing reads this key; the nearest is {nearest(key)}")
+
+    def _is_physics(self, sample: zenoh.Sample) -> bool:
+        return str(sample.key_expr) == SIM_BODY and self._physics is not None and _source(sample) == self._physics
+
+
+def _source(sample: zenoh.Sample) -> str | None:
+    return None if sample.source_info is None else str(sample.source_info.source_id.zid)
 
 
 def is_strange(key: str) -> bool:

@@ -74,9 +74,11 @@ class Conductor:
         *,
         clock: Callable[[], int],
         simulated: bool,
+        physics: str | None = None,
         recorder: Recorder = NO_RECORDER,
         owner: Ownership | None = None,
     ) -> None:
+        """`physics`: Zenoh id of the process that simulates the robot's body, if one does."""
         self._settings = settings
         self._limits = limits_of(settings)
         self.supervisor = supervisor
@@ -86,6 +88,7 @@ class Conductor:
         """Whoever calls anything here holds it."""
         self._clock = clock
         self._simulated = simulated
+        self._physics = physics
         self._started_ns = self._instant_ns = clock()
         self._sources = Sources()
         self._losses = Losses()
@@ -395,6 +398,7 @@ class Conductor:
             started_ns=self._started_ns,
             now_ns=self._clock(),
             simulated=self._simulated,
+            physics=self._physics,
             estop_source=self._sources.estop,
             incident=self.recorder.incident,
             calibration_kept=self.calibration_kept,

@@ -64,6 +64,7 @@ def report(
     started_ns: int,
     now_ns: int,
     simulated: bool,
+    physics: str | None = None,
     estop_source: str | None = None,
     incident: str | None = None,
     calibration_kept: bool = False,
@@ -79,6 +80,7 @@ def report(
         version=__version__,
         protocol=VERSION,
         simulated=simulated,
+        physics=physics,
         legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
         commands=CommandCounts(
             accepted=metrics.accepted,

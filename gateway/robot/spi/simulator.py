@@ -28,6 +28,7 @@ from gateway.errors import SpiError
 from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import Batch
+from gateway.robot.spi.servo_page import ServoPage
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000
@@ -53,6 +54,11 @@ class ServoState:
     pulse_us: int | None = None
     angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
 
+    @property
+    def target_deg(self) -> float | None:
+        """Where its pulse sends it: a horn ends at its stop."""
+        return None if self.pulse_us is None else min((self.pulse_us - 544) * 180 / (2550 - 544), 180.0)
+
 
 class SimulatedController:
     """An SpiDevice with a controller and its servos behind it, and faults that tests can cause."""
@@ -65,8 +71,10 @@ class SimulatedController:
         sleep: Callable[[float], None] = time.sleep,
         on_change: Callable[[str], None] | None = None,
         tick_phase_ns: int = 0,
+        page: ServoPage | None = None,
     ) -> None:
-        """`clock` gives nanoseconds. `on_change` is told in one line what each executed frame did."""
+        """`clock` gives nanoseconds. `on_change` is told in one line what each executed frame did; into `page` goes
+        where each servo is sent."""
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         self.executed = 0
         self.corruptions: collections.Counter[str] = collections.Counter()
@@ -77,6 +85,7 @@ class SimulatedController:
         self._sleep = sleep
         self._on_change = on_change
         self._tick_phase_ns = tick_phase_ns
+        self._page = page
 
         self._body = bytearray()
         self._body_len = 0  # 0: the next byte is a length
@@ -182,6 +191,9 @@ class SimulatedController:
         self._move(self._clock())
         for servo in self._servos.values():
             servo.energised, servo.pulse_us = False, None
+        if self._page is not None:
+            for servo_id in SERVO_IDS:
+                self._page.write(servo_id, None)
 
     def heal(self) -> None:
         """End all faults."""
@@ -260,12 +272,18 @@ class SimulatedController:
         servo = self._servos[driven_id]
         if op == Op.STOP:
             servo.energised = False
+            self._show(driven_id, servo)
             return f"servo {driven_id} stopped"
         if op == Op.START:
             servo.energised = True
         servo.pulse_us = pulse_us(whole_deg, hundredths)
+        self._show(driven_id, servo)
         change = f"servo {driven_id} {_DONE[Op(op)]} {whole_deg + hundredths / 100:.2f}°, {servo.pulse_us} µs"
         return change if servo.energised else f"{change}, and stays off"
+
+    def _show(self, servo_id: int, servo: ServoState) -> None:
+        if self._page is not None:
+            self._page.write(servo_id, servo.target_deg if servo.energised else None)
 
     def _die(self, why: str) -> None:
         self.dead = why
@@ -276,8 +294,7 @@ class SimulatedController:
         reach_deg = MAX_SPEED_DEG_S * (now_ns - self._moved_ns) / 1e9
         self._moved_ns = now_ns
         for servo in self._servos.values():
-            if servo.energised and servo.pulse_us is not None:
-                target_deg = min((servo.pulse_us - 544) * 180 / (2550 - 544), 180.0)  # a horn ends at its stop
+            if servo.energised and (target_deg := servo.target_deg) is not None:
                 way_deg = target_deg - servo.angle_deg
                 servo.angle_deg = (
                     target_deg

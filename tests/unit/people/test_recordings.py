@@ -16,13 +16,14 @@ from pydantic import BaseModel, TypeAdapter
 from gateway.errors import ConfigError
 from gateway.geometry import load, urdf
 from gateway.people.recordings import REPORTS, Drawing, Recording, is_cut_off, read, repair
-from gateway.people.recordings.drawing import DRAWN_SCHEMAS, FRAMES, JOINT_STATES, LOG
+from gateway.people.recordings.drawing import DRAWN_SCHEMAS, FRAMES, JOINT_STATES, LOG, SIM_JOINT_STATES
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.reading import records
 from gateway.people.tools.record import repair_file
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack
 
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
@@ -35,6 +36,18 @@ NAMES: Final = {
     keys.FRAME: "1.0/frame",
     keys.CALIBRATION: "1.1/calibration",
 }
+BODY: Final[dict[str, Any]] = {
+    "time": "2026-11-22T16:34:33.129026Z",
+    "position_m": [0.3, 0.1, 0.05],
+    "orientation_xyzw": [1.0, 0.0, 0.0, 0.0],
+    "velocity_m_s": [0.0, 0.0, -0.2],
+    "upright": False,
+    "feet": [True, False, False, False, False, False],
+    "servos": {str(servo_id): {"angle_deg": 45.0, "torque_nm": 0.5} for servo_id in SERVO_IDS},
+    "terrain": "flat",
+    "real_time_factor": 1.0,
+}
+"""On its back."""
 
 
 def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
@@ -43,8 +56,9 @@ def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
         key: [json.loads(line) for line in (WIRE / f"{name}.jsonl").read_text().splitlines()]
         for key, name in NAMES.items()
     }
+    wires[keys.SIM_BODY] = [BODY]
     for number in range(count):
-        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT}
+        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT, 20: keys.SIM_BODY}
         key = others.get(number % 30, keys.FRAME)
         yield key, wires[key][number % len(wires[key])], START_NS + number * PERIOD_NS
 
@@ -82,6 +96,28 @@ def test_mcaps_own_reader_finds_every_report_and_each_message_is_as_its_schema_s
     for key in REPORTS:
         assert found[key] == [without_nulls(report) for topic, report, _ in reports(600) if topic == key]
     assert len(found[LOG]) == len(found[keys.EVENT])
+
+
+def test_a_simulated_body_is_drawn_where_it_is_beside_what_was_commanded() -> None:
+    drawing = Drawing(load())
+    for topic, report, time_ns in reports(20):
+        list(drawing.take(topic, report, time_ns))
+    before = {each["child_frame_id"]: each for each in dict(drawing.picture(START_NS))[FRAMES]["transforms"]}
+    drawn = dict(drawing.take(keys.SIM_BODY, BODY, START_NS + 10**9))
+    frames = {each["child_frame_id"]: each for each in drawn[FRAMES]["transforms"]}
+    assert frames["base"]["parent_frame_id"] == "world"
+    assert frames["base"]["translation"] == {"x": 0.3, "y": 0.1, "z": 0.05}
+    assert frames["base"]["rotation"] == {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    true_rad = round(load().joint_rad(12, 45.0), 5)
+    assert {"name": "joint_12", "position": true_rad} in drawn[SIM_JOINT_STATES]["joints"]
+    assert {"name": "joint_12", "position": true_rad} not in drawn[JOINT_STATES]["joints"]
+    assert frames["commanded/leg_1_femur"]["rotation"] == before["leg_1_femur"]["rotation"]
+    assert frames["leg_1_femur"]["rotation"] != before["leg_1_femur"]["rotation"]
+    later = dict(drawing.picture(START_NS + 3 * 10**9))
+    assert [each["child_frame_id"] for each in later[FRAMES]["transforms"]] == list(before), (
+        "its process has ended: what was commanded is all"
+    )
+    assert SIM_JOINT_STATES not in later
 
 
 def test_what_the_gateway_publishes_is_what_is_recorded() -> None:

@@ -1,0 +1,73 @@
+"""What is simulated: what nobody has measured on the robot, and the ground under it. Pure."""
+
+import math
+from typing import Final, NamedTuple, Self
+
+from gateway.errors import ConfigError
+from gateway.geometry.masses import MASSES
+
+MASS_KG: Final = round(MASSES.total_kg, 2)
+"""An assumption (gateway/geometry/masses.py). The parts of the Elkapod's own description add up to 5.0 kg."""
+TORQUE_NM: Final = 2.0
+"""A servo of 20 kg·cm, the usual one in robots of this size. (An MG996R has 9.4 kg·cm at 4.8 V.)"""
+FRICTION: Final = 0.8
+"""Rubber on wood; the Elkapod's own simulation has the same for its feet."""
+MAX_SLOPE_DEG: Final = 45.0
+MAX_ROUGH_M: Final = 0.2
+"""As high as the robot stands."""
+
+
+class Terrain(NamedTuple):
+    """The ground: level, rising ahead of the robot, or bumpy."""
+
+    slope_deg: float = 0.0
+    rough_m: float = 0.0
+    """How high its bumps are at most."""
+
+    @classmethod
+    def parsed(cls, text: str) -> Self:
+        """`flat`, `slope:DEGREES` or `rough:METRES`. Raises ConfigError."""
+        kind, colon, number = text.partition(":")
+        try:
+            amount = float(number) if colon else 0.0
+        except ValueError:
+            amount = math.nan
+        if text == "flat":
+            return cls()
+        if kind == "slope" and colon and abs(amount) <= MAX_SLOPE_DEG:
+            return cls(slope_deg=amount)
+        if kind == "rough" and colon and 0 <= amount <= MAX_ROUGH_M:
+            return cls(rough_m=amount)
+        raise ConfigError(
+            f"{text!r} is no terrain; there are flat, slope:DEGREES (up to {MAX_SLOPE_DEG:g}, below 0 downhill) and "
+            f"rough:METRES (bumps of up to {MAX_ROUGH_M:g})"
+        )
+
+    def __str__(self) -> str:
+        if self.rough_m:
+            return f"rough:{self.rough_m:g}"
+        return f"slope:{self.slope_deg:g}" if self.slope_deg else "flat"
+
+
+FLAT: Final = Terrain()
+
+
+class Assumed(NamedTuple):
+    """What nobody has measured on the robot, and the ground."""
+
+    mass_kg: float = MASS_KG
+    """Of the whole robot; its parts keep their shares."""
+    torque_nm: float = TORQUE_NM
+    friction: float = FRICTION
+    terrain: Terrain = FLAT
+
+
+def assumed(mass_kg: float | None, torque_nm: float | None, friction: float | None, terrain: str | None) -> Assumed:
+    """From what a command line names; None: the default. Raises ConfigError."""
+    usual = Assumed()
+    return Assumed(
+        usual.mass_kg if mass_kg is None else mass_kg,
+        usual.torque_nm if torque_nm is None else torque_nm,
+        usual.friction if friction is None else friction,
+        usual.terrain if terrain is None else Terrain.parsed(terrain),
+    )

@@ -1,0 +1,223 @@
+"""The process that simulates the body: in real time, and at low priority. What it is given, it reads and never awaits.
+
+The gateway's process starts it, and passes the page with the servos' targets; the end of its standard input is the end
+of the gateway. What it has to say to people goes to stderr.
+"""
+
+import datetime as dt
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Final, TypeVar, cast
+
+import zenoh
+
+from gateway.errors import GatewayError
+from gateway.geometry import Geometry, load
+from gateway.people.physics.assumed import Assumed, assumed
+from gateway.people.physics.model import TIMESTEP_S
+from gateway.people.physics.pace import Pace
+from gateway.people.physics.world import World
+from gateway.robot.core.calibration import Calibration
+from gateway.robot.core.calibration_report import calibration_of
+from gateway.robot.spi.servo_page import ServoPage
+from schemas import calibration as wire
+from schemas.keys import CALIBRATION, SIM_BODY, SIM_UPRIGHT
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Ack, BodyReport, SimulatedServo
+
+TURN_S: Final = 0.01
+"""How often the servos' targets are read."""
+PUBLISH_S: Final = 1 / 30
+SAME_S: Final = 5.0
+"""A simulation that explodes again and again is reported so often."""
+NICE: Final = 10
+"""Whatever else runs on this machine, above all the gateway, comes first."""
+
+
+T = TypeVar("T", bound=tuple[float, ...])
+
+
+class Simulated:
+    """The world, driven by what the servos are sent to on the wire, and reported in angles as commands name them."""
+
+    def __init__(self, geometry: Geometry, assumed: Assumed) -> None:
+        """Raises ConfigError where MuJoCo cannot simulate it."""
+        self.world = World(geometry, assumed)
+        self._geometry = geometry
+        self._terrain = str(assumed.terrain)
+        self._calibration = Calibration()
+        self._driven: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
+
+    def calibrate(self, calibration: Calibration) -> None:
+        """By this one, users' angles follow from the wire's."""
+        self._calibration = calibration
+        for servo_id, wire_deg in self._driven.items():
+            self._drive(servo_id, wire_deg)
+
+    def drive(self, wire_deg: Mapping[int, float | None]) -> None:
+        """Where the servos are sent now; None: off."""
+        for servo_id, angle_deg in wire_deg.items():
+            if angle_deg != self._driven[servo_id]:
+                self._drive(servo_id, angle_deg)
+        self._driven = dict(wire_deg)
+
+    def _drive(self, servo_id: int, wire_deg: float | None) -> None:
+        if wire_deg is None:
+            self.world.drive(servo_id, None)
+            return
+        user_deg = self._calibration.of(servo_id).user_cdeg(round(100 * wire_deg)) / 100
+        self.world.drive(servo_id, self._geometry.joint_rad(servo_id, user_deg))
+
+    def report(self, real_time_factor: float) -> BodyReport:
+        """Where it is now."""
+        body = self.world.body()
+        servos = {
+            str(servo_id): SimulatedServo(
+                angle_deg=round(self._geometry.servos[servo_id].servo_deg(joint_rad), 2),
+                torque_nm=round(body.torques_nm[servo_id], 3),
+            )
+            for servo_id, joint_rad in body.joints_rad.items()
+        }
+        one, two, three, four, five, six = body.feet
+        return BodyReport(
+            time=dt.datetime.now(dt.UTC),
+            position_m=_rounded(body.position_m),
+            orientation_xyzw=_rounded(body.rotation),
+            velocity_m_s=_rounded(body.velocity_m_s),
+            upright=body.upright,
+            feet=(one, two, three, four, five, six),
+            servos=servos,
+            terrain=self._terrain,
+            real_time_factor=round(real_time_factor, 3),
+        )
+
+
+class Link:
+    """The session with the gateway: Zenoh's threads fill queues, into which the simulation looks."""
+
+    def __init__(self) -> None:
+        self.ended = threading.Event()
+        """The gateway has ended."""
+        self.calibrations: SimpleQueue[Calibration] = SimpleQueue()
+        self.upright: SimpleQueue[zenoh.Query] = SimpleQueue()
+        self._session: zenoh.Session | None = None
+        self._declared: list[Any] = []
+        self._publisher: Any = None
+        self._number = 0
+        threading.Thread(target=self._run, name="lifeline", daemon=True).start()
+
+    def publish(self, report: BodyReport) -> None:
+        """Publish it. Zenoh drops it where a link is full."""
+        self._number += 1
+        info = zenoh.SourceInfo(self._publisher.id, self._number)
+        with suppress(zenoh.ZError):
+            self._publisher.put(report.model_dump_json(), source_info=info)
+
+    @property
+    def anyone_listens(self) -> bool:
+        """Whether the gateway is there, and anybody watches."""
+        return self._publisher is not None and bool(self._publisher.matching_status.matching)
+
+    def _run(self) -> None:
+        line = sys.stdin.readline()
+        if line:
+            config = zenoh.Config.from_json5(line)
+            threading.Thread(target=self._connect, args=(config,), name="connect", daemon=True).start()
+            while sys.stdin.readline():
+                pass
+        self.ended.set()
+
+    def _connect(self, config: zenoh.Config) -> None:
+        try:
+            self._session = session = zenoh.open(config)
+        except zenoh.ZError as error:
+            _say(f"it cannot publish the body: {' '.join(str(error).split())}")
+            return
+        self._declared = [
+            session.declare_subscriber(CALIBRATION, self._take_calibration),
+            session.declare_queryable(SIM_UPRIGHT, self._take_query),
+        ]
+        for reply in session.get(CALIBRATION):
+            if reply.ok is not None:
+                self._take_calibration(reply.ok)
+        self._publisher = session.declare_publisher(
+            SIM_BODY,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_LOW,
+        )
+
+    def _take_calibration(self, sample: zenoh.Sample) -> None:
+        with suppress(ValueError):  # none that a gateway publishes
+            report = wire.Calibration.model_validate_json(sample.payload.to_bytes())
+            self.calibrations.put(calibration_of(report))
+
+    def _take_query(self, query: zenoh.Query) -> None:
+        if str(query.key_expr) == SIM_UPRIGHT:  # whoever lists what there is sets nobody upright
+            self.upright.put(query)
+
+
+def simulate(simulated: Simulated, page: ServoPage, link: Link) -> None:
+    """Until the gateway ends."""
+    pace = Pace(TIMESTEP_S, time.monotonic())
+    publish_s = said_s = 0.0
+    while not link.ended.wait(TURN_S):
+        simulated.drive(page.read())
+        with suppress(Empty):
+            simulated.calibrate(link.calibrations.get_nowait())
+        for _ in range(pace.due(time.monotonic())):
+            simulated.world.step()
+        now_s = time.monotonic()
+        fault = simulated.world.fault()
+        if fault is not None and now_s - said_s > SAME_S:
+            said_s = now_s
+            _say(fault)
+        if (slow := pace.report(now_s)) is not None:
+            _say(slow)
+        with suppress(Empty):
+            _set_upright(simulated, link.upright.get_nowait())
+        if now_s >= publish_s and link.anyone_listens:
+            publish_s = max(publish_s + PUBLISH_S, now_s)
+            link.publish(simulated.report(pace.factor))
+
+
+def _set_upright(simulated: Simulated, query: zenoh.Query) -> None:
+    simulated.world.set_upright()
+    with suppress(zenoh.ZError), query:
+        query.reply(SIM_UPRIGHT, Ack(accepted=True).model_dump_json(), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+
+def _rounded(values: T) -> T:
+    return cast(T, tuple(round(value, 5) for value in values))
+
+
+def _say(sentence: str) -> None:
+    sys.stderr.write(f"physics: {sentence}\n")
+    sys.stderr.flush()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """What `tools/body_process.py` starts. Ctrl-C and the terminal's end are for the gateway, and its end ends this."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    os.setpriority(os.PRIO_PROCESS, 0, NICE)
+    given: dict[str, Any] = json.loads(arguments[0])
+    what = assumed(given["mass_kg"], given["torque_nm"], given["friction"], given["terrain"])
+    try:
+        simulated = Simulated(load(given["geometry"] and Path(given["geometry"])), what)
+    except GatewayError as error:
+        sys.stdout.write(f"{error}\n")
+        sys.stdout.flush()
+        return error.exit_code
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    simulate(simulated, ServoPage(given["page"]), Link())
+    return 0

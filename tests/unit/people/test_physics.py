@@ -1,0 +1,229 @@
+"""The robot's body in MuJoCo: it stands, falls and lies as a thing of that weight does; and real time."""
+
+import math
+
+import pytest
+
+from gateway.cli import run as run_command
+from gateway.errors import ConfigError
+from gateway.geometry import load
+from gateway.geometry.kinematics import about, rotated
+from gateway.geometry.masses import MASSES
+from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
+from gateway.people.physics.model import TIMESTEP_S
+from gateway.people.physics.pace import MOST_BEHIND_S, WINDOW_S, Pace
+from gateway.people.physics.process import Simulated
+from gateway.people.physics.world import World
+from gateway.people.walking import Engine, Posture, Robot, Velocity
+from gateway.robot.core.calibration import Calibration, ServoCalibration
+from schemas.robot import SERVO_IDS
+
+GEOMETRY = load()
+TICK_S = 0.02
+
+
+def simulate(world: World, seconds: float) -> None:
+    for _ in range(round(seconds / TIMESTEP_S)):
+        world.step()
+
+
+def stood_up(world: World) -> Engine:
+    """By its walk, as a gateway would have it."""
+    engine = Engine(Robot(GEOMETRY))
+    engine.stand()
+    while engine.posture is not Posture.STANDING:
+        for leg, angles in engine.step(Velocity(), TICK_S).items():
+            for joint, angle_deg in enumerate(angles, start=1):
+                world.drive(10 * leg + joint, GEOMETRY.joint_rad(10 * leg + joint, angle_deg))
+        simulate(world, TICK_S)
+    simulate(world, 0.5)
+    return engine
+
+
+def stop(world: World) -> None:
+    for servo_id in SERVO_IDS:
+        world.drive(servo_id, None)
+
+
+def test_it_stands_up_and_without_its_servos_it_sinks() -> None:
+    world = World(GEOMETRY)
+    engine = stood_up(world)
+    standing = world.body()
+    assert standing.position_m[2] == pytest.approx(engine.body.height_m, abs=0.01)
+    assert standing.upright
+    assert all(standing.feet)
+    carried_nm = sum(abs(torque_nm) for torque_nm in standing.torques_nm.values())
+    assert carried_nm > 1
+    stop(world)
+    simulate(world, 0.15)
+    assert world.body().velocity_m_s[2] < -0.1, "it falls"
+    simulate(world, 2.0)
+    fallen = world.body()
+    assert fallen.position_m[2] < 0.08
+    assert set(fallen.torques_nm.values()) == {0.0}
+
+
+def test_a_heavy_robot_with_weak_servos_does_not_get_up() -> None:
+    world = World(GEOMETRY, Assumed(mass_kg=10, torque_nm=0.5))
+    stood_up(world)
+    assert world.body().position_m[2] < 0.1
+
+
+def test_the_weight_is_the_one_that_is_named() -> None:
+    assert World(GEOMETRY, Assumed(mass_kg=7)).weight_n == pytest.approx(7 * 9.81, rel=0.01)
+
+
+def test_a_servo_goes_no_faster_than_its_motor_and_ends_at_its_stop() -> None:
+    world = World(GEOMETRY)
+    world.drive(11, GEOMETRY.joint_rad(11, 90))
+    simulate(world, 0.5)
+    world.drive(11, GEOMETRY.joint_rad(11, 150))
+    simulate(world, 0.1)
+    assert 95 < GEOMETRY.servos[11].servo_deg(world.body().joints_rad[11]) < 90 + 36
+    world.drive(11, GEOMETRY.joint_rad(11, 250))
+    simulate(world, 1.0)
+    assert GEOMETRY.servos[11].servo_deg(world.body().joints_rad[11]) < 185
+
+
+@pytest.mark.parametrize("text", ["flat", "slope:10", "slope:-20", "rough:0.02"])
+def test_it_lies_on_every_ground(text: str) -> None:
+    world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(text)))
+    assert str(Terrain.parsed(text)) == text
+    simulate(world, 1.0)
+    body = world.body()
+    assert body.upright
+    assert body.tilt_deg < 10
+    lean_deg = math.degrees(math.acos(rotated(body.rotation, (0, 0, 1))[2]))
+    assert lean_deg == pytest.approx(abs(Terrain.parsed(text).slope_deg), abs=5)
+
+
+def test_it_slides_down_a_slope_of_ice_and_not_one_of_wood() -> None:
+    slid_m = []
+    for friction in (0.05, 0.8):
+        world = World(GEOMETRY, Assumed(friction=friction, terrain=Terrain.parsed("slope:20")))
+        simulate(world, 1.5)
+        slid_m.append(-world.body().position_m[0])
+    assert slid_m[0] > 0.5
+    assert abs(slid_m[1]) < 0.05
+
+
+@pytest.mark.parametrize(
+    "text", ["", "hills", "slope", "slope:", "slope:90", "slope:nan", "rough:-1", "rough:1", "flat:1"]
+)
+def test_what_is_no_terrain_is_said_with_what_there_is(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"there are flat, slope:DEGREES .* and rough:METRES"):
+        assumed(None, None, None, text)
+
+
+def test_a_robot_on_its_back_lies_there_until_it_is_set_upright() -> None:
+    world = World(GEOMETRY)
+    x, y, z, w = about((1, 0, 0), math.pi)
+    world.data.qpos[:7] = 0.3, 0.2, 0.15, w, x, y, z
+    simulate(world, 1.0)
+    body = world.body()
+    assert not body.upright
+    assert body.tilt_deg > 150
+    assert body.position_m[:2] == pytest.approx((0.3, 0.2), abs=0.05)
+    world.set_upright()
+    simulate(world, 1.0)
+    body = world.body()
+    assert body.upright
+    assert body.tilt_deg < 10
+    assert body.position_m[:2] == pytest.approx((0.3, 0.2), abs=0.05), "where it lay"
+
+
+def test_an_explosion_is_said_with_its_joint_and_the_robot_lies_down_anew() -> None:
+    world = World(GEOMETRY)
+    simulate(world, 0.5)
+    assert world.fault() is None
+    world.data.qvel[6 + SERVO_IDS.index(32)] = 1234
+    sentence = world.fault()
+    assert sentence is not None
+    assert "joint 32 turned at 1234 rad/s" in sentence
+    simulate(world, 1.0)
+    assert world.fault() is None
+    assert world.body().upright
+
+
+def test_an_explosion_names_the_leg_that_is_inside_something() -> None:
+    """Legs 3 and 5 at one place. They do not collide, so that alone explodes nothing."""
+    mounts = GEOMETRY.leg_mounts
+    both = GEOMETRY.model_copy(update={"leg_mounts": {**mounts, 5: mounts[3]}})
+    world = World(both)
+    simulate(world, 0.5)
+    assert world.fault() is None
+    world.data.qvel[0] = math.nan
+    world.step()
+    sentence = world.fault()
+    assert sentence is not None
+    assert "leg 3 is in leg 5" in sentence or "leg 5 is in leg 3" in sentence
+
+
+def test_a_geometry_that_mujoco_rejects_is_said_in_one_line() -> None:
+    with pytest.raises(ConfigError, match="MuJoCo cannot simulate elkapod: ") as raised:
+        World(GEOMETRY, Assumed(mass_kg=0.0))
+    assert "\n" not in str(raised.value)
+
+
+# ---- angles as commands name them
+
+
+def test_where_it_is_counts_as_commands_do() -> None:
+    """A servo that is mounted the other way round, and 10 degrees off."""
+    as_drawn = Simulated(GEOMETRY, Assumed())
+    mounted = Simulated(GEOMETRY, Assumed())
+    as_drawn.drive({servo_id: 60.0 if servo_id == 11 else None for servo_id in SERVO_IDS})
+    mounted.drive({servo_id: 180 - 60.0 + 10 if servo_id == 11 else None for servo_id in SERVO_IDS})
+    mounted.calibrate(Calibration(1, {11: ServoCalibration(trim_cdeg=1000, inverted=True)}))
+    for each in (as_drawn, mounted):
+        simulate(each.world, 1.0)
+        report = each.report(1.0)
+        assert report.servos["11"].angle_deg == pytest.approx(60, abs=1)
+        assert report.servos["12"].torque_nm == 0
+        assert report.servos.keys() == set(map(str, SERVO_IDS))
+
+
+# ---- real time
+
+
+def test_each_step_is_due_once() -> None:
+    pace = Pace(0.002, 100.0)
+    assert pace.due(100.0) == 0
+    assert pace.due(100.0 + 0.0101) == 5
+    assert pace.due(100.0 + 0.0101) == 0
+    assert sum(pace.due(100.0101 + 0.01 * turn) for turn in range(1, 101)) == 500
+
+
+def test_what_a_stall_cost_is_left_out_and_told_by_how_much() -> None:
+    pace = Pace(0.002, 0.0)
+    assert pace.due(1.5) * 0.002 == pytest.approx(MOST_BEHIND_S)
+    assert pace.report(1.5) is None, "not before a window's end"
+    pace.due(1.6)
+    sentence = pace.report(WINDOW_S)
+    assert pace.factor == pytest.approx(0.1, abs=0.02)
+    assert sentence is not None
+    assert "simulates 0.10 s of each second" in sentence
+    now_s = WINDOW_S
+    told = []
+    for _ in range(round(2 * WINDOW_S / 0.01)):
+        now_s += 0.01
+        pace.due(now_s)
+        told.append(pace.report(now_s))
+    assert [each for each in told if each] == ["this machine simulates the body in real time again"]
+
+
+# ---- the command line
+
+
+def test_help_says_the_defaults() -> None:
+    """They stand there as text, so that no command has to load the geometry for them."""
+    shown = {
+        name: parameter.show_default
+        for name, annotation in run_command.__annotations__.items()
+        for parameter in getattr(annotation, "__metadata__", ())
+    }
+    assert shown["mass_kg"].startswith(f"{MASS_KG}:")
+    assert shown["servo_torque_nm"].startswith(f"{TORQUE_NM}:")
+    assert shown["friction"].startswith(f"{FRICTION}:")
+    assert pytest.approx(MASSES.total_kg, abs=0.01) == MASS_KG
+    assert shown["terrain"] == str(assumed(None, None, None, None).terrain)

@@ -1,0 +1,181 @@
+"""`run --sim=physics`: a robot with a body, in a process of its own, as viewers and people meet it."""
+
+import os
+import select
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import pytest
+import zenoh
+
+from gateway.client import Client
+from gateway.people.recordings import read
+from schemas import keys
+from schemas.telemetry import Ack, BodyReport, Kind
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import Heard, events
+
+PHYSICS: Final = ("--sim=physics",)
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("physics"), options=PHYSICS) as running:
+        yield running
+
+
+def bodies(client: Client) -> Heard[BodyReport]:
+    return Heard(client, keys.SIM_BODY, BodyReport)
+
+
+def set_upright(client: Client, key: str = keys.SIM_UPRIGHT) -> list[Ack]:
+    replies = client.session.get(key, timeout=5)
+    return [Ack.model_validate_json(each.ok.payload.to_bytes()) for each in replies if each.ok is not None]
+
+
+def physics_pid(gateway: Gateway) -> int:
+    """The gateway's only child."""
+    (pid,) = Path(f"/proc/{gateway.child.pid}/task/{gateway.child.pid}/children").read_text().split()
+    return int(pid)
+
+
+def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        assert client.state().simulated
+        heard = bodies(client)
+        lying = heard.wait(lambda _: True)
+        assert lying.upright
+        assert lying.position_m[2] < 0.08
+        with client.walk() as walk:
+            walk.stand()
+            standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
+            assert any(servo.torque_nm for servo in standing.servos.values())
+            while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
+                walk.go(0.08)
+            walk.stand()
+            pose = client.state().legs[0].servos[1].angle_deg
+            assert pose is not None
+            heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
+            stopped = client.estop()
+            assert stopped.accepted
+            fallen = heard.wait(lambda body: body.position_m[2] < 0.08 and body.position_m[0] > 0.05)
+            assert fallen.velocity_m_s[2] < 0
+            client.reset(stopped.estop)
+            walk.start_again()
+
+
+def test_somebody_sets_it_upright_and_a_list_of_all_keys_does_not(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = bodies(client)
+        begun = heard.wait(lambda _: True)
+        assert set_upright(client) == [Ack(accepted=True)]
+        put_down = heard.wait(lambda body: body.position_m[2] > begun.position_m[2] + 0.005)
+        assert put_down.upright
+        assert not any(ack.accepted for ack in set_upright(client, "hexapod/sim/*"))
+
+
+def test_what_another_program_publishes_there_is_reported_and_recognised(gateway: Gateway, tmp_path: Path) -> None:
+    """The state names the process that counts; `record` leaves others out."""
+    ride = tmp_path / "ride.mcap"
+    with gateway.client() as client:
+        heard, reported = bodies(client), events(client)
+        body = heard.wait(lambda _: True)
+        recorder = Child([*COMMAND, "record", str(ride), "--connect", gateway.endpoint], os.environ)
+        recorder.wait_for_output("recording into")
+        forged = body.model_copy(update={"position_m": (9.0, 9.0, 9.0)}).model_dump_json()
+        publisher = client.session.declare_publisher(keys.SIM_BODY)
+        before = len(heard.all)
+        for number in range(30):  # beside the true ones
+            publisher.put(forged, source_info=zenoh.SourceInfo(publisher.id, number))
+            heard.wait(lambda body: body.position_m[0] < 9.0, count=before + number)
+        event = reported.wait(lambda event: event.key == keys.SIM_BODY)
+        assert event.kind is Kind.COMMAND_REJECTED
+        assert "another program publishes it" in event.detail
+        assert event.source == str(client.session.info.zid())
+        recorder.terminate()
+        assert recorder.wait() == 0
+        assert "messages on the gateway's keys were no reports, and are not in the file" in recorder.stderr
+        recorded = [message.content["position_m"] for message in read(ride) if message.topic == keys.SIM_BODY]
+        assert len(recorded) > 10
+        assert [9.0, 9.0, 9.0] not in recorded
+        recorder.close()
+        assert client.state().physics is not None
+
+
+def test_without_physics_a_body_is_nobodys(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as light, light.client() as client:
+        reported = events(client)
+        assert client.state().physics is None
+        client.session.put(keys.SIM_BODY, "{}")
+        assert "no physics runs here" in reported.wait(lambda event: event.key == keys.SIM_BODY).detail
+
+
+def test_a_machine_that_is_too_slow_slows_the_body_and_says_by_how_much(tmp_path: Path) -> None:
+    with Gateway(tmp_path, options=PHYSICS) as running, running.client() as client:
+        heard = bodies(client)
+        heard.wait(lambda _: True)
+        pid = physics_pid(running)
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            assert client.start_leg(3, 90, 45, 120).accepted, "the gateway waits for nobody"
+            heard_last = len(heard.all)
+            for _ in range(60):  # 1.5 s of a stream, by the gateway's own pace
+                client.set_leg(3, 90, 45, 120)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        sentence = running.child.wait_for_output("of each second: the body moves more slowly")
+        assert sentence.startswith("physics: this machine simulates 0.")
+        heard.wait(lambda body: body.real_time_factor < 0.95, timeout_s=5)
+        assert len(heard.all) > heard_last
+        running.child.wait_for_output("in real time again")
+
+
+def test_the_gateway_goes_on_without_its_physics_and_the_physics_ends_with_its_gateway(tmp_path: Path) -> None:
+    with Gateway(tmp_path, options=PHYSICS) as running, running.client() as client:
+        os.kill(physics_pid(running), signal.SIGKILL)
+        running.child.wait_for_output("the physics process was killed by signal 9: nobody simulates the body any more")
+        assert client.start_leg(3, 90, 45, 120).accepted
+        assert client.stop().accepted
+    with Gateway(tmp_path, options=PHYSICS) as running:
+        pidfd = os.pidfd_open(physics_pid(running))
+        running.child.kill()
+        assert _ends(pidfd), "no physics outlives a killed gateway"
+        os.close(pidfd)
+
+
+def _ends(pidfd: int) -> bool:
+    return bool(select.select([pidfd], [], [], 5)[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--sim=physics", "--terrain", "hills"], "'hills' is no terrain; there are flat, slope:DEGREES"),
+        (["--sim=physics", "--geometry", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["--sim", "--mass-kg", "3"], "go with --sim=physics"),
+        (["--mass-kg", "3"], "go with --sim=physics"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said_in_one_sentence(options: list[str], sentence: str) -> None:
+    child = Child([*COMMAND, "run", *options], os.environ)
+    assert child.wait() == 2
+    assert child.stderr.count("\n") == 1
+    assert sentence in child.stderr
+    child.close()
+
+
+def test_without_the_extra_it_says_what_to_install(tmp_path: Path) -> None:
+    """A Python that finds no mujoco."""
+    program = (
+        "import sys, importlib.util as u; find = u.find_spec\n"
+        "u.find_spec = lambda name, *a: None if name == 'mujoco' else find(name, *a)\n"
+        "from gateway.cli import main; sys.argv[1:] = ['run', '--sim=physics']; main()"
+    )
+    child = Child([sys.executable, "-c", program], os.environ, cwd=tmp_path)
+    assert child.wait() == 2
+    assert child.stderr == "hexapod-gateway: the physics is missing: pip install 'hexapod-gateway[physics]'\n"
+    child.close()
