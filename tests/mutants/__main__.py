@@ -1,80 +1,104 @@
 """`python -m tests.mutants [PART OF A FILE'S NAME …]`: does a test fail for each mutant?
 
-The tree is copied, a folder for each worker. One mutant at a time is written into it, and its subject's tests run until
-the first fails, in a process that is forked with all libraries loaded already: a quarter of a second for most. Ends
-with 1 where less than 95 % are killed, or where one survives that is not listed as equivalent.
+Prints what survives and a score for each file, and keeps the scores in scores.json. Ends with 1 where a mutant survives
+that is not accepted, or where an accepted one is none any more.
 """
 
 import argparse
+import json
+import subprocess
 import sys
-import tempfile
 import time
+from collections import Counter
+from hashlib import sha256
 from pathlib import Path
+from typing import Final
 
-from tests.mutants.lists import SUBJECTS
-from tests.mutants.mutant import Mutant, Subject, check
-from tests.mutants.workers import Outcome, Workers
+from tests.mutants.by_hand import made_by_hand
+from tests.mutants.generated import accepted, mutants_of
+from tests.mutants.judges import JUDGES
+from tests.mutants.judging import Outcome, Subject, TestsFailError, verdicts
 
-ROOT = Path(__file__).parents[2]
-LEAST_KILLED = 0.95
-TESTS_MAY_TAKE_S = 120.0
+ROOT: Final = Path(__file__).parents[2]
+SCORES: Final = Path(__file__).with_name("scores.json")
 
 
 def main() -> int:
-    """Run all mutants, or those of the files that are named in part. Returns the exit code."""
+    """Judge all mutants, or those of the files that are named in part. Returns the exit code."""
     parser = argparse.ArgumentParser(prog="make mutants", description="Does a test fail for each mutant?")
     parser.add_argument("names", nargs="*", help="only files whose name has one of these in it")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--accepted", action="store_true", help="run those that are accepted: is one noticed by now?")
+    parser.add_argument("--sample", type=int, metavar="N", help="of each file only these many, always the same ones")
     arguments = parser.parse_args()
-    subjects = [s for s in SUBJECTS if not arguments.names or any(name in s.file for name in arguments.names)]
-    for subject in subjects:
-        check(subject, ROOT)
-    begun = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        workers = Workers(ROOT, Path(folder), arguments.workers)
-        if not tests_are_good(workers, subjects):
-            return 1
-        good = judge(workers, subjects)
-    print(f"{time.monotonic() - begun:.0f} s in all")
-    return 0 if good else 1
+    files = [file for file in JUDGES if not arguments.names or any(name in file for name in arguments.names)]
+    # Not a list that ends early: a survivor in one file hides none in the next.
+    scores = [judge(file, run_accepted=arguments.accepted, sample=arguments.sample) for file in files]
+    killed, wanted = (sum(score[of] for score in scores) for of in ("killed", "wanted"))
+    print(f"\n{killed} of {wanted} killed ({killed / max(1, wanted):.1%}) in {len(files)} files")
+    return 0 if all(score["right"] for score in scores) else 1
 
 
-def tests_are_good(workers: Workers, subjects: list[Subject]) -> bool:
-    """Whether the tests pass without any mutant, and soon enough."""
-    files = tuple(dict.fromkeys(test for subject in subjects for test in subject.tests))
-    begun = time.monotonic()
-    outcome = workers.without_mutant(files)
-    took_s = time.monotonic() - begun
-    print(
-        f"{len(files)} files of tests take {took_s:.0f} s without a mutant, at most {TESTS_MAY_TAKE_S:.0f}", flush=True
+def judge(file: str, *, run_accepted: bool, sample: int | None) -> Counter[str]:
+    """Judge a file's mutants, print what became of them and keep the score. `right`: all is as it should be."""
+    begun_s = time.monotonic()
+    source = (ROOT / file).read_text(encoding="utf-8")
+    mutants = {str(mutant.name): mutant.source for mutant in (*mutants_of(source), *made_by_hand(file, source))}
+    forgiven = accepted(file)
+    wrong = [f"accepted, but no mutant any more: {name}" for name in forgiven.keys() - mutants.keys()]
+    todo = [name for name in mutants if run_accepted or name not in forgiven]
+    if sample is not None:
+        todo = sorted(todo, key=lambda name: sha256(name.encode()).digest())[:sample]
+    found: Counter[Outcome] = Counter()
+    try:
+        for number, verdict in verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutants[name] for name in todo))):
+            name = todo[number]
+            if name not in forgiven:
+                found[verdict.outcome] += 1
+            if verdict.outcome is Outcome.SURVIVED and name not in forgiven:
+                wrong.append(f"survived: {name}")
+            elif verdict.outcome in (Outcome.KILLED, Outcome.TIMED_OUT) and name in forgiven:
+                wrong.append(f"accepted, but noticed by {verdict.test}: {name}")
+    except TestsFailError as error:
+        wrong.append(f"its tests fail without a mutant, so they can judge nothing: {error}")
+    killed = found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
+    score = Counter(
+        killed=killed,
+        by_time=found[Outcome.TIMED_OUT],
+        wanted=killed + found[Outcome.SURVIVED],
+        accepted=len(forgiven.keys() & mutants.keys()),
+        generated=len(mutants),
     )
-    if outcome is not Outcome.SURVIVED:
-        print(f"they do not pass, so they can judge nothing:\n{workers.output}")
-    return outcome is Outcome.SURVIVED and took_s <= TESTS_MAY_TAKE_S
+    if sample is None:
+        keep(file, score)
+    share = killed / max(1, score["wanted"])
+    took_s = time.monotonic() - begun_s
+    print(f"{file}: {killed} of {score['wanted']} ({share:.1%}), {score['accepted']} accepted, {took_s:.0f} s")
+    print("".join(f"  {line}\n" for line in wrong), end="", flush=True)
+    score["right"] = not wrong
+    return score
 
 
-def judge(workers: Workers, subjects: list[Subject]) -> bool:
-    """Run the mutants and say what became of them. Returns whether that is good enough."""
-    todo = [(subject, mutant) for subject in subjects for mutant in subject.mutants]
-    killed, wrong = 0, []
-    for done, (subject, mutant, outcome) in enumerate(workers.run(todo), start=1):
-        killed += outcome in (Outcome.KILLED, Outcome.TIMED_OUT)
-        line = f"[{done}/{len(todo)}] {outcome:9} {subject.file}: {in_short(mutant)}"
-        print(line + (f"  (equivalent: {mutant.equivalent})" if mutant.equivalent else ""), flush=True)
-        expected = Outcome.SURVIVED if mutant.equivalent else Outcome.KILLED
-        if outcome is not expected and not (outcome is Outcome.TIMED_OUT and not mutant.equivalent):
-            wrong.append(f"{outcome:9} {subject.file}: {mutant.why}\n  - {mutant.old}\n  + {mutant.new}")
-    print(f"\n{killed} of {len(todo)} killed ({killed / max(1, len(todo)):.1%})")
-    if wrong:
-        print("Not as they ought to be (an equivalent one that is killed is none; a broken one proves nothing):")
-        print("\n".join(wrong))
-    return not wrong and killed >= LEAST_KILLED * len(todo)
+def keep(file: str, score: Counter[str]) -> None:
+    """Write a file's score down: how many are killed (some by time: tests never ended) of how many that ought to be.
+
+    `score` is that in per cent; `digest` and `commit` say of which text. The safety case reads these (tests/case).
+    """
+    scores = json.loads(SCORES.read_text(encoding="utf-8"))
+    share = round(100 * score["killed"] / max(1, score["wanted"]), 1)
+    digest = sha256((ROOT / file).read_bytes()).hexdigest()[:16]
+    scores[file] = {**score, "score": share, "digest": digest, "commit": commit()}
+    SCORES.write_text(json.dumps(scores, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 
-def in_short(mutant: Mutant) -> str:
-    """A line about it."""
-    old, new = (" ".join(text.split()) for text in (mutant.old, mutant.new))
-    return f"{old[:50]!r} → {new[:50]!r}"
+def commit() -> str:
+    """The commit that is judged; with a `+` where files differ from it."""
+    return subprocess.run(
+        ["git", "describe", "--always", "--dirty=+", "--exclude=*"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.strip()
 
 
 if __name__ == "__main__":

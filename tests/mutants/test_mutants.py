@@ -1,68 +1,186 @@
-"""The mutants fit the code as it is, and the runner tells what a test notices from what none does."""
+"""The mutants are those that are meant, keep their names, and the runner tells what a test notices from what none does.
 
+A sample of them is judged here, so that nothing of it rots between two runs of `make mutants`.
+"""
+
+import json
+import re
 import subprocess
 import sys
+import tomllib
+from itertools import count
 from pathlib import Path
+from typing import Final
 
 import pytest
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.operators.provider import OperatorProvider
 
-from tests.mutants.__main__ import LEAST_KILLED, ROOT
-from tests.mutants.lists import SUBJECTS
-from tests.mutants.mutant import Mutant, Subject, check, mutated
-from tests.mutants.workers import Outcome, Workers
+from tests.mutants.__main__ import ROOT, SCORES
+from tests.mutants.by_hand import MADE, made_by_hand
+from tests.mutants.generated import ACCEPTED, MODULE_LEVEL, mutants_of, mutations
+from tests.mutants.judges import JUDGES
+from tests.mutants.judging import Outcome, Subject, verdicts
 
-
-@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.file)
-def test_they_fit_the_code_as_it_is(subject: Subject) -> None:
-    """Where one does not, the code has changed: change its `old`, or make a new one for what stands there now."""
-    check(subject, ROOT)
-    for test in subject.tests:
-        assert (ROOT / test).is_file()
+SAMPLED: Final = ("spi/guard", "core/speed", "core/landing")
+"""Files whose tests are quick, and notice each mutant of them that is not accepted."""
 
 
-def test_few_are_taken_for_equivalent() -> None:
-    mutants = [mutant for subject in SUBJECTS for mutant in subject.mutants]
-    assert sum(mutant.equivalent == "" for mutant in mutants) >= LEAST_KILLED * len(mutants)
+def test_a_sample_is_noticed() -> None:
+    command = [sys.executable, "-m", "tests.mutants", "--sample", "15", *SAMPLED]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    killed, wanted = map(int, re.findall(r"^(\d+) of (\d+) killed", done.stdout, re.MULTILINE)[0])
+    assert killed == wanted >= 40
 
 
-@pytest.mark.parametrize("old", ["c = 1", "a", "b"], ids=["not there", "twice", "unchanged"])
-def test_one_that_does_not_fit_is_an_error(old: str) -> None:
-    with pytest.raises(ValueError, match=r"stands|changes nothing"):
-        mutated("a = 1\na + b\n", Mutant(old, "b", "…"))
+def test_every_file_that_is_named_is_there() -> None:
+    accepted = tomllib.loads(ACCEPTED.read_text(encoding="utf-8"))
+    assert {*accepted, *(each.file for each in MADE)} <= JUDGES.keys()
+    for file in {*JUDGES, *(test for tests in JUDGES.values() for test in tests)}:
+        assert (ROOT / file).is_file()
+
+
+@pytest.mark.parametrize("file", sorted({each.file for each in MADE}))
+def test_what_was_made_by_hand_fits_the_code_as_it_is(file: str) -> None:
+    for mutant in made_by_hand(file, (ROOT / file).read_text(encoding="utf-8")):
+        compile(mutant.source, file, "exec")
+
+
+def test_every_accepted_one_has_a_reason() -> None:
+    for groups in tomllib.loads(ACCEPTED.read_text(encoding="utf-8")).values():
+        for group in groups:
+            assert len(group["why"]) > len("equivalent")
+            assert group["mutants"]
+
+
+def test_the_scores_that_are_kept_are_of_files_that_are_judged() -> None:
+    assert json.loads(SCORES.read_text(encoding="utf-8")).keys() <= JUDGES.keys()
+
+
+SMALL = '''
+LIMIT = 1000
+KNOWN = {"a", "b"}
+
+
+def act(self, x):
+    """What it does."""
+    if not x:
+        return
+    self.seen = x
+    kept = call(x, again=True)
+    try:
+        self.go(
+            x,
+        )
+    except (zenoh.ZError, OSError):
+        raise
+    match x:
+        case int() if x > 3:
+            del kept
+'''
+
+
+@pytest.mark.parametrize(
+    ("operator", "function", "made"),
+    [
+        ("Scale", MODULE_LEVEL, {"LIMIT = (1000 * 2)", "LIMIT = (1000 // 2)"}),
+        ("Step", "act", {"case int() if x > 4:", "case int() if x > 2:"}),
+        ("Forget", "act", {"pass"}),
+        ("CatchNothing", "act", {"except ():"}),
+        ("IgnoreGuard", "act", {"case int() if True or x > 3:"}),
+        (
+            "LeaveOut",
+            "act",
+            {"kept = call(x)", "except (OSError,):", "except (zenoh.ZError,):"},
+        ),
+        ("LeaveOut", MODULE_LEVEL, {'KNOWN = {"b"}', 'KNOWN = {"a"}'}),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_operators_of_our_own(operator: str, function: str, made: set[str]) -> None:
+    names = [mutant.name for mutant in mutants_of(SMALL)]
+    found = {
+        name.becomes.replace("( ", "(").replace("{ ", "{").replace(">  ", "> ")
+        for name in names
+        if (name.operator, name.function) == (operator, function)
+    }
+    assert found == made
+
+
+def test_a_statement_is_forgotten_once_each() -> None:
+    forgotten = [mutant.name.was for mutant in mutants_of(SMALL) if mutant.name.operator == "Forget"]
+    assert forgotten == ["return", "self.seen = x", "self.go(x, )", "raise", "del kept"]
+
+
+def test_they_are_those_that_cosmic_ray_makes() -> None:
+    ours = [(operator, source) for operator, source in mutations(SMALL) if operator in OperatorProvider()]
+    theirs = []
+    for operator in dict(ours):
+        for occurrence in count():
+            mutated = mutate_code(SMALL, OperatorProvider()[operator](), occurrence)
+            if mutated is None:
+                break
+            theirs.append((operator, mutated))
+    assert ours == theirs
+
+
+def test_names_stay_when_lines_move() -> None:
+    names = [str(mutant.name) for mutant in mutants_of(SMALL)]
+    moved = (
+        f"# A comment.\n\n\ndef another():\n    pass\n{SMALL.replace('    self.seen = x', '    self.seen = x  # why')}"
+    )
+    assert [str(mutant.name) for mutant in mutants_of(moved)] == names
+    assert len(set(names)) == len(names)
+
+
+def test_annotations_are_not_judged() -> None:
+    assert not mutants_of("def act(x: int | None, y: 'tuple[int, str]') -> str | None: ...\nx: int | None\n")
 
 
 FILES = {
     "gateway/__init__.py": "",
-    "gateway/sums.py": "def add(a, b):\n    return a + b\n\n\ndef name():\n    return 'sum'\n",
+    "gateway/sums.py": (
+        "LEAST = max(1, 2)\n\n\ndef add(a, b):\n    return a + b\n\n\ndef name():\n    return 'sum'\n\n\n"
+        "def early():\n    return 3\n\n\nEARLY = early()\n"
+    ),
     "tests/__init__.py": "",
-    "tests/test_sums.py": "from gateway.sums import add\n\n\ndef test_add():\n    assert add(2, 3) == 5\n",
+    "tests/test_sums.py": (
+        "from gateway import sums\n\n\ndef test_add():\n    assert sums.add(2, 3) == 5\n\n\n"
+        "def test_early():\n    assert (sums.LEAST, sums.EARLY) == (2, 3)\n"
+    ),
 }
-OUTCOMES = {
-    Mutant("a + b", "a - b", "noticed"): Outcome.KILLED,
-    Mutant("'sum'", "'product'", "not noticed"): Outcome.SURVIVED,
-    Mutant("    return a + b", "    while True: pass", "never ends"): Outcome.TIMED_OUT,
-    Mutant("a + b", "__import__('os').abort()", "crashes"): Outcome.KILLED,
-    Mutant("def add", "raise OSError\ndef add", "not even begun"): Outcome.BROKEN,
-    Mutant("return a + b", "return b + a", "after all these, the file is as it was"): Outcome.SURVIVED,
-}
+OUTCOMES = [
+    ("a + b", "a - b", Outcome.KILLED),
+    ("'sum'", "'product'", Outcome.SURVIVED),
+    ("    return a + b", "    while True: pass", Outcome.TIMED_OUT),
+    ("a + b", "__import__('os').abort()", Outcome.KILLED),
+    ("max(1, 2)", "max(1, 1)", Outcome.KILLED),
+    ("def add", "raise OSError\ndef add", Outcome.INCOMPETENT),
+    ("return 3", "return 4", Outcome.KILLED),
+    ("return a + b", "return b + a", Outcome.SURVIVED),
+]
 
 
-def judge_a_small_tree(folder: Path) -> None:
-    """In a process without threads, for it forks: print what became of each, as `KIND why`."""
+def judge_a_small_tree(root: Path) -> None:
+    """In a process without threads, for it forks: print what became of each."""
     for name, text in FILES.items():
-        path = folder / "root" / name
+        path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    subject = Subject("gateway/sums.py", ("tests/test_sums.py",), tuple(OUTCOMES))
-    workers = Workers(folder / "root", folder / "copies", 2, timeout_s=5)
-    if workers.without_mutant(subject.tests) is not Outcome.SURVIVED:
-        print(workers.output)
-    for _, mutant, outcome in workers.run((subject, mutant) for mutant in OUTCOMES):
-        print(outcome.name, mutant.why)
+    mutated = tuple(FILES["gateway/sums.py"].replace(old, new) for old, new, _ in OUTCOMES)
+    found = verdicts(Subject(root, "gateway/sums.py", ("tests/test_sums.py",), mutated))
+    print([(verdict.outcome.name, verdict.test) for _, verdict in sorted(found, key=lambda pair: pair[0])])
 
 
 def test_what_became_of_each(tmp_path: Path) -> None:
     script = f"from pathlib import Path; import {__name__} as m; m.judge_a_small_tree(Path({str(tmp_path)!r}))"
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert sorted(done.stdout.splitlines()) == sorted(f"{o.name} {m.why}" for m, o in OUTCOMES.items()), done.stderr
-    assert (tmp_path / "copies/0/gateway/sums.py").read_text() == FILES["gateway/sums.py"]
+    tests = ["add", "", "", "", "early", "", "early", ""]
+    assert done.stdout.strip() == str(
+        [
+            (outcome.name, f"tests/test_sums.py::test_{test}" if test else "")
+            for (_, _, outcome), test in zip(OUTCOMES, tests, strict=True)
+        ]
+    ), done.stderr
+    assert (tmp_path / "gateway/sums.py").read_text() == FILES["gateway/sums.py"], "no file is ever changed"

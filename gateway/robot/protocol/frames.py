@@ -26,8 +26,6 @@ ONE_LEG_LEN: Final = 14
 ONE_LEG_TYPE: Final = 1
 ONE_SERVO_LEN: Final = 6
 ONE_SERVO_TYPE: Final = 2
-FIRST_OP: Final = 3
-"""Where a frame has the operation of its first servo."""
 _MAX_INT: Final = 180
 _MAX_FLOAT: Final = 99
 

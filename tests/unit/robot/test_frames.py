@@ -108,6 +108,7 @@ def test_illegal_vectors_are_rejected_by_name_of_the_byte(vector: dict[str, str]
         ("06 02 0b 03 5a 00 00", "byte 7 is too many; a ONE SERVO frame has 6 bytes, here are 7"),
         ("", "byte 1 is missing; a frame starts with FRAME LEN and FRAME TYPE"),
         ("06", "byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"),
+        ("06 02", "byte 3 is missing; a ONE SERVO frame has 6 bytes"),
         (
             "0e 01 0b 01 5a 00 0c 01 5a 00 17 01 5a 00",
             "byte 11 is 23 (0x17) in place of 13; a ONE LEG frame holds joints 1, 2, 3 of one leg",
@@ -242,6 +243,28 @@ def test_ids_and_legs_are_whole_numbers(bad: Any) -> None:
         OneServo(bad, STOP)
     with pytest.raises(FrameError, match="it is a ServoOp"):
         OneServo(11, bad)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "byte 1 is missing; a ONE SERVO frame has 6 bytes"),
+        (b"\6", "byte 2 is missing; a ONE SERVO frame has 6 bytes"),
+        (b"\7", "byte 1 is 7 (0x07); the FRAME LEN of a ONE SERVO frame (FRAME TYPE 2) is 6"),
+        (b"\6\1", "byte 2 is 1 (0x01); the FRAME TYPE of a ONE SERVO frame is 2"),
+    ],
+)
+def test_what_a_header_lacks(data: bytes, message: str) -> None:
+    with pytest.raises(FrameError) as rejection:
+        OneServo.from_bytes(data)
+    assert str(rejection.value) == message
+
+
+def test_a_frame_names_its_leg_and_is_equal_to_its_like_only() -> None:
+    assert [OneServo(servo_id, STOP).leg for servo_id in (11, 33, 63)] == [1, 3, 6]
+    leg = OneLeg(3, (STOP, STOP, STOP))
+    assert leg != OneServo(31, STOP)
+    assert OneServo(31, STOP) != STOP
 
 
 @given(frames)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 
 from gateway.robot.protocol.frames import Frame, stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.robot.protocol.framing import Framing, avoided_by
 from tests.unit.robot.test_frames import frames
 
 
@@ -28,6 +28,12 @@ def test_the_length_goes_ahead_in_a_transfer_of_its_own() -> None:
 def test_only_length_prefixed_has_a_preamble() -> None:
     assert Framing.PLAIN.preamble == ()
     assert Framing.LENGTH_PREFIXED.preamble == (b"\0",) * 16, "each in a transfer of its own"
+
+
+def test_angles_of_which_the_published_firmware_can_die() -> None:
+    """One to, without, four degrees: its ids 1 to 3 with operations 1 to 3 (tests/deaf)."""
+    assert (Framing.PLAIN.avoid_cdeg, Framing.LENGTH_PREFIXED.avoid_cdeg) == (None, (100, 400))
+    assert [avoided_by(name) for name in ("plain", "length-prefixed", "of a later version")] == [None, (100, 400), None]
 
 
 @given(frames)

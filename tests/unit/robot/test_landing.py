@@ -63,6 +63,11 @@ def test_no_frame_goes_on_by_more_than_a_rate_slot_s_part(
         assert abs(after - before) <= abs(last - first) / slots + 1
 
 
+def test_a_frame_says_no_more_than_its_part_of_the_time_however_old_the_clock_is() -> None:
+    way = landing(10**12, 10**12 + 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00)})
+    assert way.next_part_ns(0, 10**12 + 7 * NS_PER_MS) == 7 * NS_PER_MS
+
+
 @given(angles, angles, st.lists(st.floats(0, 19.9), min_size=40, max_size=40))
 def test_frames_that_are_late_by_less_than_a_rate_slot_lose_nothing(
     first: int, last: int, late_ms: list[float]

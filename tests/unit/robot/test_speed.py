@@ -35,6 +35,11 @@ def test_never_more_than_speed_times_time(
         assert since_ns <= now_ns
 
 
+def test_time_too_short_for_a_hundredth_is_kept_for_the_next_step() -> None:
+    slot_ns = 20 * NS_PER_MS
+    assert step(0, 180_00, 50_00, 0, slot_ns + 100, slot_ns) == (1_00, slot_ns)
+
+
 def test_who_has_arrived_has_no_time_left_over() -> None:
     assert step(0, 1_00, 100_00, 0, 10 * NS_PER_MS + 1, LONG_NS) == (1_00, 10 * NS_PER_MS + 1)
 

@@ -1,0 +1,116 @@
+"""Which tests judge which file: those that find most come first. All run in one process, without sleeping."""
+
+from typing import Final
+
+_UNIT: Final = "tests/unit/robot/"
+_CONDUCTOR: Final = (
+    f"{_UNIT}test_conductor.py",
+    f"{_UNIT}test_conductor_safety.py",
+    f"{_UNIT}test_lease_conductor.py",
+    "tests/zenoh/test_conductor_counts.py",
+    f"{_UNIT}test_staleness_pauses.py",
+    f"{_UNIT}test_preamble.py",
+    f"{_UNIT}test_conductor_landing.py",
+    f"{_UNIT}test_calibration_conductor.py",
+    f"{_UNIT}test_stop.py",
+    f"{_UNIT}test_ownership.py",
+    "tests/unit/test_setting_effects.py",
+    "tests/unit/people/test_recorder.py",
+)
+_INBOX: Final = (
+    "tests/zenoh/test_rings.py",
+    "tests/zenoh/test_inbox.py",
+    "tests/zenoh/test_inbox_parts.py",
+    "tests/zenoh/test_inbox_wakeups.py",
+    f"{_UNIT}test_ownership.py",
+)
+_SUPERVISOR: Final = (
+    f"{_UNIT}test_supervisor.py",
+    f"{_UNIT}test_supervisor_stops.py",
+    f"{_UNIT}test_supervisor_faults.py",
+    f"{_UNIT}test_legs.py",
+    f"{_UNIT}test_supervisor_speed.py",
+    f"{_UNIT}test_supervisor_landing.py",
+    f"{_UNIT}test_supervisor_calibration.py",
+    "tests/zenoh/test_supervisor_outside.py",
+    f"{_UNIT}test_lease.py",
+    f"{_UNIT}test_preamble.py",
+    f"{_UNIT}test_conductor_safety.py",
+)
+_CALIBRATION: Final = (
+    f"{_UNIT}test_calibration.py",
+    f"{_UNIT}test_supervisor_calibration.py",
+    f"{_UNIT}test_supervisor_calibration_streams.py",
+    f"{_UNIT}test_supervisor_landing.py",
+)
+_CALIBRATION_REQUESTS: Final = (
+    f"{_UNIT}test_calibration_intake.py",
+    f"{_UNIT}test_calibration_conductor.py",
+    "tests/zenoh/test_calibration.py",
+)
+_LEASE: Final = (f"{_UNIT}test_lease.py", f"{_UNIT}test_lease_conductor.py")
+_CHECKER: Final = ("tests/unit/people/test_lease_checker.py", f"{_UNIT}test_lease_conductor.py")
+_BUS: Final = (
+    f"{_UNIT}test_bus_preamble.py",
+    f"{_UNIT}test_bus.py",
+    f"{_UNIT}test_bus_device.py",
+    f"{_UNIT}test_preamble.py",
+    f"{_UNIT}test_conductor_safety.py",
+    "tests/unit/test_setting_effects.py",
+)
+
+JUDGES: Final = {
+    "gateway/robot/protocol/frames.py": (f"{_UNIT}test_frames.py", "tests/unit/test_decode.py"),
+    "gateway/robot/protocol/framing.py": (f"{_UNIT}test_framing.py",),
+    "gateway/robot/spi/guard.py": (
+        f"{_UNIT}test_guard.py",
+        f"{_UNIT}test_guard_agrees.py",
+        f"{_UNIT}test_bus_device.py",
+    ),
+    "gateway/robot/spi/bus.py": _BUS,
+    "gateway/robot/spi/stop_all.py": (f"{_UNIT}test_stop.py",),
+    "gateway/robot/edge/exposure.py": (f"{_UNIT}test_exposure.py",),
+    "gateway/certs/access.py": ("tests/unit/test_access.py",),
+    "gateway/certs/zenoh_files.py": ("tests/unit/test_access.py", "tests/unit/people/test_certs.py"),
+    "gateway/certs/proof.py": _CHECKER,
+    "gateway/robot/edge/inbox.py": _INBOX,
+    "gateway/robot/edge/rings.py": _INBOX,
+    "gateway/robot/edge/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
+    "gateway/robot/edge/request_reader.py": ("tests/zenoh/test_calibration.py", "tests/zenoh/test_lease.py"),
+    "gateway/robot/edge/lease_request_reader.py": (*_CHECKER, "tests/zenoh/test_lease.py"),
+    "gateway/robot/edge/calibration_request_reader.py": _CALIBRATION_REQUESTS,
+    "gateway/robot/host/ownership.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
+    "gateway/robot/core/message.py": _INBOX,
+    "gateway/robot/core/intake.py": (
+        f"{_UNIT}test_intake.py",
+        f"{_UNIT}test_conductor.py",
+        f"{_UNIT}test_conductor_safety.py",
+    ),
+    "gateway/robot/core/staleness.py": (
+        f"{_UNIT}test_staleness.py",
+        f"{_UNIT}test_staleness_clocks.py",
+        f"{_UNIT}test_staleness_pauses.py",
+    ),
+    "gateway/robot/core/pacing.py": (
+        f"{_UNIT}test_pacing.py",
+        f"{_UNIT}test_supervisor.py",
+        f"{_UNIT}test_supervisor_faults.py",
+    ),
+    "gateway/robot/core/speed.py": (f"{_UNIT}test_speed.py", f"{_UNIT}test_supervisor_speed.py"),
+    "gateway/robot/core/landing.py": (f"{_UNIT}test_landing.py", f"{_UNIT}test_supervisor_landing.py"),
+    "gateway/robot/core/leg.py": _SUPERVISOR,
+    "gateway/robot/core/legs.py": _SUPERVISOR,
+    "gateway/robot/core/supervisor.py": _SUPERVISOR,
+    "gateway/robot/core/lease.py": _LEASE,
+    "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
+    "gateway/robot/core/joint_limits.py": _CALIBRATION,
+    "gateway/robot/core/calibrating.py": _CALIBRATION,
+    "gateway/robot/core/calibration.py": _CALIBRATION,
+    "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
+    "gateway/robot/core/targets.py": (*_INBOX, f"{_UNIT}test_intake.py"),
+    "gateway/robot/core/losses.py": _CONDUCTOR,
+    "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
+    "gateway/robot/runtime/answers.py": _CONDUCTOR,
+    "gateway/robot/runtime/conductor.py": _CONDUCTOR,
+}
+"""What keeps the robot safe, in the order of the way back: what stays longest comes first."""
