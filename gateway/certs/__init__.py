@@ -3,7 +3,11 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-LAPTOP_ROLES: Final = ("operator", "observer")
+OPERATOR: Final = "operator"
+OBSERVER: Final = "observer"
+BUTTON: Final = "button"
+"""May stop the robot and not move it: a stop button."""
+LAPTOP_ROLES: Final = (OPERATOR, OBSERVER, BUTTON)
 CA_DAYS: Final = 3650
 LEAF_DAYS: Final = 730
 CONSOLE_DAYS: Final = 459
@@ -39,10 +43,13 @@ def __getattr__(name: str) -> Any:
 
 
 __all__ = [
+    "BUTTON",
     "CA_DAYS",
     "CONSOLE_DAYS",
     "LAPTOP_ROLES",
     "LEAF_DAYS",
+    "OBSERVER",
+    "OPERATOR",
     "Certificate",
     "ProofChecker",
     "add_robots",

@@ -12,7 +12,9 @@ import json
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, GET_ONLY, PUBLISHED
+from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
+from schemas import keys
+from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, ESTOP, GET_ONLY, PUBLISHED
 
 WIDTH: Final = 120
 
@@ -24,23 +26,29 @@ class Traffic(NamedTuple):
     from_people: bool
     messages: tuple[str, ...]
     keys: tuple[str, ...]
-    operators_only: bool = False
+    roles: tuple[str, ...] = LAPTOP_ROLES
+    """Between whom and the robot."""
     robots_keys: tuple[str, ...] = ()
     """The keys at a router's end of the link to the robot, if they differ: a router takes only exact declarations, even
     from a robot that was taken over."""
 
 
 TRAFFIC: Final = (
-    Traffic("commands", True, ("put", "delete", "query"), (ALL_COMMANDS,), operators_only=True),
-    Traffic("acknowledgements", False, ("reply",), (ALL_COMMANDS,), operators_only=True),
+    Traffic("commands", True, ("put", "delete", "query"), (ALL_COMMANDS,), (OPERATOR,)),
+    Traffic("acknowledgements", False, ("reply",), (ALL_COMMANDS,), (OPERATOR,)),
     Traffic(
         "commands that it takes",
         False,
         ("declare_subscriber", "declare_queryable"),
         (ALL_COMMANDS,),
-        operators_only=True,
+        (OPERATOR,),
         robots_keys=(*COMMAND_KEYS, *GET_ONLY),
     ),
+    Traffic("presses", True, ("put",), (ESTOP,), (BUTTON,)),
+    Traffic("presses and check-ins", True, ("query",), (ESTOP, keys.BUTTON), (BUTTON,)),
+    Traffic("acknowledgements of these", False, ("reply",), (ESTOP, keys.BUTTON), (BUTTON,)),
+    Traffic("presses that it takes", False, ("declare_subscriber", "declare_queryable"), (ESTOP,), (BUTTON,)),
+    Traffic("check-ins that it takes", False, ("declare_queryable",), (keys.BUTTON,), (BUTTON,)),
     Traffic("watching", True, ("declare_subscriber",), PUBLISHED),
     Traffic("telemetry", False, ("put",), PUBLISHED),
     Traffic("asking for state and calibration", True, ("query",), ASKABLE),
@@ -55,13 +63,22 @@ def rules(prefix: str = "", namespace: str = "", *, robots_side: bool = False) -
 
     With `robots_side`, at a router's end of the link to the robot: what comes in from people goes out there.
     """
-    return "".join(_rule(each, prefix, namespace, robots_side) for each in TRAFFIC)
+    return "".join(_rule(each, prefix, namespace, robots_side) for each in _on(robots_side=robots_side))
 
 
-def names(prefix: str = "", *, for_all: bool | None, robots_side: bool = False) -> str:
-    """The names of those rules as a JSON5 list: those for all roles, those for operators only, or (None) both."""
-    chosen = [each for each in TRAFFIC if for_all is None or each.operators_only is not for_all]
-    return _list([_name(each, prefix, robots_side) for each in chosen], 16)
+def names(prefix: str = "", *, roles: tuple[str, ...]) -> str:
+    """The names of those rules that are for exactly these roles, as a JSON5 list."""
+    return _list([_name(each, prefix, robots_side=False) for each in TRAFFIC if each.roles == roles], 16)
+
+
+def robots_names(prefix: str) -> str:
+    """The names of all rules at a router's end of the link to the robot."""
+    return _list([_name(each, prefix, robots_side=True) for each in _on(robots_side=True)], 16)
+
+
+def _on(*, robots_side: bool) -> list[Traffic]:
+    """What passes there. An operator's commands are all that a robot takes, a button's presses among them."""
+    return [each for each in TRAFFIC if not (robots_side and each.roles == (BUTTON,))]
 
 
 def subject(name: str, common_names: list[str]) -> str:

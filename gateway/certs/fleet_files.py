@@ -2,14 +2,14 @@
 
 Zenoh's access control compares a certificate's common name whole and cannot put it into a key expression, so the
 router's file has one block for each robot, and is rewritten when a robot is added. Common names: `robot.NAME` of a
-robot's gateway, `operator-07.NAME` and `observer-07.NAME` of its people, `gateway` of the routers.
+robot's gateway, `operator-07.NAME`, `observer-07.NAME` and `button-07.NAME` of its people, `gateway` of the routers.
 tests/zenoh/test_fleet.py has the gateways, a router and people as processes of their own.
 """
 
 import json
 from collections.abc import Container, Iterable, Sequence
 
-from gateway.certs import LAPTOP_ROLES, access, pool
+from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR, access, pool
 from gateway.certs.zenoh_files import endpoint, fill
 
 _ROUTER = """\
@@ -74,7 +74,9 @@ _POLICIES = """\
         rules: @ROBOTS_RULES@ },
       { subjects: ["operator.@NAME@"],
         rules: @OPERATORS_RULES@ },
-      { subjects: ["operator.@NAME@", "observer.@NAME@"],
+      { subjects: ["button.@NAME@"],
+        rules: @BUTTONS_RULES@ },
+      { subjects: ["operator.@NAME@", "observer.@NAME@", "button.@NAME@"],
         rules: @EVERYONES_RULES@ },
 """
 
@@ -164,7 +166,8 @@ def _policies(robot: str) -> str:
     return fill(
         _POLICIES,
         NAME=robot,
-        ROBOTS_RULES=access.names(prefix, for_all=None, robots_side=True),
-        OPERATORS_RULES=access.names(prefix, for_all=False),
-        EVERYONES_RULES=access.names(prefix, for_all=True),
+        ROBOTS_RULES=access.robots_names(prefix),
+        OPERATORS_RULES=access.names(prefix, roles=(OPERATOR,)),
+        BUTTONS_RULES=access.names(prefix, roles=(BUTTON,)),
+        EVERYONES_RULES=access.names(prefix, roles=LAPTOP_ROLES),
     ).decode()

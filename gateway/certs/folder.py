@@ -48,7 +48,7 @@ EARLIER = "earlier"
 
 @dataclass(frozen=True)
 class Certificate:
-    """One certificate of a folder. `role` is ca, gateway, operator or observer.
+    """One certificate of a folder. `role` is ca, gateway, operator, observer or button.
 
     In a fleet: robot.NAME, operator.NAME or observer.NAME, NAME being the robot's. The common name has a laptop's
     number besides.
@@ -133,7 +133,8 @@ def issue(
     _check_name(name)
     if role not in LAPTOP_ROLES:
         raise ConfigError(
-            f"unknown role {role!r}: choose {' (commands and watches) or '.join(LAPTOP_ROLES)} (only watches)"
+            f"unknown role {role!r}: choose operator (commands and watches), observer (only watches) or button (stops "
+            "and watches, and moves nothing)"
         )
     _check_days(days)
     ca = load_ca(directory, now)
@@ -340,6 +341,11 @@ def check_size(size: int) -> None:
 def _free_common_name(directory: Path, ca: KeyPair, role: str, robot: str) -> str:
     """The first of the pool that nobody has, or had; the role alone where the rules list no pool."""
     listed = [pool.holder(name) for name in listed_names(directory / "gateway.json5")]
+    if listed and role not in {each.role for each in listed}:
+        raise ConfigError(
+            f"{directory / 'gateway.json5'} was made before there was the role {role}, and lets nobody in as one: make "
+            "another folder with `hexapod-gateway certs init`, or write its subject and policy into it by hand"
+        )
     numbers = sorted(each.number for each in listed if each.role == role and each.number is not None)
     if not numbers:
         return pool.names(role, (), robot)[0]

@@ -15,15 +15,12 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
-from gateway.certs import pool
+from gateway.certs import BUTTON, OPERATOR, pool
 from gateway.certs.authority import common_name_and_name
 from gateway.certs.reading import read_certificate, read_certificates
 from gateway.certs.revocation import RevocationList
 from schemas import button, lease
 from schemas.lease import Proof
-
-OPERATOR: Final = "operator"
-BUTTON: Final = "button"
 
 
 class Purpose(NamedTuple):

@@ -9,7 +9,7 @@ import ipaddress
 import json
 from collections.abc import Sequence
 
-from gateway.certs import LAPTOP_ROLES, access, pool
+from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR, access, pool
 from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
 
 DEFAULT_PORT = 7447
@@ -64,7 +64,9 @@ _GATEWAY = """\
     policies: [
       { subjects: ["operator"],
         rules: @OPERATORS_RULES@ },
-      { subjects: ["operator", "observer"],
+      { subjects: ["button"],
+        rules: @BUTTONS_RULES@ },
+      { subjects: ["operator", "observer", "button"],
         rules: @EVERYONES_RULES@ },
     ],
   },
@@ -139,8 +141,9 @@ def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "", size: in
         NAMESPACE=_namespace(namespace),
         RULES=access.rules(namespace=namespace),
         SUBJECTS="".join(access.subject(role, pool.names(role, range(size))) for role in LAPTOP_ROLES),
-        OPERATORS_RULES=access.names(for_all=False),
-        EVERYONES_RULES=access.names(for_all=True),
+        OPERATORS_RULES=access.names(roles=(OPERATOR,)),
+        BUTTONS_RULES=access.names(roles=(BUTTON,)),
+        EVERYONES_RULES=access.names(roles=LAPTOP_ROLES),
     )
 
 

@@ -11,14 +11,14 @@ import pytest
 import zenoh
 
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
-from schemas.keys import ALIVE, CALIBRATION, COMMAND_KEYS, EVENT, FRAME, SIM_BODY, STATE
+from schemas.keys import ALIVE, BUTTON, CALIBRATION, COMMAND_KEYS, ESTOP, EVENT, FRAME, GET_ONLY, SIM_BODY, STATE
 
 DECLARATIONS = ("declare_subscriber", "declare_queryable", "declare_liveliness_subscriber")
 MESSAGES = ("put", "delete", "query", "reply", "liveliness_token", "liveliness_query", *DECLARATIONS)
 FLOWS = ("ingress", "egress")
 TELEMETRY = (STATE, EVENT, FRAME, CALIBRATION, SIM_BODY)
 OTHERS = ("hexapod/secret", "hexapod/*", "hexapod/**", "**", "robot2/hexapod/state", "robot2/hexapod/estop/cmd")
-KEYS = (*COMMAND_KEYS, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, *OTHERS)
+KEYS = (*COMMAND_KEYS, *GET_ONLY, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, *OTHERS)
 WILD = ("hexapod/leg/*/cmd", "hexapod/**/cmd")
 
 Said = tuple[str, str, str]
@@ -74,13 +74,26 @@ WATCHING = (
     | said("ingress", "declare_liveliness_subscriber liveliness_query", ALIVE)
     | said("egress", "liveliness_token", ALIVE)
 )
-COMMANDING = said("ingress", "put delete query", *COMMAND_KEYS, *WILD) | said(
-    "egress", "reply declare_subscriber declare_queryable", *COMMAND_KEYS, *WILD
+COMMANDING = said("ingress", "put delete query", *COMMAND_KEYS, *GET_ONLY, *WILD) | said(
+    "egress", "reply declare_subscriber declare_queryable", *COMMAND_KEYS, *GET_ONLY, *WILD
+)
+PRESSING = (
+    said("ingress", "put query", ESTOP)
+    | said("egress", "reply declare_subscriber declare_queryable", ESTOP)
+    | said("ingress", "query", BUTTON)
+    | said("egress", "reply declare_queryable", BUTTON)
 )
 
 
 @pytest.mark.parametrize(
-    ("role", "expected"), [("operator", WATCHING | COMMANDING), ("observer", WATCHING), ("somebody", set())]
+    ("role", "expected"),
+    [
+        ("operator", WATCHING | COMMANDING),
+        ("observer", WATCHING),
+        ("button", WATCHING | PRESSING),
+        ("button-07", WATCHING | PRESSING),
+        ("somebody", set()),
+    ],
 )
 def test_each_role_may_do_this_and_nothing_else(gateway: zenoh.Config, role: str, expected: set[Said]) -> None:
     assert allowed(gateway, role) == expected

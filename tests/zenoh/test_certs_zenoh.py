@@ -62,6 +62,7 @@ def start(folder: Path, namespace: str = "", **overrides: object) -> Iterator[Se
         certs.issue(folder, "alice", "operator")
         certs.issue(folder, "bob", "operator")
         certs.issue(folder, "carol", "observer")
+        certs.issue(folder, "kitchen", "button")
         yield SecuredRobot(gateway, zid, folder, port)
 
 
@@ -77,6 +78,13 @@ def alice(robot: SecuredRobot) -> Iterator[Remote]:
 def carol(robot: SecuredRobot) -> Iterator[Remote]:
     with Remote() as laptop:
         robot.join(laptop, "carol")
+        yield laptop
+
+
+@pytest.fixture(scope="module")
+def kitchen(robot: SecuredRobot) -> Iterator[Remote]:
+    with Remote() as laptop:
+        robot.join(laptop, "kitchen")
         yield laptop
 
 
@@ -157,6 +165,26 @@ def test_payloads_too_large_for_the_gateway_reach_it_but_not_huge_ones(robot: Se
     put_and_settle(alice, [])
     assert [size for _, _, size in robot.gateway.taken()] == [MAX_PAYLOAD_BYTES, MAX_PAYLOAD_BYTES + 1, SIZE_LIMIT]
     assert alice.get("hexapod/leg/1/cmd", "x" * (MAX_PAYLOAD_BYTES + 1)) == ["answer to " + "x" * 4097]
+
+
+# --- a button
+
+
+def test_a_button_stops_checks_in_and_watches_and_moves_nothing(robot: SecuredRobot, kitchen: Remote) -> None:
+    subscribe_and_settle(kitchen, TELEMETRY)
+    others = [key for key in COMMANDS if key != "hexapod/estop/cmd"]
+    wild = ["hexapod/**/cmd", "hexapod/*/cmd", "hexapod/leg/*/cmd"]
+    put_and_settle(kitchen, [*others, *wild, "hexapod/button/cmd", "hexapod/lease/cmd", "hexapod/estop/cmd"])
+    kitchen.delete("hexapod/legs/cmd")
+    kitchen.delete("hexapod/estop/cmd")
+    put_and_settle(kitchen, [])
+    assert keys(robot.gateway.taken()) == ["hexapod/estop/cmd"]
+    assert kitchen.get("hexapod/estop/cmd", "now") == ["answer to now"]
+    assert kitchen.get("hexapod/button/cmd", "alive") == ["answer to alive"]
+    for key in (*others, *wild, "hexapod/lease/cmd", "hexapod/calibration/cmd"):
+        assert kitchen.get(key, "mine") == []
+    robot.gateway.put("hexapod/state", "1234")
+    assert kitchen.taken(1) == [["put", "hexapod/state", 4]]
 
 
 # --- an observer

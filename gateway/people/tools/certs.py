@@ -17,7 +17,8 @@ app = typer.Typer(
     help="Certificates: who may reach the robot over the network, and as what.\n\n"
     "`init` makes a private certificate authority (CA) and the robot's files, once. `issue` makes a laptop's files and "
     "changes nothing on the robot. "
-    "An operator commands and watches, an observer only watches, anyone else gets nothing.\n\n"
+    "An operator commands and watches, an observer only watches, a button stops, watches and moves nothing, anyone "
+    "else gets nothing.\n\n"
     "Keep the folder on a machine you trust, not on the robot: whoever has its ca.key can let anyone in.\n\n"
     "Exit codes: 0 done, 2 an argument or the folder is wrong, and nothing was changed.",
 )
@@ -102,7 +103,8 @@ def issue(
         str,
         typer.Option(
             metavar="ROLE",
-            help="operator: commands and watches. observer: only watches. Example: --role observer",
+            help="operator: commands and watches. observer: only watches. button: stops and watches, and moves "
+            "nothing. Example: --role observer",
             show_default=False,
         ),
     ],

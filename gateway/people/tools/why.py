@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import zenoh
 
+from gateway.certs import LAPTOP_ROLES
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
@@ -57,7 +58,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
 
 
 def _nobody(role: str) -> Finding:
-    if role and role.partition(".")[0] not in ("operator", "observer"):
+    if role and role.partition(".")[0] not in LAPTOP_ROLES:
         fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator"
         return Finding(Step.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)
     fix = "does it run behind this router, and with this namespace? See its journal (journalctl -u hexapod-gateway)"

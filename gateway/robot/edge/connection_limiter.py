@@ -24,7 +24,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.certs import pool
+from gateway.certs import BUTTON, OPERATOR, pool
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 
@@ -111,8 +111,11 @@ class ConnectionLimiter:
 
 
 def is_operator(identity: str) -> bool:
-    """Whether a certificate's common name is an operator's: `operator-07`, or `operator-07.ROBOT` in a fleet."""
-    return pool.holder(identity).role == "operator"
+    """Whether a certificate's common name is that of somebody who may stop: `operator-07`, `button-07`.
+
+    In a fleet `operator-07.ROBOT`.
+    """
+    return pool.holder(identity).role in (OPERATOR, BUTTON)
 
 
 def shut_down(addresses: Collection[Any]) -> None:
