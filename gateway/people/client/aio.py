@@ -225,10 +225,10 @@ class AsyncClient:
         self._events.add(events)
         if not self._listens:
             self._listens = True
-            self.on_event(self._tell)
+            self.on_event(self._publish)
         return events
 
-    def _tell(self, event: Event) -> None:
+    def _publish(self, event: Event) -> None:
         for events in list(self._events):
             events.add(event)
 

@@ -52,7 +52,7 @@ _POLL_S: Final = 0.1
 class Client:
     """A connection to one gateway. For any thread; close it, or use it in a `with`.
 
-    Commands are acknowledged: the Ack says whether the frame has been written, or why not. A running leg must hear
+    Commands are acknowledged: the Ack states whether the frame has been written, or why not. A running leg must be sent
     something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it; `stream` is for that. All
     raise DisconnectedError when no gateway answers in time, ValueError for a leg or servo that does not exist or a
     wrong count of angles, TypeError for a leg, servo or angle that is no number.
@@ -79,7 +79,7 @@ class Client:
     ) -> None:
         """Connect, by whichever host of the file answers first. `source` (1 to 64 characters) is who you are in events.
 
-        `zenoh_config` is the file that came with your certificate, and says where the robot is. An `endpoint` that is
+        `zenoh_config` is the file that came with your certificate, and states where the robot is. An `endpoint` that is
         given goes before the file's; with neither, it is this machine's gateway. `timeout_s`: how long an answer may
         take. Raises ConfigError, and ZenohError, which with `explain` has a line for each host: the step that fails,
         and what to do. To find that out takes up to a second more.

@@ -1,6 +1,6 @@
-"""Why no connection comes about: goes the way to an endpoint step by step, and says which step fails and what to do.
+"""Why no connection comes about: goes the way to an endpoint step by step, and names which step fails and what to do.
 
-Zenoh says of all of them "Unable to connect". These looks use sockets of their own, and come only after an attempt has
+Zenoh reports for all of them "Unable to connect". These looks use their own sockets, and come only after an attempt has
 failed: none may delay a Stop. Each complete TLS handshake, and each TCP connection, is one; an endpoint gets one.
 """
 
@@ -29,7 +29,7 @@ from gateway.zenoh_config import first_expiry, get
 TIMEOUT_S: Final = 1.0
 """What all looks together may take."""
 _ALERT_S: Final = 0.3
-"""A server says what is wrong with a client's certificate after the handshake: at once, so a round trip later."""
+"""A server reports what is wrong with a client's certificate after the handshake: at once, so a round trip later."""
 _ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
 _CA: Final = "transport/link/tls/root_ca_certificate"
 _CERTIFICATE: Final = "transport/link/tls/connect_certificate"
@@ -106,7 +106,7 @@ def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
 
 
 def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S) -> dict[str, list[Finding]]:
-    """What `look` finds for each of them, side by side. The last one of each says how far it came."""
+    """What `look` finds for each of them, side by side. The last one of each shows how far it came."""
     end_s = time.monotonic() + timeout_s
     found: dict[str, list[Finding]] = {}
     threads = []
@@ -318,7 +318,7 @@ def _context(identity: Identity) -> ssl.SSLContext:
 
 
 def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
-    """What the robot says of one's own certificate: an alert, or nothing."""
+    """What the robot answers to one's own certificate: an alert, or nothing."""
     secured.settimeout(min(_ALERT_S, _left_s(end_s)))
     try:
         secured.recv(1)

@@ -99,7 +99,7 @@ class Lease:
         self.verified = False
         """Whether that name was proved by a certificate."""
         self.ttl_ms = 0.0
-        """It ends that long after the gateway last heard a renewal or a command of ours."""
+        """It ends that long after the gateway last received a renewal or a command of ours."""
 
     def __enter__(self) -> Self:
         self.acquire()
@@ -112,7 +112,7 @@ class Lease:
 
     @property
     def held(self) -> bool:
-        """Whether we hold it, as far as we have heard."""
+        """Whether we hold it, as far as we know."""
         return self._holds is _Holds.YES
 
     @property

@@ -236,7 +236,7 @@ class Live:
     def __init__(
         self, connect: Callable[[], "Client"], receiver: Receiver, why: Callable[["Client | None"], list[str]]
     ) -> None:
-        """`why` says, a line for each host, why nobody is there; it may take a second."""
+        """`why` returns a line for each host, why nobody is there; it may take a second."""
         self.client: Client | None = None
         self._connect = connect
         self._receiver = receiver

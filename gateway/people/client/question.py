@@ -54,7 +54,7 @@ class Question(Generic[A]):
         self._priority = priority
         self._sessions: list[zenoh.Session] = []
         self._elsewhere: A | None = None
-        self._heard: SimpleQueue[tuple[_Query[A], zenoh.Reply | None] | zenoh.Session | None] = SimpleQueue()
+        self._received: SimpleQueue[tuple[_Query[A], zenoh.Reply | None] | zenoh.Session | None] = SimpleQueue()
         self._under_way = 0
 
     def ask(self, session: zenoh.Session, end_s: float, *, again: bool, other_ways: Hosts | None) -> A | None:
@@ -66,18 +66,18 @@ class Question(Generic[A]):
         try:
             while (now_s := time.monotonic()) < end_s:
                 if other_ways and search is None and now_s >= other_way_s:
-                    search, other_way_s = Search(other_ways, end_s, self._heard.put, next_host_s=0), end_s
+                    search, other_way_s = Search(other_ways, end_s, self._received.put, next_host_s=0), end_s
                 if now_s >= ask_again_s:
                     ask_again_s = now_s + ATTEMPT_S
                     for each in self._sessions:
                         self._send(each, end_s)
                 try:
-                    heard = self._heard.get(timeout=max(0.0, min(end_s, ask_again_s, other_way_s) - now_s))
+                    received = self._received.get(timeout=max(0.0, min(end_s, ask_again_s, other_way_s) - now_s))
                 except Empty:
                     continue
-                if isinstance(heard, zenoh.Session):
-                    self._send(heard, end_s)
-                elif heard is not None and (answer := self._take(*heard)) is not None:
+                if isinstance(received, zenoh.Session):
+                    self._send(received, end_s)
+                elif received is not None and (answer := self._take(*received)) is not None:
                     return answer
                 if not self._under_way:  # Zenoh ends a query at once if there is no link, or if it is lost
                     if not again:
@@ -95,25 +95,25 @@ class Question(Generic[A]):
         end_s = time.monotonic() + wait_s
         while self._under_way:
             try:
-                heard = self._heard.get(timeout=max(0.0, end_s - time.monotonic()))
+                received = self._received.get(timeout=max(0.0, end_s - time.monotonic()))
             except Empty:
                 return
-            if isinstance(heard, tuple):
-                self._take(*heard)
+            if isinstance(received, tuple):
+                self._take(*received)
 
     def _send(self, session: zenoh.Session, end_s: float) -> None:
         if session not in self._sessions:
             self._sessions.append(session)
         query: _Query[A] = _Query(session)
-        heard = self._heard
+        received = self._received
 
-        def hear(reply: zenoh.Reply | None = None) -> None:
-            heard.put((query, reply))
+        def receive(reply: zenoh.Reply | None = None) -> None:
+            received.put((query, reply))
 
         session.get(
             self._key,
             # Not `indirect`: that starts a thread for each question, and took nearly twice the time. A put never waits.
-            zenoh.handlers.Callback(hear, hear, indirect=False),
+            zenoh.handlers.Callback(receive, receive, indirect=False),
             target=zenoh.QueryTarget.ALL,  # by default only a queryable that claims to be complete is asked
             payload=self._payload,
             encoding=None if self._payload is None else JSON,

@@ -1,6 +1,6 @@
 """A gait's setpoints at a steady rate, and word of everything that ends them.
 
-The gateway is believed, and nobody else: what is heard (a rejection, a published state in which a leg does not run,
+The gateway is believed, and nobody else: what is received (a rejection, a published state in which a leg does not run,
 silence) only raises a doubt, and what it answers then decides. Events that are newer than the start need no question.
 """
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 MAX_HZ: Final = 1000
 """As `limits.leg_rate_hz`."""
 SILENCE_S: Final = 0.5
-"""A gateway that has said nothing for so long is asked: by default it publishes its state every 0.1 s."""
+"""A gateway that has published nothing for so long is asked: by default it publishes its state every 0.1 s."""
 ANSWER_S: Final = 1.0
-"""What a doubt may cost: by then the watchdog (0.25 s) has long stopped what is not heard."""
+"""What a doubt may cost: by then the watchdog (0.25 s) has long stopped what is not received."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
 _ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
@@ -81,10 +81,10 @@ class Stream:
         self._over: GatewayError | None = None
         self._timeout_s = 0.0
         self._sent_s = 0.0
-        self._heard_s = 0.0
+        self._received_s = 0.0
         self._doubt = False
         self._events: deque[Event] = deque(maxlen=_KEPT)
-        self._heard_stop = threading.Event()
+        self._received_stop = threading.Event()
         self._subscribers: list[Any] = []
         self._sending = threading.Lock()
         self._open = False
@@ -202,7 +202,7 @@ class Stream:
         return starts or self._in_doubt() or bool(self._events) or self._sending.locked()
 
     def send(self, angles: Angles) -> None:
-        """Check, and send, as `set` says."""
+        """Check, and send, as `set` states."""
         with self._sending:
             self.check_open()
             try:
@@ -241,7 +241,7 @@ class Stream:
         before = self._to_stop
         self._to_stop |= new.keys()  # until it is answered nobody knows whether they run
         self._lease = self._client.carried_lease
-        self._heard_stop.clear()
+        self._received_stop.clear()
         try:
             ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
         except LeaseLostError:  # so it was rejected
@@ -266,15 +266,15 @@ class Stream:
         if not ack.accepted and ack.reason not in _STOPPED_ALREADY:
             raise _rejected(ack)
 
-    # ---- what is heard, on a thread of Zenoh's
+    # ---- what is received, on a thread of Zenoh's
 
     def _hear_state(self, state: GatewayState) -> None:
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         if not self._runs(state):
             self._doubt = True
 
     def _hear_event(self, event: Event) -> None:
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         if event.kind == Kind.COMMAND_REJECTED:
             # A command that names none but our legs: those of another stream are that one's business.
             named_ours = self._started.issuperset(event.legs)
@@ -283,7 +283,7 @@ class Stream:
         elif event.kind in _STOPPED_LEGS:
             if self._started.intersection(event.legs):
                 self._events.append(event)
-                self._heard_stop.set()
+                self._received_stop.set()
             elif not event.legs:  # an older gateway does not say which
                 self._doubt = True
         elif event.kind in _ENDINGS:
@@ -294,7 +294,7 @@ class Stream:
     def _in_doubt(self) -> bool:
         now_s = time.monotonic()
         stalled = now_s - self._sent_s >= self._timeout_s
-        return self._doubt or stalled or now_s - self._heard_s >= SILENCE_S or not self._client.connected
+        return self._doubt or stalled or now_s - self._received_s >= SILENCE_S or not self._client.connected
 
     def _check(self) -> None:
         """Raise what has happened since the latest call."""
@@ -314,7 +314,7 @@ class Stream:
             self._ask()
 
     def _ask(self) -> GatewayState:
-        """Raise unless the gateway says that all that is started runs."""
+        """Raise unless the gateway reports that all that is started runs."""
         if not self._client.connected:
             raise DisconnectedError(f"the link to the gateway is lost: {_UNHEARD}; {_AGAIN}")
         self._doubt = False
@@ -322,7 +322,7 @@ class Stream:
             state = self._client.state(ANSWER_S)
         except ZenohError as error:
             raise DisconnectedError(f"the gateway does not answer: {_UNHEARD}; {_AGAIN}") from error
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self._to_stop -= self._not_ours(state)
         if not self._runs(state):
             raise self._stopped(state)
@@ -373,7 +373,7 @@ class Stream:
         """What has stopped legs that nobody's command has stopped, if it is that."""
         if any(each.source is not None for each in state.legs if each.leg in legs):
             return None
-        self._heard_stop.wait(_EVENT_S)
+        self._received_stop.wait(_EVENT_S)
         since = self._since
         return next(
             (

@@ -87,7 +87,7 @@ class Walk:
     ) -> None:
         """Walk at this velocity for `hold_s` from now on; waits for the next tick, so a loop needs no other clock.
 
-        A robot that does not stand yet stands up first. `state.scaled` says what of a velocity the legs can do.
+        A robot that does not stand yet stands up first. `state.scaled` states what of a velocity the legs can do.
         """
         velocity = Velocity.checked(forward_m_s, left_m_s, turn_rad_s)
         self._check()
@@ -194,7 +194,7 @@ class Walk:
             error.add_note(f"and the end of the walk: {failed}")
 
     def open(self) -> None:
-        """Acquire the lease, read limits and calibration. Nothing moves. Raises as the class says, and LeaseError."""
+        """Acquire the lease, read limits and calibration. Nothing moves. Raises as the class states, and LeaseError."""
         if self._thread is not None:
             raise RuntimeError("a walk is used once; make a new one with `walk()`")
         if self._client.walks:

@@ -24,7 +24,7 @@ SEND_S: Final = 5.0
 CHECK_S: Final = 1.0
 """How often it is looked whether a session has ended."""
 END_S: Final = 1.0
-"""How long all pages together may take to hear that the console ends."""
+"""How long all pages together may take to learn that the console ends."""
 SIGNED_OUT: Final = "signed out"
 SERVICE_RESTART: Final = 1012
 TRY_AGAIN_LATER: Final = 1013

@@ -43,12 +43,12 @@ class Calibrating:
         self,
         gateway: Gateway,
         signed: Callable[[dict[str, Any]], dict[str, Any]],
-        tell: Callable[[CalibrationMessage], None],
+        send: Callable[[CalibrationMessage], None],
     ) -> None:
         """`signed` adds who asks, and the lease."""
         self._gateway = gateway
         self._signed = signed
-        self._tell = tell
+        self._send = send
         self._guide: Guide | None = None
         self._turn = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -59,7 +59,7 @@ class Calibrating:
         return len(self._tasks) >= MAX_WAITING
 
     def ask(self, step: Calibrate, *, mine: bool) -> None:
-        """Take a step, and tell the page where the guide then stands. `mine`: the page has the lease."""
+        """Take a step, and send the page where the guide then stands. `mine`: the page has the lease."""
         task = asyncio.get_running_loop().create_task(self._run(step, mine=mine))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -71,7 +71,7 @@ class Calibrating:
                 said = await self._take(step, mine=mine)
             except (GatewayError, CalibrationError) as fault:
                 error = str(fault)
-            self._tell(self._view(step.id, said, error))
+            self._send(self._view(step.id, said, error))
 
     async def _take(self, step: Calibrate, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:

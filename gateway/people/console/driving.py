@@ -38,11 +38,11 @@ class Requests(Protocol):
 class Driving:
     """On the event loop; what waits runs on threads."""
 
-    def __init__(self, requests: Callable[[], Requests], name: str, tell: Callable[[LeaseMessage], None]) -> None:
+    def __init__(self, requests: Callable[[], Requests], name: str, send: Callable[[LeaseMessage], None]) -> None:
         """`requests` raises GatewayError while there is no session. `name` is the page's."""
         self._requests = requests
         self._name = name
-        self._tell = tell
+        self._send = send
         self._turn = asyncio.Lock()
         self._waiting = 0
         self._tasks: set[asyncio.Task[None]] = set()
@@ -57,7 +57,7 @@ class Driving:
         return self._waiting >= MAX_WAITING
 
     def ask(self, request: Lease) -> None:
-        """Do what the page asks for, and tell it what came of it."""
+        """Do what the page asks for, and send it what came of it."""
         self._start(request)
 
     def judge(self, ack: Ack) -> None:
@@ -84,9 +84,9 @@ class Driving:
             try:
                 ack = await self._asked(request)
             except GatewayError as error:
-                self._tell(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
+                self._send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
                 return
-            self._heard(request, ack)
+            self._answered(request, ack)
 
     async def _asked(self, request: Lease) -> LeaseAck:
         requests, token = self._requests(), self.token
@@ -98,14 +98,14 @@ class Driving:
             return await asyncio.to_thread(requests.release, token, request.to)
         return await asyncio.to_thread(requests.as_person, request.do, self._name)
 
-    def _heard(self, request: Lease, ack: LeaseAck) -> None:
+    def _answered(self, request: Lease, ack: LeaseAck) -> None:
         if ack.accepted and request.do in ("acquire", "take"):
             self.token, self.mine = ack.lease, ack.lease is not None
         elif request.do == "release":
             self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
         elif request.do == "renew":
             self.mine = ack.accepted
-        self._tell(
+        self._send(
             LeaseMessage(
                 mine=self.mine,
                 id=request.id,
@@ -120,7 +120,7 @@ class Driving:
 
     def _lost(self, reason: str, detail: str | None) -> None:
         self.mine = False
-        self._tell(LeaseMessage(mine=False, reason=reason, detail=detail))
+        self._send(LeaseMessage(mine=False, reason=reason, detail=detail))
 
     async def _give_back(self) -> None:
         token, mine = self.token, self.mine

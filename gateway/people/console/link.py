@@ -69,7 +69,7 @@ class GatewayLink:
         self._link = LinkMessage(status="gone")
         self._state_ns: int | None = None
         self._ended = False
-        """Whether the gateway has said good-bye since its newest state."""
+        """Whether the gateway has ended since its newest state."""
 
     # ---- what pages send
 
@@ -138,14 +138,14 @@ class GatewayLink:
     def not_opened(self, error: Exception) -> None:
         """No session is there yet, or never will be."""
         if isinstance(error, UnreachedError):
-            self._tell("gone", self._link.detail or str(error))
+            self._note("gone", self._link.detail or str(error))
         elif not self._failed.done():
             self._failed.set_exception(error)
 
     def looked(self, reasons: list[str]) -> None:
         """Why nobody is there."""
         if self._link.status != "connected":
-            self._tell(self._link.status, "\n".join(reasons))
+            self._note(self._link.status, "\n".join(reasons))
 
     def received(self, mail: Mail) -> None:
         """Hand on what has come."""
@@ -155,24 +155,24 @@ class GatewayLink:
             state, self._state_ns = mail.state
             self._listener.received_state(state, self._state_ns)
             if not self._ended:
-                self._tell("connected")
+                self._note("connected")
         left_out = mail.left_out
         for event in mail.events:
             self._listener.received_event(event, left_out)
             left_out = 0
         if mail.alive is False:
-            self._tell("gone", "the gateway has ended, or the link to it has")
+            self._note("gone", "the gateway has ended, or the link to it has")
 
     def _watch(self) -> None:
         if (time.monotonic_ns() - (self._state_ns or 0)) / 1e6 <= SILENT_MS:
             return
         linked = self._session().connected
         if linked and not self._ended:
-            self._tell("silent", self._link.detail or "the gateway is silent; it may hang")
+            self._note("silent", self._link.detail or "the gateway is silent; it may hang")
         elif not linked:
-            self._tell("gone", self._link.detail or "the link to the gateway is lost")
+            self._note("gone", self._link.detail or "the link to the gateway is lost")
 
-    def _tell(self, status: Literal["connected", "silent", "gone"], detail: str = "") -> None:
+    def _note(self, status: Literal["connected", "silent", "gone"], detail: str = "") -> None:
         link = LinkMessage(status=status, detail=detail)
         if link != self._link:
             self._link = link

@@ -1,4 +1,4 @@
-"""What the page and the console say to each other over the WebSocket, as JSON text; `type` tells which message it is.
+"""What the page and the console say to each other over the WebSocket, as JSON text; `type` shows which message it is.
 
 What comes from a page is strict and closed, and a command's payload is what `schemas` takes on the same key. Whatever
 else it sends ends its WebSocket with code 1008 and the reason. What goes to a page is open: it ignores fields and
@@ -216,7 +216,7 @@ class Hello(Report):
 
 
 class StateMessage(Report):
-    """The gateway's newest state, and how long ago the console heard it; older ones may have been left out."""
+    """The gateway's newest state, and how long ago the console received it; older ones may have been left out."""
 
     type: Literal["state"] = "state"
     age_ms: float
@@ -224,9 +224,9 @@ class StateMessage(Report):
 
 
 class LinkMessage(Report):
-    """The console's link to the gateway. `connected`: state comes; `silent`: a link, but nobody is heard on it.
+    """The console's link to the gateway. `connected`: state comes; `silent`: a link, but nothing is received on it.
 
-    `gone`: no gateway. `detail` says why, a line for each host; empty while connected.
+    `gone`: no gateway. `detail` states why, a line for each host; empty while connected.
     """
 
     type: Literal["link"] = "link"
@@ -235,7 +235,7 @@ class LinkMessage(Report):
 
 
 class EventMessage(Report):
-    """One event; after `Hello` come the newest that the console has heard. `left_out`: events not sent before it."""
+    """One event; after `Hello` come the newest that the console has received. `left_out`: events not sent before it."""
 
     type: Literal["event"] = "event"
     event: Event
@@ -243,7 +243,7 @@ class EventMessage(Report):
 
 
 class AckMessage(Report):
-    """The answer to a command or reset. `ack` is null where none came, and `error` says why."""
+    """The answer to a command or reset. `ack` is null where none came, and `error` states why."""
 
     type: Literal["ack"] = "ack"
     id: int
@@ -270,7 +270,7 @@ class Stopping(Report):
 
 
 class LeaseMessage(Report):
-    """Whether this WebSocket has the lease: the answer to `Lease` (with its `id`), or said when it is lost.
+    """Whether this WebSocket has the lease: the answer to `Lease` (with its `id`), or sent when it is lost.
 
     Who holds it otherwise stands in the state. A page renews at a third of `ttl_ms`.
     """
@@ -325,7 +325,7 @@ class Draft(ServoCalibration):
 
 
 class CalibrationMessage(Report):
-    """The answer to `Calibrate`: where the guide stands. `error` says in one sentence what was not done, and why.
+    """The answer to `Calibrate`: where the guide stands. `error` states in one sentence what was not done, and why.
 
     `shown_deg` is where the servo under test stands as the draft counts; `command_deg` what to command for that, by the
     calibration in force.

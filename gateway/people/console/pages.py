@@ -62,7 +62,7 @@ class EndError(Exception):
 
 
 class Pages:
-    """All open pages; what the gateway says goes to each of them."""
+    """All open pages; what the gateway publishes goes to each of them."""
 
     def __init__(self) -> None:
         self._pages: set[Page] = set()
@@ -75,7 +75,7 @@ class Pages:
         return len(self._pages)
 
     def add(self, page: "Page") -> None:
-        """It hears everything from now on, beginning with what is known."""
+        """It receives everything from now on, beginning with what is known."""
         self._pages.add(page)
         page.outgoing.put(self._link)
         for event in self._events:
@@ -101,14 +101,14 @@ class Pages:
     def received_event(self, event: Event, left_out: int) -> None:
         """See `gateway.people.console.link.Listener`."""
         self._events.append(EventMessage(event=event, left_out=left_out))
-        self._tell(self._events[-1])
+        self._send(self._events[-1])
 
     def link_changed(self, link: LinkMessage) -> None:
         """See `gateway.people.console.link.Listener`."""
         self._link = link
-        self._tell(link)
+        self._send(link)
 
-    def _tell(self, message: EventMessage | LinkMessage) -> None:
+    def _send(self, message: EventMessage | LinkMessage) -> None:
         for page in self._pages:
             page.outgoing.put(message)
 
@@ -146,7 +146,7 @@ class Page:
         self._leg_stops: dict[tuple[str, str], asyncio.Task[None]] = {}
         """By their key and what they stop; a newer one makes an older give way."""
 
-    def tell(self, message: Stopping) -> None:
+    def send(self, message: Stopping) -> None:
         """How far its stop has come."""
         self.outgoing.put(message)
 
@@ -214,7 +214,7 @@ class Page:
         elif message.id is not None:
             self._ask(message.id, message.key, payload)
         else:
-            with suppress(GatewayError):  # the page hears of the link
+            with suppress(GatewayError):  # the page is sent the link's state
                 self._link.publish(message.key, payload)
 
     def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:

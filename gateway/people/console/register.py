@@ -236,7 +236,7 @@ def revoke_all(folder: Path, now_s: Callable[[], float] = time.time) -> int:
 
 
 def _find(entries: tuple[Entry, ...], token: str, now_s: float) -> Entry | None:
-    """By the token's SHA-256: how long the comparison takes tells nothing about a token."""
+    """By the token's SHA-256: how long the comparison takes shows nothing about a token."""
     wanted = _sha256(token)
     return next((entry for entry in entries if entry.sha256 == wanted and entry.is_valid(now_s)), None)
 

@@ -1,4 +1,4 @@
-"""`hexapod-gateway console`: takes its address, says the link, and serves until it is ended."""
+"""`hexapod-gateway console`: takes its address, prints the link, and serves until it is ended."""
 
 import asyncio
 import errno

@@ -21,16 +21,16 @@ MAX_PRESSES: Final = 16
 """Of one page, unconfirmed; the newest makes the oldest give way, for it asks for the same, later."""
 
 
-class Teller(Protocol):
+class StopPage(Protocol):
     """The page that pressed; it may be gone."""
 
-    def tell(self, message: Stopping) -> None:
+    def send(self, message: Stopping) -> None:
         """How far its stop has come. Never waits."""
 
 
 @dataclass(eq=False)
 class _Press:
-    page: Teller | None
+    page: StopPage | None
     id: int
     pressed_ns: int
     attempts: int = 0
@@ -51,7 +51,7 @@ class Stops:
         """Whether a press waits for its confirmation."""
         return bool(self._unconfirmed)
 
-    def press(self, page: Teller, press_id: int) -> None:
+    def press(self, page: StopPage, press_id: int) -> None:
         """A page asks for it, now."""
         press = _Press(page, press_id, time.monotonic_ns())
         mine = [other for other in self._unconfirmed if other.page is page]
@@ -60,9 +60,9 @@ class Stops:
         self._unconfirmed.append(press)
         if len(self._requests) < AT_ONCE:
             self._request()
-        self._tell(press)
+        self._send(press)
 
-    def leave(self, page: Teller) -> None:
+    def leave(self, page: StopPage) -> None:
         """The page is gone: of its presses, and those of all that went before, the newest stands for all of them."""
         for press in self._unconfirmed:
             if press.page is page:
@@ -87,17 +87,17 @@ class Stops:
             press.attempts += 1
             if ack is not None:
                 self._unconfirmed.remove(press)
-            self._tell(press, ack, error)
+            self._send(press, ack, error)
         if ack is None:
             await asyncio.sleep(AGAIN_S)
         waiting = any(press.pressed_ns > self._newest_began_ns for press in self._unconfirmed)
         if waiting or (self._unconfirmed and len(self._requests) == 1):  # this one, which ends now
             self._request()
 
-    def _tell(self, press: _Press, ack: Ack | None = None, error: str | None = None) -> None:
+    def _send(self, press: _Press, ack: Ack | None = None, error: str | None = None) -> None:
         if press.page is None:
             return
-        press.page.tell(
+        press.page.send(
             Stopping(
                 id=press.id,
                 asked_ms_ago=(time.monotonic_ns() - press.pressed_ns) / 1e6,

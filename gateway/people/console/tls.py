@@ -16,7 +16,7 @@ class Layer(Protocol):
     """What is between a socket and HTTP."""
 
     def receive(self, data: bytes) -> bytes:
-        """Take what came, and return what it says. Raises EOFError once the other side has closed, ssl.SSLError."""
+        """Take what came, and return its content. Raises EOFError once the other side has closed, ssl.SSLError."""
 
     def encrypt(self, data: bytes) -> bytes:
         """What to send so that the other side receives `data`. Raises ssl.SSLError."""

@@ -1,9 +1,9 @@
-"""One page's walk: the page says 20 times a second what it wants, and a thread of its own walks by the newest of that.
+"""One page's walk: the page sends 20 times a second what it wants, and a thread of its own walks by the newest of that.
 
 The thread drives `gateway.client.Walk` over a session of its own, with the page's lease. The loop that serves the pages
 only leaves a wish for it and never waits for it, so that no STOP ALL does either.
 
-- No wish is used twice. A page that has said nothing for `SILENT_S` (frozen, locked, without Wi-Fi) has the robot
+- No wish is used twice. A page that has sent nothing for `SILENT_S` (frozen, locked, without Wi-Fi) has the robot
   finish its step and stand, `SIT_S` later sit down, and its servos stopped. A page that is closed, the same.
 - Each wish carries the number of the press that it belongs to. What ends a walk (silence, an error, a Stop) uses up the
   newest press: only a newer one moves the robot again.
@@ -47,14 +47,14 @@ class Walking:
     """For one page, on the event loop; all walks of the page come one after the other."""
 
     def __init__(
-        self, connect: Callable[[str], Client], name: str, geometry: Geometry, tell: Callable[[WalkMessage], None]
+        self, connect: Callable[[str], Client], name: str, geometry: Geometry, send: Callable[[WalkMessage], None]
     ) -> None:
         """`connect` opens a session under a name, and waits for that; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
         self._connect = connect
         self._name = name
         self._geometry = geometry
-        self._tell = tell
+        self._send = send
         self._ride: _Ride | None = None
         self._spent = -1
         """The newest press that has been used."""
@@ -75,14 +75,14 @@ class Walking:
             return
         self._spent = wish.press
         if token is None:
-            self._tell(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
+            self._send(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
             return
-        self._ride = _Ride(self._connect, self._name, self._geometry, token, wish, partial(self._later, self._tell))
+        self._ride = _Ride(self._connect, self._name, self._geometry, token, wish, partial(self._later, self._send))
         try:
             self._ride.start()
         except RuntimeError as error:  # no thread
             self._ride = None
-            self._tell(WalkMessage(press=wish.press, detail=str(error)))
+            self._send(WalkMessage(press=wish.press, detail=str(error)))
 
     def end(self, then: Callable[[], None]) -> None:
         """Sit down and stop the legs, and then call `then`."""
@@ -110,14 +110,14 @@ class _Ride(threading.Thread):
         geometry: Geometry,
         token: str,
         wish: WalkWish,
-        tell: Callable[[WalkMessage], None],
+        send: Callable[[WalkMessage], None],
     ) -> None:
         super().__init__(name="walk for a page", daemon=True)
         self._connect = connect
         self._source = name
         self._geometry = geometry
         self._token = token
-        self._tell = tell
+        self._send = send
         self._changed = threading.Condition()
         """Held for an assignment at a time only: the pages' loop takes it, too."""
         self._wish: tuple[WalkWish, float] | None = (wish, time.monotonic())
@@ -133,7 +133,7 @@ class _Ride(threading.Thread):
         self._gait = wish.gait
         self._sits = True
         self._detail = ""
-        self._heard_s = self._pressed_s = time.monotonic()
+        self._received_s = self._pressed_s = time.monotonic()
         self._reported_s = 0.0
 
     # ---- the loop's side
@@ -176,7 +176,7 @@ class _Ride(threading.Thread):
                 self._over = True
                 then = list(self._then)
             self.spent = max(self.spent, self._obeyed.press)
-            self._tell(WalkMessage(press=self.spent, detail=self._detail))
+            self._send(WalkMessage(press=self.spent, detail=self._detail))
             for each in then:
                 each()
 
@@ -196,7 +196,7 @@ class _Ride(threading.Thread):
         """One turn: the newest wish, or silence; whether there is another."""
         wish = self._next_wish()
         now_s = time.monotonic()
-        silent_s = now_s - self._heard_s
+        silent_s = now_s - self._received_s
         try:
             if silent_s > SILENT_S:
                 self.spent = max(self.spent, self._obeyed.press)
@@ -224,11 +224,11 @@ class _Ride(threading.Thread):
                 self._changed.wait(TICK_S)
             if self._wish is None:
                 return None
-            (wish, self._heard_s), self._wish = self._wish, None
+            (wish, self._received_s), self._wish = self._wish, None
             return wish
 
     def _obey(self, walk: Walk, wish: WalkWish, now_s: float) -> None:
-        """Do what has changed. A wish of a press that is used up only tells that its page is there."""
+        """Do what has changed. A wish of a press that is used up only shows that its page is there."""
         fresh = wish.press > self.spent
         velocity = Velocity(wish.forward_m_s, wish.left_m_s, wish.turn_rad_s) if fresh and not wish.sits else STILL
         before, self._obeyed = self._obeyed, wish
@@ -261,7 +261,7 @@ class _Ride(threading.Thread):
 
     def _report(self, walk: Walk) -> None:
         state = walk.state
-        self._tell(
+        self._send(
             WalkMessage(
                 press=self._obeyed.press,
                 id=self._obeyed.id,

@@ -209,7 +209,7 @@ class WebSocket(asyncio.BufferedProtocol):
             if data:
                 self._transport.write(self._layer.encrypt(data))
             else:
-                self._transport.close()  # both sides have said that it ends
+                self._transport.close()  # both sides have announced that it ends
                 self._give_up_in(END_S)
 
     def _flooded(self) -> None:

@@ -166,7 +166,7 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
 
 
 def _crash(records: Records, run: range, killed_ns: int, *, now_ns: int) -> Incident | None:
-    """The end of a gateway that said nothing of it; None where no record tells the time of day."""
+    """The end of a gateway that recorded nothing of it; None where no record shows the time of day."""
     for index in reversed(run):
         if records.kinds[index] not in _TELL_THE_TIME:
             continue

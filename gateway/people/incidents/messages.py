@@ -82,7 +82,7 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
         begin_ns = incident.wall_ns(incident.begin_ns)
         yield Message(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
     killed_ns = incident.killed_ns
-    last: int | None = None  # the place in `records` of what a gateway wrote that has not said that it ends
+    last: int | None = None  # the place in `records` of what a gateway wrote that has not recorded its end
     ended = False
     for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
         record = records[taken[place]]

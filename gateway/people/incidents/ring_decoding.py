@@ -14,7 +14,7 @@ from schemas.telemetry import Cause
 
 
 def decode(kind: int, ns: int, rest: bytes) -> form.Content | form.CarriedOut | None:
-    """What a record of this type and time says; None: a type of a later version. Raises form.DamagedError."""
+    """What a record of this type and time states; None: a type of a later version. Raises form.DamagedError."""
     reader = _READERS.get(kind)
     try:
         if kind == form.CARRIED_OUT:
@@ -83,7 +83,7 @@ def _event(rest: bytes) -> form.EventTold:
 
 def _calibrated(rest: bytes) -> form.Calibrated:
     report = Calibration.model_validate_json(rest)
-    calibration_of(report)  # one that no gateway says would lead whoever draws with it astray
+    calibration_of(report)  # one that no gateway publishes would lead whoever draws with it astray
     return form.Calibrated(report)
 
 

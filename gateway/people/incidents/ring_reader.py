@@ -25,7 +25,7 @@ from schemas.calibration import Calibration
 
 MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
 MOST_CHANGES: Final = 100
-"""Of the calibration that a ring tells. A person makes one in half a minute."""
+"""Of the calibration that a ring shows. A person makes one in half a minute."""
 _KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
 
 
@@ -43,7 +43,7 @@ class Records(Sequence[form.Record]):
         read: Callable[[int], form.Record],
         calibration: Calibration | None = None,
     ) -> None:
-        """`read` makes the record at a place from 0 on; their times and types are told without that.
+        """`read` makes the record at a place from 0 on; their times and types are known without that.
 
         `calibration` was in force when the newest was written, as far as known.
         """
@@ -152,7 +152,7 @@ def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:
     ring = _Slots(data, slots)
     numbers, parts, times_ns, kinds = array("Q"), bytearray(), array("q"), bytearray()
     oldest = kept = 0
-    # What is more than a round behind was overwritten in part: a slot that was left over says nothing.
+    # What is more than a round behind was overwritten in part: a slot that was left over means nothing.
     for number in range(max(1, newest - most + 1), newest + 1):
         if sequences[number % slots] != number:
             continue
@@ -173,7 +173,7 @@ def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:
 
 
 def _in_force(head: bytes) -> Calibration | None:
-    """The calibration in a file's header; None: it says nothing, or what no gateway says."""
+    """The calibration in a file's header; None: it states nothing, or what no gateway publishes."""
     try:
         content = decode(form.CALIBRATION, 0, header.calibration(head))
     except form.DamagedError:
@@ -193,7 +193,7 @@ class _Slots:
         return self.decoded(number)[1][part]
 
     def decoded(self, number: int) -> tuple[int, list[form.Record]]:
-        """A record's type and what it says, with what continues it: a record, or two, if it was CARRIED_OUT.
+        """A record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.
 
         None, where it is MORE, or a type of a later version. Raises DamagedError.
         """

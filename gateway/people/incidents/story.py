@@ -18,7 +18,7 @@ from schemas.telemetry import Cause, Kind
 TOGETHER_NS: Final = 15_000_000
 """Frames of one cause that follow each other within this are one line. Repeats come 20 ms apart by default."""
 FINE_MS: Final = 100.0
-"""Times nearer than this to the incident are told in milliseconds."""
+"""Times nearer than this to the incident are reported in milliseconds."""
 
 _WHAT: Final = {
     "watchdog": "a leg was silent, and was stopped",
@@ -46,7 +46,7 @@ _EVENTS: Final[dict[object, str]] = {
     Kind.BUTTON_LEFT: "button left",
 }
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
-"""Events that are told after their Stops are written, though what they tell of came before."""
+"""Events that are reported after their Stops are written, though what they report came before."""
 _ENDINGS: Final[dict[str, str]] = {
     **{str(kind): ending for kind, ending in INCIDENTS.items()},
     MISTAKE: MISTAKE,
@@ -86,15 +86,15 @@ def story(messages: list[Message]) -> list[str]:
     if zero is None:
         raise NoStoryError("it has no incident")
     name = str(zero.content.get("detail"))
-    told = [each for each in messages if each is not zero]
-    lines = [*_commands(told, zero.time_ns, name), *_rejections(told, zero.time_ns)]
-    lines += [*_events(told, zero.time_ns, name), *_frames(told, zero.time_ns), *_notes(told, zero.time_ns)]
-    lines += _landings(told, zero.time_ns)
+    reported = [each for each in messages if each is not zero]
+    lines = [*_commands(reported, zero.time_ns, name), *_rejections(reported, zero.time_ns)]
+    lines += [*_events(reported, zero.time_ns, name), *_frames(reported, zero.time_ns), *_notes(reported, zero.time_ns)]
+    lines += _landings(reported, zero.time_ns)
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
     timed = (f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)
-    return [_visible(line) for line in (head, *_summary(told, zero.time_ns), *timed)]
+    return [_visible(line) for line in (head, *_summary(reported, zero.time_ns), *timed)]
 
 
 def headline(messages: Iterable[Message]) -> str:
@@ -102,19 +102,19 @@ def headline(messages: Iterable[Message]) -> str:
 
     Of many messages it holds few. Raises NoStoryError.
     """
-    told: list[Message] = []
+    reported: list[Message] = []
     moved_ns = array("q")  # when commands that move came
     for message in messages:
         if _is_command(message):
             if _moves(message):
                 moved_ns.append(message.time_ns)
         elif _is_headline(message):
-            told.append(message)
-    zero = next((each for each in told if each.content.get("what") == INCIDENT), None)
+            reported.append(message)
+    zero = next((each for each in reported if each.content.get("what") == INCIDENT), None)
     if zero is None:
         raise NoStoryError("it has no incident")
     happened = {kind_of(str(zero.content.get("detail"))): ""}
-    for message in told:
+    for message in reported:
         ending = _ENDINGS.get(str(message.content.get("kind") or message.content.get("what")))
         if ending is not None and message.time_ns >= zero.time_ns:
             by = message.content.get("source")
@@ -122,13 +122,13 @@ def headline(messages: Iterable[Message]) -> str:
     if "landing" in happened:
         happened.pop("watchdog", None)  # its Stops are the landing's end
     worst = max(happened, key=lambda ending: _WORSE.index(ending) if ending in _WORSE else -1)
-    legs = sorted(_stopped_legs(told, zero.time_ns))
+    legs = sorted(_stopped_legs(reported, zero.time_ns))
     words = {ending: f"{_WHAT.get(ending, ending)}{by}" for ending, by in happened.items()}
     if legs and "watchdog" in words:
         words["watchdog"] += f": {_named(legs)}"
     first = words.pop(worst)
     if worst in ("watchdog", "landing"):
-        first = _stood_still(told, moved_ns, zero.time_ns) or first
+        first = _stood_still(reported, moved_ns, zero.time_ns) or first
     return _visible("; also: ".join((first, *words.values())))
 
 
@@ -360,9 +360,9 @@ def _landings(messages: list[Message], zero_ns: int) -> Iterator[Line]:
     way: _Way | None = None
     angles = UserAngles()
     for message in messages:
-        angles.hear(message.topic, message.content)
+        angles.take(message.topic, message.content)
         if message.topic == keys.EVENT and message.content.get("kind") == Kind.LANDING:
-            yield from _told(way, zero_ns)
+            yield from _reported(way, zero_ns)
             way = None
         frame = _frame(message) if message.topic == keys.FRAME else None
         if frame is None:
@@ -372,10 +372,10 @@ def _landings(messages: list[Message], zero_ns: int) -> Iterator[Line]:
         if message.content.get("cause") == Cause.WATCHDOG and not frame.is_stop:
             way = way or _Way(message)
             way.last, way.frames, way.stands = message, way.frames + 1, dict(stands)
-    yield from _told(way, zero_ns)
+    yield from _reported(way, zero_ns)
 
 
-def _told(way: _Way | None, zero_ns: int) -> Iterator[Line]:
+def _reported(way: _Way | None, zero_ns: int) -> Iterator[Line]:
     if way is not None:
         yield Line(way.first.time_ns - zero_ns, "first frame of the way down")
         count = f"{way.frames} frames" if way.frames > 1 else "one frame"

@@ -1,4 +1,4 @@
-"""MCAP files of what a gateway says: written so that a killed writer loses next to nothing, and read again.
+"""MCAP files of what a gateway publishes: written so that a killed writer loses next to nothing, and read again.
 
 `Recording` writes one, `repair` makes whole what was cut off or is damaged, `read` yields what can be read of a file.
 """

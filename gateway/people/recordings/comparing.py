@@ -318,6 +318,6 @@ class _Matching:
 def _sentence(kind: _OfLeg, matching: _Matching) -> str:
     leg, commanded = kind
     counts = ((matching.missing, "missing"), (matching.added, "added"), (matching.changed, "different"))
-    said = ", ".join(f"{count} {word}" for count, word in counts if count)
+    counted = ", ".join(f"{count} {word}" for count, word in counts if count)
     where = f"leg {leg}{'' if commanded else ', of its own'}"
-    return f"{where}: {len(matching.pairs)} frames are the same, {said}; the first: {matching.first}"
+    return f"{where}: {len(matching.pairs)} frames are the same, {counted}; the first: {matching.first}"

@@ -53,7 +53,7 @@ class Drawing:
 
     def take(self, topic: str, report: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
         """What to draw after a report (as its JSON, on a key of ours) that came at `time_ns`."""
-        self._angles.hear(topic, report)
+        self._angles.take(topic, report)
         if topic == EVENT:
             yield LOG, _log(report, time_ns)
         elif topic == STATE:
@@ -61,7 +61,7 @@ class Drawing:
                 for servo in leg["servos"]:
                     self._commanded(servo["id"], servo.get("angle_deg"))
             yield from self.picture(time_ns)
-        elif topic == FRAME and self._angles.consistent:  # else the state alone says where it is
+        elif topic == FRAME and self._angles.consistent:  # else the state alone shows where it is
             self._take_frame(self._angles.record(report)["bytes"])
             yield from self._picture_if_due(time_ns)
         elif topic == SIM_BODY:

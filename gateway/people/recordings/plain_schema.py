@@ -17,7 +17,7 @@ _UNREAD: Final = frozenset({"$defs", "default", "discriminator", "prefixItems", 
 
 
 def plain_schema(adapter: TypeAdapter[Any], title: str) -> Schema:
-    """The schema of a payload, with each type said by one word."""
+    """The schema of a payload, with each type named by one word."""
     schema = adapter.json_schema(mode="validation")
     return {**_plain(schema, schema.get("$defs", {})), "title": title}
 

@@ -1,4 +1,4 @@
-"""What one piece of a recording says: a record, or a chunk with its records. The limits for hostile files stand here.
+"""What one piece of a recording contains: a record, or a chunk with its records. Here are the limits for hostile files.
 
 mcap's own reader reserves whatever a chunk says that it unpacks to: 98 kB took 3.2 GB.
 """
@@ -45,7 +45,7 @@ class DamagedError(ValueError):
 
 
 def unpack(opcode: int, body: bytes) -> Iterator[McapRecord]:
-    """What a piece of a file says: of a chunk its records, of an index nothing. Raises DamagedError."""
+    """What a piece of a file contains: of a chunk its records, of an index nothing. Raises DamagedError."""
     if opcode == Opcode.MESSAGE:
         yield _message(body)
     elif opcode in _READERS:

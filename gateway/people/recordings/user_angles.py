@@ -11,33 +11,33 @@ from schemas.keys import CALIBRATION, FRAME, STATE
 
 
 class UserAngles:
-    """Reads each frame by the calibration that the recording says was in force when it was written."""
+    """Reads each frame by the calibration that the recording states was in force when it was written."""
 
     def __init__(self) -> None:
         self.translated = False
         """Whether any frame has other angles on the wire than its users have."""
         self.consistent = True
-        """Whether the calibration that was told last is the one that is said to be in force."""
+        """Whether the calibration that was recorded last is the one that is in force."""
         self._calibration = Calibration()
         self._said = self._contradicted = False
 
     @property
     def known(self) -> bool:
-        """Whether the recording says what was in force all along. One of frames alone does not."""
+        """Whether the recording states what was in force all along. One of frames alone does not."""
         return self._said and not self._contradicted
 
     def frames(self, messages: Iterable[Message]) -> Iterator[Mapping[str, Any]]:
-        """The FrameRecords in users' angles, as far as the recording says which these are, else as on the wire."""
+        """The FrameRecords in users' angles, as far as the recording states which these are, else as on the wire."""
         for message in messages:
-            self.hear(message.topic, message.content)
+            self.take(message.topic, message.content)
             if message.topic == FRAME:
                 yield self.record(message.content)
 
-    def hear(self, topic: str, content: Mapping[str, Any]) -> None:
-        """A message of the recording, in their order: what it says of the calibration holds for the frames after it."""
+    def take(self, topic: str, content: Mapping[str, Any]) -> None:
+        """A message of the recording, in their order: what it states of calibration holds for all frames after it."""
         if topic == STATE:
             self._said = True
-            # An older gateway says nothing of a calibration, and had none.
+            # An older gateway publishes no calibration, and had none.
             said = content.get("calibration")
             revision = said.get("revision", 0) if isinstance(said, dict) else 0
             self.consistent = revision == self._calibration.revision
@@ -46,7 +46,7 @@ class UserAngles:
             try:
                 self._calibration = calibration_of(wire.Calibration.model_validate(content))
                 self.consistent = True
-            except ValueError:  # none that a gateway says
+            except ValueError:  # none that a gateway publishes
                 self.consistent = False
         self._contradicted |= not self.consistent
 

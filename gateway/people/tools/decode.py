@@ -1,4 +1,4 @@
-"""`decode`: explains a frame's bytes, or says what is wrong with them."""
+"""`decode`: explains a frame's bytes, or names what is wrong with them."""
 
 import re
 from collections.abc import Iterator, Sequence

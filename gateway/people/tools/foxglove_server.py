@@ -105,7 +105,7 @@ class _Server(ServerListener):
         self._server.stop()
 
     def _is_silent(self) -> None:
-        """What the viewer shows stands still from now on, and says why."""
+        """What the viewer shows stands still from now on, and shows why."""
         if not self._silent:
             self._silent = True
             self._warn(

@@ -24,7 +24,7 @@ _MAX_SOURCE: Final = 64
 
 
 def me() -> str:
-    """Who drives, where no certificate says it."""
+    """Who drives, where no certificate names them."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container's user without a name

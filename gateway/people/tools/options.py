@@ -10,7 +10,7 @@ ConfigOption = Annotated[
     typer.Option(
         "--config",
         metavar="PATH",
-        readable=False,  # what cannot be read is said with a remedy
+        readable=False,  # what cannot be read is reported with a remedy
         help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists.",
     ),
 ]

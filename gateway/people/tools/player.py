@@ -57,7 +57,7 @@ _ENDS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.S
 
 
 class Player:
-    """Sends the steps in their time, hears what comes of it, and leaves all legs stopped."""
+    """Sends the steps in their time, watches what comes of it, and leaves all legs stopped."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Player:
         expected: Expected | None,
         on_time: bool = False,
     ) -> None:
-        """`recorded` says what `steps` come to. They are read while others are sent, and `expected` grows with them.
+        """`recorded` sums up what `steps` come to. They are read while others are sent, and `expected` grows with them.
 
         `on_time`: real-time priority, where it is granted; not where a real robot's Stop could wait for it.
         """

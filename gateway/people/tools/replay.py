@@ -51,11 +51,11 @@ def replay(
                 player.run(lease)
         except LeaseError as error:
             return rejected(error)
-    said = f"{len(player.sent)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
+    sent = f"{len(player.sent)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
     if expected is None:
-        say(f"replayed: {said}")
+        say(f"replayed: {sent}")
         return 0
-    return _report(expected, player, target, said, tolerance_ms)
+    return _report(expected, player, target, sent, tolerance_ms)
 
 
 class _Recording:
@@ -146,13 +146,13 @@ def _ask(recorded: Plan, speed: float, *, agreed: bool) -> None:
         raise ConfigError("nothing was sent")
 
 
-def _report(expected: Expected, player: Player, target: Calibration, said: str, tolerance_ms: float) -> int:
+def _report(expected: Expected, player: Player, target: Calibration, sent: str, tolerance_ms: float) -> int:
     written = _in_its_time(expected.frames, player, target)
     found = compare(expected.frames, expected.recorded_ns, player.sent, written, tolerance_ms)
     for difference in found.differences:
         say(difference)
     say(
-        f"{'the same' if found.passes else 'NOT the same'}: {said}; {found.frames} frames expected, "
+        f"{'the same' if found.passes else 'NOT the same'}: {sent}; {found.frames} frames expected, "
         f"{len(written)} written, {found.same} of them the same, {found.swapped} overtaken by another leg's, "
         f"at most {found.worst_ms:.2f} ms from their time (p99 {found.p99_ms:.2f} ms)"
     )

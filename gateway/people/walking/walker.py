@@ -3,7 +3,7 @@
 A program's walk, the console's pad and a bridge to other programs are each one of these beside a stream of setpoints.
 
 - A velocity holds for `hold_s`. Then the robot finishes its step and stands.
-- Whoever says nothing at all for `rest_s` has the robot sit down; after that `is_over`, and the servos may be stopped.
+- Without any command for `rest_s` the robot sits down; after that `is_over`, and the servos may be stopped.
 """
 
 from typing import Final, NamedTuple
@@ -27,7 +27,7 @@ class WalkState(NamedTuple):
     commanded: Velocity
     """What was asked for; 0 once it is no longer held."""
     scaled: Velocity
-    """What of it the legs can do: the same direction, and slower where `limit` says why."""
+    """What of it the legs can do: the same direction, and slower where `limit` states why."""
     limit: str
     odometry: Odometry
     """Where its steps have carried it since the walk began."""

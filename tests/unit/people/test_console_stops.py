@@ -41,7 +41,7 @@ class Page:
     def __init__(self) -> None:
         self.heard: list[Stopping] = []
 
-    def tell(self, message: Stopping) -> None:
+    def send(self, message: Stopping) -> None:
         self.heard.append(message)
 
     def answered(self) -> list[int]:

@@ -155,8 +155,8 @@ def test_frames_that_lack_something_are_left_out(field: str, value: object, cali
         del broken[field]
     angles = UserAngles()
     if calibrated:
-        angles.hear(CALIBRATION, {"revision": 1, "servos": {"11": {"trim_deg": 3}}})
-    angles.hear(STATE, {"calibration": value})
+        angles.take(CALIBRATION, {"revision": 1, "servos": {"11": {"trim_deg": 3}}})
+    angles.take(STATE, {"calibration": value})
     records = [broken, record(20, leg(1, Op.START)), broken, record(40, leg(1))]
     found = plan(angles.record(each) for each in records)
     assert (len(found.steps), found.plan.left_out) == (2, 2)

@@ -27,7 +27,7 @@ class Guide:
     draft: dict[int, ServoCalibration] = field(init=False)
     servo_id: int | None = None
     wire_cdeg: int = 0
-    """Where the servo under test was told to stand: its own angle."""
+    """Where the servo under test was commanded to stand: its own angle."""
     _stood: dict[int, int] = field(default_factory=dict)
     """Where each servo that was under test stood last: its own angle."""
     _before: list[tuple[int, ServoCalibration]] = field(default_factory=list)
@@ -56,7 +56,7 @@ class Guide:
         return self.draft[servo_id].user_cdeg(wire_cdeg) / 100
 
     def choose(self, servo_id: int, shown_deg: float | None = None) -> None:
-        """Test this servo, from this angle as the draft counts, or from where `begins_at` says.
+        """Test this servo, from this angle as the draft counts, or from where `begins_at` returns.
 
         Raises CalibrationError for a servo that does not exist, or an angle that the calibration in force rejects.
         """

@@ -51,7 +51,7 @@ class Commands(Protocol):
 
 
 class HeldServo:
-    """Repeats the newest angle of one servo. `fault` says why it stopped doing so."""
+    """Repeats the newest angle of one servo. `fault` states why it stopped doing so."""
 
     def __init__(self, client: Commands, timeout_ms: float = 250.0) -> None:
         """`timeout_ms` is the gateway's `watchdog.timeout_ms`."""
@@ -199,7 +199,7 @@ class HeldServo:
         if overtaken and self._starting and not rejected:  # its Stop may have come before it
             self._stop(wanted.servo_id // 10, counted=False)
         elif not overtaken:
-            self.stop()  # where nobody has said that the servo does not run
+            self.stop()  # where nobody has reported that the servo does not run
         with self._lock:
             self._starting = False
             self._stopped.notify_all()

@@ -29,7 +29,7 @@ class Screen(screen.Screen):
         where: str,
         avoid_cdeg: tuple[int, int] | None = None,
     ) -> None:
-        """`timeout_ms` is the gateway's `watchdog.timeout_ms`; `where` is what the title says of the robot.
+        """`timeout_ms` is the gateway's `watchdog.timeout_ms`; `where` is what the title names of the robot.
 
         `avoid_cdeg`: angles that the gateway never sends; keys move over them.
         """

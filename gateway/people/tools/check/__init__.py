@@ -48,9 +48,9 @@ def check(config: Path | None) -> int:
         found = running.simulated() if config is None else None
         if found is not None:
             results = chain(running.results(*found), release.findings(runs))
-            return _tell(results, "The simulated robot is well", "The simulated robot is not well")
+            return _report(results, "The simulated robot is well", "The simulated robot is not well")
         results = chain(run(config), release.findings(runs))
-        return _tell(results, "This machine can run the service", "This machine cannot run the service")
+        return _report(results, "This machine can run the service", "This machine cannot run the service")
 
     return service_user.run(look, machine.granted_rtprio())
 
@@ -58,10 +58,10 @@ def check(config: Path | None) -> int:
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
     """The same of a laptop: whether it reaches the robot, and what it may do there."""
     steps = laptop.checks(connect, zenoh_config, timeout_s)
-    return _tell(steps, "This machine reaches the gateway", "This machine does not reach the gateway")
+    return _report(steps, "This machine reaches the gateway", "This machine does not reach the gateway")
 
 
-def _tell(found: Iterable[Result], well: str, unwell: str) -> int:
+def _report(found: Iterable[Result], well: str, unwell: str) -> int:
     console = Console(highlight=False, soft_wrap=True)
     results = []
     for result in found:
@@ -138,8 +138,8 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
         yield from calibration.landing_pose(settings)
     certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
     yield from certificates
-    zenoh_config, told = network.zenoh_configuration(settings.zenoh)
-    yield from (result for result in told if result.sentence not in {known.sentence for known in certificates})
+    zenoh_config, found = network.zenoh_configuration(settings.zenoh)
+    yield from (result for result in found if result.sentence not in {known.sentence for known in certificates})
     gateway_runs = device.held(spi_device)
     if zenoh_config is not None:
         yield from access.passes(zenoh_config, settings.zenoh.config)

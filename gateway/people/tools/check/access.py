@@ -1,4 +1,4 @@
-"""Whether the Zenoh file's access control knows all that this gateway says and hears: an older release's may not.
+"""Whether the Zenoh file's access control knows all that this gateway publishes and reads: an older release's may not.
 
 What it does not know is dropped without a word on either side, so people see nothing but silence.
 """

@@ -32,7 +32,7 @@ def python() -> Result:
 
 
 def clock() -> Result:
-    """Whether the kernel says that the clock is synchronised."""
+    """Whether the kernel reports that the clock is synchronised."""
     try:
         state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)))
     except (AttributeError, OSError):  # not Linux

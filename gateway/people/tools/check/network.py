@@ -53,8 +53,8 @@ def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, l
         except ConfigError as error:
             lines = str(error).splitlines()
             return None, [failure("Zenoh", line, LET_READ if DENIED in line else "fix it there") for line in lines]
-    told = [warning("Zenoh", line, "docs/security.md says what each link needs") for line in warnings]
-    return config, told or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
+    found = [warning("Zenoh", line, "docs/security.md says what each link needs") for line in warnings]
+    return config, found or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
 
 
 def ports(endpoints: Sequence[str], *, gateway_runs: bool) -> list[Result]:
@@ -198,7 +198,7 @@ _LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
 
 
 def owners(port: int, kind: socket.SocketKind, *, proc: Path = Path("/proc/net")) -> set[int]:
-    """The users (numbers) of the sockets that listen on a port, as the kernel tells everybody."""
+    """The users (numbers) of the sockets that listen on a port, as the kernel shows everybody."""
     found = set()
     for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
         with suppress(OSError):
@@ -243,18 +243,18 @@ def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
 @contextmanager
 def _warnings_of(logger_name: str) -> Iterator[list[str]]:
     """Collects the warnings logged meanwhile, which go nowhere else."""
-    told: list[str] = []
+    logged: list[str] = []
 
     class Keep(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            told.append(record.getMessage())
+            logged.append(record.getMessage())
 
     logger, handler = logging.getLogger(logger_name), Keep(logging.WARNING)
     propagate = logger.propagate
     logger.addHandler(handler)
     logger.propagate = False
     try:
-        yield told
+        yield logged
     finally:
         logger.removeHandler(handler)
         logger.propagate = propagate

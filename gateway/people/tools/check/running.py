@@ -1,6 +1,6 @@
 """A gateway with a simulated controller that runs on this machine, as `make run` starts it: then it is looked at.
 
-What the machine would need for a real robot says nothing about it, and it needs neither a device nor a framing.
+What the machine would need for a real robot shows nothing about it, and it needs neither a device nor a framing.
 """
 
 import datetime as dt

@@ -1,6 +1,6 @@
 """`check` as root looks with the eyes of the service: its user, its groups, its limits.
 
-Root may read every key and may have every priority; what root can do says nothing of what the service can.
+Root may read every key and may have every priority; what root can do shows nothing of what the service can.
 """
 
 import grp

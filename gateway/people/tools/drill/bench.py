@@ -29,11 +29,11 @@ Figures = dict[str, float | int | str]
 
 
 class FailedError(Exception):
-    """A step fails; the sentence says what was seen instead."""
+    """A step fails; the sentence states what was seen instead."""
 
 
 class Skipped(Exception):  # noqa: N818  (it is no error)
-    """A step cannot be done here; the sentence says why."""
+    """A step cannot be done here; the sentence states why."""
 
 
 def demand(true: object, sentence: str) -> None:
@@ -172,7 +172,7 @@ class Bench:
         return True
 
     def running(self, state: GatewayState | None = None) -> list[int]:
-        """The servos that run, of all legs, as the gateway says."""
+        """The servos that run, of all legs, as the gateway reports them."""
         state = state or self.client.state()
         return [servo.id for leg in state.legs for servo in leg.servos if servo.running]
 

@@ -133,10 +133,10 @@ def _section(outcome: Outcome) -> str:
         else f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>"
         for name, value in outcome.figures.items()
     )
-    said = f"<p>{escape(outcome.detail)}</p>" if outcome.passed is not True else f"<table>{figures}</table>"
+    result = f"<p>{escape(outcome.detail)}</p>" if outcome.passed is not True else f"<table>{figures}</table>"
     return (
         f'<section><h2><b class="{outcome.word.lower()}">{outcome.word}</b> {escape(outcome.name)}</h2>'
-        f"<p>{escape(outcome.does)} ({outcome.took_s:.1f} s)</p>{said}{_plot(outcome.frames)}</section>"
+        f"<p>{escape(outcome.does)} ({outcome.took_s:.1f} s)</p>{result}{_plot(outcome.frames)}</section>"
     )
 
 

@@ -146,7 +146,7 @@ def _do(bench: Bench, step: Step, place: str) -> Outcome:
         step.name, does, step.shows, passed, detail, figures, time.monotonic() - begun_s, bench.since(mark)
     )
     say(f"{outcome.word:8}{step.name}: {detail}")
-    with suppress(GatewayError):  # the end tries again, and says it
+    with suppress(GatewayError):  # the end tries again, and reports it
         _rest(bench, keep_estop=step.name == "estop")
     return outcome
 

@@ -24,7 +24,7 @@ START_S: Final = 15.0
 
 
 class _Unit(NamedTuple):
-    """What systemd says of the service."""
+    """What systemd reports of the service."""
 
     loaded: bool
     begun_s: float
@@ -104,7 +104,7 @@ def _unit() -> _Unit:
 
 
 def _stops_written(invocation: str) -> int | None:
-    """How many Stops stop-servos says it wrote; None where this machine keeps no journal."""
+    """How many Stops stop-servos reports to have written; None where this machine keeps no journal."""
     with suppress(FailedError):
         said = _WRITTEN.search(_run("journalctl", f"_SYSTEMD_INVOCATION_ID={invocation}", "--output=cat"))
         return None if said is None else len(LEGS) * int(said[1])

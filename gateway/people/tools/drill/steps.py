@@ -39,7 +39,7 @@ LEARN_S: Final = 0.6
 HELD_S: Final = 1.5
 """What a cut link holds is so old: three times the default of `limits.max_age_ms`."""
 KEPT_MS: Final = 30_000
-"""How long the gateway keeps the link of a client that it does not hear."""
+"""How long the gateway keeps the link of a client that sends nothing."""
 STOP_SERVOS_S: Final = 20.0
 
 

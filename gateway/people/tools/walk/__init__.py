@@ -1,1 +1,1 @@
-"""`walk`: a person at the keyboard drives, or a script says where to."""
+"""`walk`: a person at the keyboard drives, or a script gives the velocity."""

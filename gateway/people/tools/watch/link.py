@@ -35,7 +35,7 @@ class Link:
         changed: Callable[[], None],
         why: Callable[[], list[str]] = list,
     ) -> None:
-        """`why` says, a line for each host, why no connection comes about; it may take a second."""
+        """`why` returns a line for each host, why no connection comes about; it may take a second."""
         self._model = model
         self._lock = lock
         self._changed = changed

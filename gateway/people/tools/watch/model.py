@@ -40,9 +40,9 @@ NAMELESS: Final = "no name"
 class Presence(Enum):
     """Whether anybody is there."""
 
-    WAITING = auto()  # nothing has been heard yet
+    WAITING = auto()  # nothing has been received yet
     LIVE = auto()
-    SILENT = auto()  # something was heard, and then no more
+    SILENT = auto()  # something was received, and then no more
 
 
 class Tone(StrEnum):
@@ -75,7 +75,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Per second, means over the window; None until two states have been heard."""
+    """Per second, means over the window; None until two states have been received."""
 
     accepted: float | None = None
     rejected: float | None = None
@@ -112,7 +112,7 @@ class Model:
     """Since when an emergency stop is requested and not confirmed; None: there is none."""
     stop_tries: int = 0
     estop: int | None = None
-    """The number of the latest emergency stop that we have heard of."""
+    """The number of the latest emergency stop that we know of."""
     _state_ns: int = 0
     _received_ns: int | None = None
     _gone: bool = False
@@ -127,7 +127,7 @@ class Model:
     _pressed_ns: int = 0
     _reset_ns: int = 0
 
-    # ---- what is heard
+    # ---- what is received
 
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
         """A state came, published or as an answer."""
@@ -223,7 +223,7 @@ class Model:
         return Presence.SILENT if self._gone or now_ns - self._received_ns > SILENT_AFTER_NS else Presence.LIVE
 
     def silent_s(self, now_ns: int) -> float:
-        """For how long nothing has been heard."""
+        """For how long nothing has been received."""
         return 0.0 if self._received_ns is None else (now_ns - self._received_ns) / NS_PER_S
 
     def state_age_ms(self, now_ns: int) -> float:
@@ -231,7 +231,7 @@ class Model:
         return float("inf") if self.state is None else (now_ns - self._state_ns) / NS_PER_MS
 
     def command_age_ms(self, leg: LegReport, now_ns: int) -> float | None:
-        """The age of the leg's last accepted command: as the state said, plus the time since the state came."""
+        """The age of the leg's last accepted command: as in the state, plus the time since the state came."""
         return None if leg.age_ms is None else leg.age_ms + self.state_age_ms(now_ns)
 
     def running_legs(self) -> int:
@@ -265,12 +265,12 @@ class Model:
             self.stop_tries = 0
 
     def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
-        """The gateway confirms the request of `asked_ns`, and says how many Stop frames it wrote."""
+        """The gateway confirms the request of `asked_ns`, with how many Stop frames it wrote."""
         self.estop = max(self.estop or 0, ack.estop or 0)
         if asked_ns < self._reset_ns:
             return  # a reset has followed that stop; a later stop waits for its own answer
-        told = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
-        if self.stop_wanted_ns is None and told:
+        known = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
+        if self.stop_wanted_ns is None and known:
             return  # the second answer to one stop
         self.stop_wanted_ns = None
         frames = ack.stop_frames or 0
