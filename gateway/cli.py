@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
+from gateway.people.bridge import command as bridge
 from gateway.people.tools import certs_changes, incidents, lease, recordings
 from gateway.people.tools.calibrate import command as calibrate
 from gateway.people.tools.drill import command as drill
@@ -333,6 +334,7 @@ app.add_typer(incidents.app, name="incidents")
 app.add_typer(drill.app)
 app.add_typer(calibrate.app)
 app.add_typer(walk.app)
+app.add_typer(bridge.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

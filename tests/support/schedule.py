@@ -6,7 +6,7 @@ from typing import Final
 
 import pytest
 
-ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "net", "walking", "mutants", "unit", "fuzz")
+ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "ros2", "net", "walking", "mutants", "unit", "fuzz")
 """Longest chains first; last what is short, and what waits for the searches."""
 ALONE: Final = (
     "net",
@@ -29,8 +29,8 @@ ALONE: Final = (
 """
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
-TOGETHER: Final = ("box", "console", "net")
-"""Folders that share a machine or a browser; files of other folders share a gateway."""
+TOGETHER: Final = ("box", "console", "net", "ros2")
+"""Folders that share a machine, a browser or a bridge; files of other folders share a gateway."""
 SEARCHES: Final = "test_every_reachable_state"
 """The model check's: it waits for processes of its own, which search while others run alone."""
 

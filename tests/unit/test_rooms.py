@@ -10,8 +10,8 @@ GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
     ("errors", "limits"),
-    ("robot.protocol", "geometry", "people.ros2"),
-    ("robot.core", "people.walking"),
+    ("robot.protocol", "geometry"),
+    ("robot.core", "people.walking", "people.ros2"),
     ("robot.settings",),
     ("robot.host",),
     ("robot.spi",),
@@ -26,7 +26,7 @@ ROOMS: Final = (
     ("people.client",),
     ("client",),
     ("people.tools",),
-    ("people.console",),
+    ("people.console", "people.bridge"),
     ("cli",),
     ("__main__",),
 )

@@ -12,10 +12,8 @@ from typing import Any, Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
 from gateway.geometry.kinematics import BASE, Transform
-from gateway.people.recordings.user_angles import UserAngles
-from gateway.robot.protocol.frames import FrameError, Op
-from gateway.robot.protocol.frames import decode as decode_frame
-from schemas.keys import EVENT, FRAME, SIM_BODY, STATE
+from gateway.people.recordings.commanded import CommandedJoints
+from schemas.keys import EVENT, SIM_BODY, STATE
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import BodyReport, Kind
 
@@ -45,27 +43,22 @@ class Drawing:
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
-        self._commanded_rad: dict[int, float] = {}
+        self._joints = CommandedJoints(geometry)
         self._drawn_ns: int | None = None
         self._body: BodyReport | None = None
         self._body_ns = 0
-        self._angles = UserAngles()
 
     def take(self, topic: str, report: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
         """What to draw after a report (as its JSON, on a key of ours) that came at `time_ns`."""
-        self._angles.take(topic, report)
+        moved = self._joints.take(topic, report)
         if topic == EVENT:
             yield LOG, _log(report, time_ns)
         elif topic == STATE:
-            for leg in report["legs"]:
-                for servo in leg["servos"]:
-                    self._commanded(servo["id"], servo.get("angle_deg"))
             yield from self.picture(time_ns)
-        elif topic == FRAME and self._angles.consistent:  # else the state alone shows where it is
-            self._take_frame(self._angles.record(report)["bytes"])
-            yield from self._picture_if_due(time_ns)
         elif topic == SIM_BODY:
             self._body, self._body_ns = BodyReport.model_validate(report), time_ns
+            yield from self._picture_if_due(time_ns)
+        elif moved:
             yield from self._picture_if_due(time_ns)
 
     def _picture_if_due(self, time_ns: int) -> Iterator[Drawn]:
@@ -78,10 +71,10 @@ class Drawing:
         stamp = _stamp(time_ns)
         body = self._body if time_ns - self._body_ns < BODY_NS else None
         commanded_rad = {
-            servo_id: self._commanded_rad.get(servo_id, self._geometry.joint_rad(servo_id, UNKNOWN_DEG))
+            servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, UNKNOWN_DEG))
             for servo_id in SERVO_IDS
         }
-        yield JOINT_STATES, _joint_states(self._commanded_rad, stamp)
+        yield JOINT_STATES, _joint_states(self._joints.rad, stamp)
         if body is None:
             steps = list(transforms(self._geometry, commanded_rad))
         else:
@@ -117,19 +110,6 @@ class Drawing:
     def description(self) -> Drawn:
         """The URDF, in the one message that viewers look for."""
         return DESCRIPTION, {"data": urdf(self._geometry)}
-
-    def _take_frame(self, hex_bytes: str) -> None:
-        try:
-            frame = decode_frame(bytes.fromhex(hex_bytes))
-        except (FrameError, ValueError):  # of a later protocol
-            return
-        for servo_id, command in frame.servos:
-            if command.op is not Op.STOP:
-                self._commanded(servo_id, command.angle_cdeg / 100)
-
-    def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
-        if angle_deg is not None and servo_id in self._geometry.servos:
-            self._commanded_rad[servo_id] = self._geometry.joint_rad(servo_id, angle_deg)
 
 
 def _joint_states(joints_rad: Mapping[int, float], stamp: Json) -> Json:

@@ -1,0 +1,204 @@
+"""Whether the bridge drives, and what of it moves the robot. Nothing is taken before somebody has said `drive`.
+
+`drive` acquires the lease; `release` sits down and gives it back. What ends a motion by a fault ends the driving, too:
+a Stop of anybody's, an emergency stop, the watchdog, a lost lease or link. After that a person says `drive` again.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Final, TypeVar
+
+from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
+from gateway.geometry import Geometry
+from gateway.people.bridge.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
+from gateway.people.client.blocking import Client
+from gateway.people.client.lease import Lease
+from gateway.people.ros2.trajectory import Trajectory
+from gateway.people.walking import Velocity
+from schemas.telemetry import GatewayState, Mode, Reason
+
+NOBODY_DRIVES: Final = "nobody has called drive"
+M = TypeVar("M", bound=Motion)
+
+
+class NotTakenError(Exception):
+    """A message is not taken; one sentence. What moves the robot goes on."""
+
+
+class Driving:
+    """For any thread: one of them acts at a time."""
+
+    def __init__(self, client: Client, name: str, geometry: Geometry, say: Callable[[str], None]) -> None:
+        """`name` is who we are to the lease, where no certificate says it; `say` shows a line to a person."""
+        self._client = client
+        self._name = name
+        self._geometry = geometry
+        self._say = say
+        self._lock = threading.RLock()
+        self._lease: Lease | None = None
+        self._motion: Motion | None = None
+        self._estop = 0
+        """The latest when it began to drive."""
+        self._heard: GatewayState | None = None
+        self._gait = "tripod"
+        self._why_not = NOBODY_DRIVES
+
+    @property
+    def drives(self) -> bool:
+        """Whether messages are taken."""
+        return self._lease is not None
+
+    @property
+    def does(self) -> str:
+        """What it does, or why it takes nothing; for people."""
+        motion = self._motion
+        if not self.drives:
+            return self._why_not
+        return "drives; nothing moves" if motion is None else f"drives by {motion.title}"
+
+    # ---- services
+
+    def drive(self) -> str:
+        """Take messages from now on. Raises LeaseError where somebody else drives, RejectedError, DisconnectedError."""
+        with self._lock:
+            if self._lease is not None:
+                return "it drives already"
+            state = self._client.state()
+            if state.mode == Mode.ESTOPPED:
+                raise RejectedError(Reason.ESTOPPED, "the emergency stop is engaged; reset leaves it")
+            lease = self._client.lease(source=self._name, on_lost=self._lost, on_asked=self._asked)
+            lease.acquire()
+            self._lease, self._estop, self._gait = lease, state.estop, "tripod"
+            self._say(f"drives as {lease.holder}")
+            return f"drives as {lease.holder}"
+
+    def release(self, *, sits: bool = True) -> str:
+        """Sit down, stop what runs by it, and take nothing any more. Raises GatewayError."""
+        with self._lock:
+            if self._lease is None:
+                return self._why_not
+            try:
+                self._end_motion(sits=sits)
+            finally:
+                self._give_back(NOBODY_DRIVES)
+            return "released"
+
+    # ---- topics; each raises NotTakenError
+
+    def joints(self, at_rad: dict[int, float]) -> None:
+        """Servo → radians, of whole legs."""
+        with self._taking():
+            motion = self._using(JointCommands, lambda: JointCommands(self._client, self._geometry))
+            try:
+                motion.command(at_rad)
+            except RejectedError as error:
+                if motion.over():
+                    raise
+                raise NotTakenError(str(error)) from error
+
+    def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
+        """A trajectory; `is_there` says whether its sender still is."""
+        with self._taking():
+            self._using(Following, lambda: Following(self._client, self._geometry)).follow(plan, is_there)
+
+    def go(self, velocity: Velocity) -> None:
+        """A velocity, for half a second."""
+        with self._taking():
+            if velocity.moves or isinstance(self._motion, Walking):
+                self._walking().go(velocity)
+
+    def stand(
+        self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
+    ) -> None:
+        """The body's height, which stands it up; its lean, once it stands."""
+        with self._taking():
+            if height_m is not None or isinstance(self._motion, Walking):
+                self._walking().stand(height_m=height_m, roll_rad=roll_rad, pitch_rad=pitch_rad)
+            elif roll_rad or pitch_rad:
+                raise NotTakenError(DOES_NOT_STAND)
+
+    def walk_as(self, gait: str) -> None:
+        """The gait, for as long as it drives."""
+        with self._taking():
+            self._gait = gait
+            if isinstance(self._motion, Walking):
+                self._motion.walk_as(gait)
+
+    # ---- looked after by a thread
+
+    def check(self) -> None:
+        """Ten times a second and more: what is over is ended, and what was stopped ends the driving."""
+        with self._lock:
+            try:
+                if self._motion is not None and not self._motion.check(time.monotonic()):
+                    self._end_motion(sits=False)
+                state, self._heard = self._heard, None
+                if self._motion is None and self._lease is not None and state is not None:
+                    self._check_estop(state)
+            except GatewayError as error:
+                self._fail(error)
+
+    def hear(self, state: GatewayState) -> None:
+        """A state that the gateway has published; waits for nothing."""
+        self._heard = state
+
+    # ---- inside, with the lock
+
+    def _check_estop(self, state: GatewayState) -> None:
+        """So that after a reset nothing goes on by itself, also where nothing moved. Raises StoppedError."""
+        if state.estop != self._estop:  # a gateway that was started again counts anew
+            raise StoppedError("an emergency stop was engaged, or the gateway started again", ())
+
+    @contextmanager
+    def _taking(self) -> Iterator[None]:
+        with self._lock:
+            if self._lease is None:
+                raise NotTakenError(self._why_not)
+            try:
+                yield
+            except ValueError as error:  # what the joints, or the legs, cannot do
+                raise NotTakenError(str(error)) from error
+            except GatewayError as error:
+                self._fail(error)
+                raise NotTakenError(self._why_not) from error
+
+    def _using(self, kind: type[M], make: Callable[[], M]) -> M:
+        """The motion of this kind, a new one where there is none. Raises NotTakenError while another moves it."""
+        motion = self._motion
+        if isinstance(motion, kind):
+            return motion
+        if motion is not None:
+            raise NotTakenError(f"{motion.title} moves the robot; when it has ended, or after release, others can")
+        self._check_estop(self._client.state())
+        self._motion = made = make()
+        return made
+
+    def _walking(self) -> Walking:
+        return self._using(Walking, lambda: Walking(self._client, self._geometry, self._gait))
+
+    def _end_motion(self, *, sits: bool) -> None:
+        motion, self._motion = self._motion, None
+        if motion is not None:
+            motion.end(sits=sits)
+
+    def _fail(self, error: GatewayError) -> None:
+        self._say(f"{error}: call drive to go on")
+        with suppress(GatewayError):  # what cannot be stopped from here is stopped by the gateway's watchdog
+            self._end_motion(sits=False)
+        self._give_back(f"{error}; after that {NOBODY_DRIVES}")
+
+    def _give_back(self, why_not: str) -> None:
+        lease, self._lease, self._why_not = self._lease, None, why_not
+        if lease is not None:
+            lease.release()
+
+    def _lost(self, error: LeaseLostError) -> None:
+        """On a thread of the lease's own."""
+        with self._lock:
+            if self._lease is not None and self._lease.lost is error:
+                self._fail(error)
+
+    def _asked(self, who: str) -> None:
+        self._say(f"{who} asks for the lease: the service release gives it up")

@@ -1,0 +1,275 @@
+"""What moves the robot for the bridge: joint commands, a trajectory, or a walk. One of them at a time.
+
+Each stops by itself when its own source falls silent, and sends nothing that its source did not ask for:
+
+- joint commands: nothing is sent without a message, so the gateway's watchdog stops the legs (or lands);
+- a trajectory: its last point, or wherever it is when its sender disappears, is held for a time; then it sits down;
+- a walk: finishes its step and stands, and sits down later (gateway/people/client/walk.py).
+"""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final, Protocol
+
+from gateway.errors import GatewayError, StoppedError, UnansweredError, WalkError
+from gateway.geometry import Geometry
+from gateway.people.client.blocking import Client
+from gateway.people.client.stream import Stream
+from gateway.people.client.walk import Walk
+from gateway.people.ros2.joints import Degrees, legs_deg
+from gateway.people.ros2.trajectory import Trajectory
+from gateway.people.walking import Posture, Robot, Velocity, Walker
+from gateway.people.walking.limits import ranges
+from schemas.robot import LEGS
+
+HZ: Final = 50.0
+HOLD_S: Final = 0.5
+"""Of a velocity: as diff_drive_controller and twist_mux have it."""
+REST_S: Final = 10.0
+"""How long the robot stands, or holds a trajectory's last point, without a message: servos that hold it up get hot."""
+MARGIN_S: Final = 0.25
+"""After the gateway's watchdog must have stopped what is silent."""
+LONGEST_SIT_S: Final = 30.0
+DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, has it stand up"
+_DOWN: Final = (Posture.LYING, Posture.SITTING)
+
+
+class Motion(Protocol):
+    """One of them, from its first message until nothing runs by it."""
+
+    title: str
+
+    def check(self, now_s: float) -> bool:
+        """Whether it goes on. Raises what has ended it; looked at ten times a second and more."""
+
+    def end(self, *, sits: bool) -> None:
+        """Stop what it has started; with `sits`, lie down before, where it can. Raises GatewayError."""
+
+
+class JointCommands:
+    """Each message becomes one command at once. Legs are started one more with each message, and draw most then."""
+
+    title = "joint_commands"
+
+    def __init__(self, client: Client, geometry: Geometry) -> None:
+        self._geometry = geometry
+        self._stream = client.stream(HZ)
+        self._silent_s = client.state().watchdog.stops_after_ms / 1000 + MARGIN_S
+        self._stream.open()
+        self._started: frozenset[int] = frozenset()
+        self._heard_s = time.monotonic()
+
+    def command(self, at_rad: dict[int, float]) -> None:
+        """Servo → radians, of whole legs. Raises as a stream's `set`."""
+        legs = legs_deg(self._geometry, at_rad)
+        sent = next_start(legs, self._started)
+        self._stream.send(self._stream.read(sent))
+        self._started |= sent.keys()
+        self._heard_s = time.monotonic()
+
+    def over(self) -> bool:
+        """Whether an error has ended it, and no message goes on."""
+        try:
+            self._stream.check_open()
+        except GatewayError:
+            return True
+        return False
+
+    def check(self, now_s: float) -> bool:
+        """See Motion."""
+        if now_s - self._heard_s > self._silent_s:
+            raise StoppedError(f"{self.title} fell silent, and the gateway has stopped its legs", self._started)
+        return True
+
+    def end(self, *, sits: bool) -> None:
+        """See Motion; it cannot sit, since nobody knows how the robot stands."""
+        del sits
+        self._stream.close()
+
+
+class Following:
+    """Follows trajectories on a thread of its own: the newest replaces the older one."""
+
+    title = "joint_trajectory"
+
+    def __init__(self, client: Client, geometry: Geometry) -> None:
+        self._client = client
+        self._geometry = geometry
+        self._changed = threading.Condition()
+        self._plan: Trajectory | None = None
+        self._is_there: Callable[[], bool] = lambda: True
+        self._at_rad: dict[int, float] = {}
+        self._started: frozenset[int] = frozenset()
+        self._rests_s = math.inf
+        """When it sits down."""
+        self._walker: Walker | None = None
+        """Once it sits down."""
+        self._over = False
+        self._ending: bool | None = None
+        """Whether it is to sit before it ends."""
+        self._error: GatewayError | None = None
+        self._stream: Stream = client.stream(HZ)
+        self._stream.open()
+        self._thread = threading.Thread(target=self._run, name="follow a trajectory", daemon=True)
+        self._thread.start()
+
+    def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
+        """From now on; `is_there` says whether its sender still is."""
+        with self._changed:
+            if self._error is not None:
+                raise self._error.with_traceback(None)
+            now_s = time.monotonic()
+            plan.begin(self._present_rad(), now_s)
+            self._plan, self._is_there, self._walker = plan, is_there, None
+            self._rests_s = plan.ends_s + REST_S
+            self._changed.notify_all()
+
+    def check(self, now_s: float) -> bool:
+        """See Motion."""
+        with self._changed:
+            if self._error is not None:
+                raise self._error.with_traceback(None)
+            if self._plan is not None and now_s < self._plan.ends_s and not self._is_there():
+                self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
+                self._plan, self._rests_s = None, 0.0
+            return not self._over
+
+    def end(self, *, sits: bool) -> None:
+        """See Motion."""
+        with self._changed:
+            self._ending = sits
+            self._changed.notify_all()
+        self._thread.join(LONGEST_SIT_S if sits else None)
+        self._stream.close()
+
+    # ---- its thread
+
+    def _run(self) -> None:
+        try:
+            while self._tick():
+                pass
+        except GatewayError as error:
+            self._error = error
+        except (ValueError, RuntimeError) as error:
+            self._error = WalkError(str(error))
+
+    def _tick(self) -> bool:
+        """Send the next setpoint; whether there is another."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._plan is not None or bool(self._at_rad) or self._ending is not None)
+            now_s = time.monotonic()
+            if self._ending is not False and (self._ending or now_s >= self._rests_s) and self._walker is None:
+                self._walker = self._sitting(now_s)
+                self._over = self._walker is None
+            if self._over or self._ending is False:
+                return False
+            sent = next_start(self._setpoint(now_s), self._started)
+        self._stream.set(sent)
+        with self._changed:
+            self._started |= sent.keys()
+            self._over = self._walker is not None and self._walker.engine.posture in _DOWN
+            return not self._over
+
+    def _setpoint(self, now_s: float) -> dict[int, Degrees]:
+        if self._walker is not None:
+            return dict(self._walker.tick(now_s))
+        if self._plan is not None:
+            self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
+        return legs_deg(self._geometry, self._at_rad)
+
+    def _sitting(self, now_s: float) -> Walker | None:
+        """What lies down from where the legs are; None where it cannot: then they are stopped as they are."""
+        if self._started != frozenset(LEGS):
+            return None
+        state, calibration = self._client.state(), None
+        with suppress(UnansweredError):  # an older gateway has none
+            calibration = self._client.calibration()
+        try:
+            robot = Robot(self._geometry, ranges(state.limits, calibration))
+            walker = Walker(robot, angles_deg=legs_deg(self._geometry, self._at_rad))
+        except WalkError:
+            return None
+        walker.sit(now_s)
+        return walker
+
+    def _present_rad(self) -> dict[int, float]:
+        """Where the joints that run by it are now."""
+        if self._walker is not None:
+            angles = self._walker.engine.pose
+            servos = self._geometry.servos
+            self._at_rad = {
+                10 * leg + joint: servos[10 * leg + joint].joint_rad(angle_deg)
+                for leg, pose in angles.items()
+                for joint, angle_deg in enumerate(pose, start=1)
+            }
+        elif self._plan is not None:
+            self._at_rad = {**self._at_rad, **self._plan.at(time.monotonic())}
+        running = self._started
+        return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in running}
+
+
+class Walking:
+    """Velocities and the body's pose, through `Client.walk`; it stands up with the first."""
+
+    title = "cmd_vel"
+
+    def __init__(self, client: Client, geometry: Geometry, gait: str) -> None:
+        self._walk: Walk = client.walk(gait, geometry)
+        self._walk.open()
+        self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
+        self._body: tuple[float | None, float, float] = (None, 0.0, 0.0)
+        self._heard_s = time.monotonic()
+
+    def go(self, velocity: Velocity) -> None:
+        """For `HOLD_S` from now on. Raises WalkError, and what has ended the walk."""
+        if not velocity.moves and self._walk.state.posture in _DOWN:  # it would start the servos
+            return
+        self._walk.go(*velocity, wait=False)
+        self._heard_s = time.monotonic()
+
+    def stand(
+        self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
+    ) -> None:
+        """Another height or lean of the body, of which the others stay; a walk pauses for it. Raises as `go`."""
+        height_before_m, roll_before_rad, pitch_before_rad = self._body
+        body = (
+            height_before_m if height_m is None else height_m,
+            roll_before_rad if roll_rad is None else roll_rad,
+            pitch_before_rad if pitch_rad is None else pitch_rad,
+        )
+        if height_m is None and self._walk.state.posture in _DOWN:
+            raise WalkError(DOES_NOT_STAND)
+        if body != self._body:
+            at_m = self._walk.state.height_m if body[0] is None else body[0]
+            self._walk.stand(at_m, body[1], body[2], wait=False)
+            self._body = body
+        self._heard_s = time.monotonic()
+
+    def walk_as(self, gait: str) -> None:
+        """Another gait; a walk pauses for it."""
+        if gait != self._walk.state.gait:
+            self._walk.walk_as(gait)
+
+    def check(self, now_s: float) -> bool:
+        """See Motion."""
+        if self._walk.error is not None:
+            raise self._walk.error.with_traceback(None)
+        silent_s = now_s - self._heard_s
+        return silent_s <= REST_S + MARGIN_S or self._walk.state.posture not in _DOWN
+
+    def end(self, *, sits: bool) -> None:
+        """See Motion."""
+        self._walk.close(sits=sits)
+
+
+def next_start(legs: dict[int, Degrees], started: frozenset[int]) -> dict[int, Degrees]:
+    """Of these legs, those that run already, and one more."""
+    new = sorted(legs.keys() - started)[:1]
+    return {leg: angles for leg, angles in legs.items() if leg in started or leg in new}
+
+
+GAIT_NUMBERS: Final = {0: "wave", 1: "ripple", 2: "tripod"}
+"""As the Elkapod's own stack numbers them."""

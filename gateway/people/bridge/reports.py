@@ -1,0 +1,118 @@
+"""What the bridge publishes of the robot: joint states, diagnostics, its description, and frames where they are wanted.
+
+Only what the gateway publishes: while it is silent, there are no joint states, and the diagnostics are stale.
+"""
+
+import json
+import time
+from contextlib import suppress
+from typing import Any, Final
+
+import zenoh
+from pydantic import ValidationError
+from zenoh.handlers import RingChannel
+
+from gateway.errors import UnansweredError
+from gateway.geometry import Geometry
+from gateway.people.bridge.driving import Driving
+from gateway.people.bridge.node import Node
+from gateway.people.bridge.topics import Topics
+from gateway.people.client.blocking import Client
+from gateway.people.recordings.commanded import CommandedJoints
+from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
+from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, status
+from schemas import keys
+from schemas.calibration import Calibration
+from schemas.telemetry import FrameRecord, GatewayState
+
+PERIOD_S: Final = 0.02
+"""At most 50 joint states a second."""
+SILENT_S: Final = 1.0
+"""A gateway publishes its state ten times a second, unless `telemetry.state_hz` is 0."""
+DIAGNOSTICS_S: Final = 1.0
+CHANGED_S: Final = 0.1
+"""Where the mode has changed, or what the bridge does: sooner."""
+_FRAMES: Final = 256
+"""Of six legs at 50 Hz, those of 0.8 s."""
+
+
+class Reports:
+    """For one thread."""
+
+    def __init__(
+        self, client: Client, node: Node, geometry: Geometry, driving: Driving, topics: Topics, *, with_tf: bool
+    ) -> None:
+        self._geometry = geometry
+        self._driving = driving
+        self._topics = topics
+        self._joints = CommandedJoints(geometry)
+        session = client.session
+        self._calibrations: Any = session.declare_subscriber(keys.CALIBRATION, RingChannel(1))
+        self._states: Any = session.declare_subscriber(keys.STATE, RingChannel(1))
+        self._frames: Any = session.declare_subscriber(keys.FRAME, RingChannel(_FRAMES))
+        with suppress(UnansweredError):  # an older gateway has none
+            self._joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
+        self._state: GatewayState | None = None
+        self._heard_s = self._diagnosed_s = 0.0
+        self._diagnosed: object = None
+        self._joint_states = node.publisher("joint_states", JointState)
+        self._diagnostics = node.publisher("diagnostics", DiagnosticArray)
+        self._tf = node.publisher("/tf", TFMessage) if with_tf else None
+        node.publisher("robot_description", String, latched=True).publish(description(geometry))
+
+    def tick(self, now_s: float) -> None:
+        """Publish what has come since the last time."""
+        self._take(self._calibrations, keys.CALIBRATION, Calibration)
+        heard = self._take(self._states, keys.STATE, GatewayState)
+        moved = heard is not None
+        if isinstance(heard, GatewayState):
+            self._state, self._heard_s = heard, now_s
+            self._driving.hear(heard)
+        while self._take(self._frames, keys.FRAME, FrameRecord) is not None:
+            moved = True
+        time_ns = time.time_ns()
+        if moved:
+            self._joint_states.publish(joint_state(self._joints.rad, time_ns))
+            if self._tf is not None:
+                self._tf.publish(frames(self._geometry, self._joints.rad, time_ns))
+        sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)
+        if now_s - self._diagnosed_s >= (DIAGNOSTICS_S if sign == self._diagnosed else CHANGED_S):
+            self._diagnosed_s, self._diagnosed = now_s, sign
+            self._diagnostics.publish(diagnostic_array((*self._gateway(now_s), self._bridge()), time_ns))
+
+    def close(self) -> None:
+        """Hear no more."""
+        for each in (self._states, self._frames, self._calibrations):
+            with suppress(zenoh.ZError):
+                each.undeclare()
+
+    def _take(
+        self, subscriber: Any, key: str, kind: type[Calibration | GatewayState | FrameRecord]
+    ) -> Calibration | GatewayState | FrameRecord | None:
+        sample = subscriber.handler.try_recv()
+        if sample is None:
+            return None
+        payload = sample.payload.to_bytes()
+        try:
+            report = kind.model_validate_json(payload)
+        except ValidationError:  # without access control, anybody may publish there
+            return None
+        self._joints.take(key, json.loads(payload))
+        return report
+
+    def _gateway(self, now_s: float) -> tuple[DiagnosticStatus, ...]:
+        if self._state is None or now_s - self._heard_s > SILENT_S:
+            return (status("gateway", DiagnosticStatus.STALE, "nothing is received from the gateway"),)
+        return diagnostics(self._state)
+
+    def _bridge(self) -> DiagnosticStatus:
+        taken, rejected = self._topics.taken, self._topics.rejected
+        return status(
+            "ROS 2 bridge",
+            DiagnosticStatus.OK,
+            self._driving.does,
+            drives=self._driving.drives,
+            **{f"taken {topic}": count for topic, count in sorted(taken.items())},
+            **{f"rejected {topic}": count for topic, count in sorted(rejected.items())},
+            latest_rejection=self._topics.latest_rejection or None,
+        )

@@ -1,0 +1,45 @@
+"""Where each joint was commanded to be, from what a gateway publishes. Nothing comes back from the controller."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from gateway.geometry import Geometry
+from gateway.people.recordings.user_angles import UserAngles
+from gateway.robot.protocol.frames import FrameError, Op, decode
+from schemas.keys import FRAME, STATE
+
+
+class CommandedJoints:
+    """Follows states, and frames where they are published."""
+
+    def __init__(self, geometry: Geometry) -> None:
+        self._geometry = geometry
+        self._angles = UserAngles()
+        self.rad: dict[int, float] = {}
+        """By their servos; one that was never commanded is not among them, one that was stopped is as it was."""
+
+    def take(self, topic: str, report: Mapping[str, Any]) -> bool:
+        """Take notice of a report (as its JSON, on a key of ours); whether it shows where joints are."""
+        self._angles.take(topic, report)
+        if topic == STATE:
+            for leg in report["legs"]:
+                for servo in leg["servos"]:
+                    self._commanded(servo["id"], servo.get("angle_deg"))
+            return True
+        if topic == FRAME and self._angles.consistent:  # else the state alone shows where it is
+            self._take_frame(self._angles.record(report)["bytes"])
+            return True
+        return False
+
+    def _take_frame(self, hex_bytes: str) -> None:
+        try:
+            frame = decode(bytes.fromhex(hex_bytes))
+        except (FrameError, ValueError):  # of a later protocol
+            return
+        for servo_id, command in frame.servos:
+            if command.op is not Op.STOP:
+                self._commanded(servo_id, command.angle_cdeg / 100)
+
+    def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
+        if angle_deg is not None and servo_id in self._geometry.servos:
+            self.rad[servo_id] = self._geometry.joint_rad(servo_id, angle_deg)

@@ -1,0 +1,76 @@
+"""Joint names and radians, as controllers of ROS 2 send them, to the degrees of whole legs. Pure."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+from gateway.geometry import Geometry, joint_name
+from schemas.robot import JOINTS, SERVO_IDS
+
+Degrees = tuple[float, float, float]
+"""Of a leg's joints 1, 2 and 3."""
+MAX_DEG: Final = 180.0
+_SERVOS: Final = {joint_name(servo_id): servo_id for servo_id in SERVO_IDS}
+
+
+class JointsError(ValueError):
+    """What a controller asks for is not possible; one sentence."""
+
+
+def servos_of(names: Sequence[str]) -> tuple[int, ...]:
+    """The servos of these joints, in any order, but of whole legs. Raises JointsError."""
+    servos = []
+    for name in names:
+        if name not in _SERVOS:
+            raise JointsError(f"there is no joint {name[:64]!r}; they are joint_11 to joint_63, leg and then joint")
+        servos.append(_SERVOS[name])
+    if not servos:
+        raise JointsError("it names no joint")
+    for servo_id in servos:
+        if servos.count(servo_id) > 1:
+            raise JointsError(f"it names {joint_name(servo_id)} twice")
+        missing = [joint for joint in JOINTS if servo_id // 10 * 10 + joint not in servos]
+        if missing:
+            leg = servo_id // 10
+            raise JointsError(
+                f"of leg {leg} it lacks {joint_name(leg * 10 + missing[0])}; a leg is commanded as a whole"
+            )
+    return tuple(servos)
+
+
+def positions(servos: Sequence[int], positions_rad: Sequence[float]) -> dict[int, float]:
+    """Servo → radians. Raises JointsError."""
+    if len(positions_rad) != len(servos):
+        raise JointsError(f"it has {len(positions_rad)} positions for {len(servos)} joints")
+    for servo_id, position in zip(servos, positions_rad, strict=True):
+        if not math.isfinite(position):
+            raise JointsError(f"the position of {joint_name(servo_id)} is {position}")
+    return dict(zip(servos, positions_rad, strict=True))
+
+
+def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
+    """Raises JointsError where a servo does not turn so far."""
+    for servo_id, position in at_rad.items():
+        angle_deg = geometry.servos[servo_id].servo_deg(position)
+        if not 0.0 <= angle_deg <= MAX_DEG:
+            raise JointsError(
+                f"{joint_name(servo_id)} at {position:.3f} rad is {angle_deg:.1f}° of its servo, which has 0 to 180°"
+            )
+
+
+def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degrees]:
+    """Leg → degrees of its servos, which turn from 0 to 180 and no further."""
+    return {
+        leg: (_deg(geometry, at_rad, leg, 1), _deg(geometry, at_rad, leg, 2), _deg(geometry, at_rad, leg, 3))
+        for leg in legs_of(at_rad)
+    }
+
+
+def legs_of(servos: Iterable[int]) -> list[int]:
+    """The legs to which they belong, ascending."""
+    return sorted({servo_id // 10 for servo_id in servos})
+
+
+def _deg(geometry: Geometry, at_rad: Mapping[int, float], leg: int, joint: int) -> float:
+    servo_id = 10 * leg + joint
+    return min(max(geometry.servos[servo_id].servo_deg(at_rad[servo_id]), 0.0), MAX_DEG)

@@ -1,0 +1,131 @@
+"""This robot in ROS 2's messages: what it publishes of itself."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from gateway.geometry import Geometry, joint_name, transforms, urdf
+from gateway.people.ros2.messages import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    Header,
+    JointState,
+    KeyValue,
+    Quaternion,
+    String,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import GatewayState, Mode, WatchdogState
+
+UNKNOWN_DEG: Final = 90.0
+"""Where a servo that was never commanded is drawn."""
+_OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+_LEVELS: Final[dict[str, int]] = {Mode.IDLE: _OK, Mode.ACTIVE: _OK, Mode.ESTOPPED: _ERROR, Mode.BUS_FAULT: _ERROR}
+
+
+def stamp(time_ns: int) -> Time:
+    """A time since 1970."""
+    sec, nanosec = divmod(time_ns, 1_000_000_000)
+    return Time(sec, nanosec)
+
+
+def joint_state(joints_rad: Mapping[int, float], time_ns: int) -> JointState:
+    """The joints that are known, by their servos' numbers."""
+    known = [servo_id for servo_id in SERVO_IDS if servo_id in joints_rad]
+    return JointState(
+        Header(stamp(time_ns)),
+        tuple(map(joint_name, known)),
+        tuple(joints_rad[servo_id] for servo_id in known),
+    )
+
+
+def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int) -> TFMessage:
+    """Where each part of each leg is, in its parent's frame. A joint that is not known is drawn at 90° of its servo."""
+    at_rad = {each: geometry.joint_rad(each, UNKNOWN_DEG) for each in SERVO_IDS} | dict(joints_rad)
+    header_stamp = stamp(time_ns)
+    return TFMessage(
+        tuple(
+            TransformStamped(
+                Header(header_stamp, step.parent),
+                step.child,
+                Transform(Vector3(*step.translation_m), Quaternion(*step.rotation)),
+            )
+            for step in transforms(geometry, at_rad)
+        )
+    )
+
+
+def description(geometry: Geometry) -> String:
+    """The URDF, whose joints are those of `joint_state`."""
+    return String(urdf(geometry))
+
+
+def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
+    """What the gateway publishes of itself, a status for each part."""
+    expired = [leg.leg for leg in state.legs if leg.watchdog == WatchdogState.EXPIRED]
+    latency, lease, estopped = state.watchdog.stop_latency_us, state.lease, state.mode == Mode.ESTOPPED
+    return (
+        status(
+            "gateway",
+            _LEVELS.get(state.mode, _WARN),
+            state.mode,
+            mode=state.mode,
+            version=state.version,
+            simulated=state.simulated,
+            commands_accepted=state.commands.accepted,
+            commands_rejected=state.commands.rejected,
+        ),
+        status(
+            "watchdog",
+            _WARN if expired else _OK,
+            f"it has stopped leg {', '.join(map(str, expired))}" if expired else "no leg is stopped by it",
+            timeout_ms=state.watchdog.timeout_ms,
+            expirations=state.watchdog.expirations,
+            stop_latency_p50_us=latency.p50,
+            stop_latency_p99_us=latency.p99,
+            stop_latency_max_us=latency.max,
+        ),
+        status(
+            "bus",
+            _ERROR if state.mode == Mode.BUS_FAULT else _OK,
+            "it does not answer" if state.mode == Mode.BUS_FAULT else "it answers",
+            device=state.spi.device,
+            frames=state.spi.frames,
+            errors=state.spi.errors,
+        ),
+        status(
+            "emergency stop",
+            _ERROR if estopped else _OK,
+            f"engaged by {state.estop_source or 'somebody'}" if estopped else "not engaged",
+            number=state.estop,
+            source=state.estop_source,
+        ),
+        status(
+            "lease",
+            _OK,
+            "nobody drives" if lease.holder is None else f"{lease.holder} drives",
+            holder=lease.holder,
+            verified=lease.verified,
+            asked_by=lease.asked_by,
+        ),
+    )
+
+
+def status(part: str, level: int, message: str, **values: object) -> DiagnosticStatus:
+    """One part's; a value that is None is left out."""
+    shown = tuple(KeyValue(key, _text(value)) for key, value in values.items() if value is not None)
+    return DiagnosticStatus(level, f"hexapod: {part}", _text(message), "hexapod", shown)
+
+
+def diagnostic_array(statuses: tuple[DiagnosticStatus, ...], time_ns: int) -> DiagnosticArray:
+    """As it is published."""
+    return DiagnosticArray(Header(stamp(time_ns)), statuses)
+
+
+def _text(value: object) -> str:
+    """Without the zeros that a CDR string cannot have: a stranger's name is in it."""
+    return str(value).replace("\0", "�")

@@ -1,0 +1,213 @@
+"""What moves the robot through the bridge, and what stops it: joint commands, walking, trajectories."""
+
+import itertools
+import math
+import time
+from collections.abc import Callable
+
+import pytest
+
+from gateway.client import Client
+from gateway.people.ros2.messages import (
+    Duration,
+    Float64,
+    Int32,
+    JointState,
+    JointTrajectory,
+    JointTrajectoryPoint,
+    TFMessage,
+    Twist,
+    Vector3,
+)
+from schemas.telemetry import Kind, Mode
+from tests.support.bridged import (
+    GEOMETRY,
+    LONG_S,
+    RESTS_DEG,
+    Bridge,
+    Received,
+    bridged,
+    commanded,
+    keeps,
+    rejected,
+    resting,
+    running,
+)
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames, states
+from tests.support.ros2_peer import Peer
+
+# ---- joint commands
+
+
+def test_joint_commands_become_frames_in_any_order_of_joints(driven: Bridge, peer: Peer, watcher: Client) -> None:
+    seen = Received(driven, "joint_states", JointState)
+    message = resting(joint_11=0.1)
+    turned = JointState(name=message.name[::-1], position=message.position[::-1])
+    peer.advertise("/hexapod/joint_commands", JointState)
+    keeps(lambda: peer.publish("/hexapod/joint_commands", turned), lambda: running(watcher) == [1, 2, 3, 4, 5, 6])
+    angles = {servo.id: servo.angle_deg for leg in watcher.state().legs for servo in leg.servos}
+    assert angles[11] == pytest.approx(GEOMETRY.servos[11].servo_deg(message.position[0]), abs=0.006)
+    assert angles[62] == RESTS_DEG[2]
+    assert seen.wait(lambda each: each.position == pytest.approx(message.position, abs=1e-4)).name == message.name
+    assert Received(driven, "/tf", TFMessage).wait(lambda each: len(each.transforms) == 24)
+
+
+def test_a_topic_that_falls_silent_is_never_repeated(driven: Bridge, watcher: Client) -> None:
+    happened, written = events(watcher), frames(watcher)
+    publisher = driven.publisher("joint_commands", JointState)
+    steps = itertools.count()
+    keeps(lambda: publisher.publish(resting(joint_11=next(steps) / 1000)), lambda: len(running(watcher)) == 6)
+    sent = next(steps)
+    happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
+    angles = commanded(written.all, 11)
+    assert len(set(angles)) == len(angles) > 5, "each angle was sent once, so it is written once at most"
+    assert len(angles) <= sent
+    states(watcher).wait(lambda state: state.lease.holder is None)
+    with rejected(driven, "joint_commands fell silent, and the gateway has stopped its legs"):
+        publisher.publish(resting())
+    assert not running(watcher)
+
+
+def test_what_a_link_held_back_is_not_taken(driven: Bridge, watcher: Client) -> None:
+    publisher = driven.publisher("joint_commands", JointState)
+    late_ns = 3_000_000_000
+    with rejected(driven, "joint_commands: the command was delayed for"):
+        keeps(lambda: publisher.publish(resting()), lambda: len(running(watcher)) == 6)
+        publisher.publish(resting(joint_11=0.5), sent_ns=time.time_ns() - late_ns)
+    angle_deg = watcher.state().legs[0].servos[0].angle_deg
+    assert angle_deg == RESTS_DEG[1]
+
+
+# ---- walking
+
+
+@pytest.mark.usefixtures("driven")
+def test_cmd_vel_walks_and_silence_has_it_stand(peer: Peer, watcher: Client) -> None:
+    written = frames(watcher)
+    peer.advertise("/hexapod/cmd_gait_type", Int32)
+    peer.advertise("/hexapod/cmd_vel", Twist)
+    peer.publish("/hexapod/cmd_gait_type", Int32(1))
+    seen: set[float] = set()
+
+    def strides() -> bool:
+        seen.update(commanded(written.all[-60:], 11))
+        return len(seen) > 60
+
+    keeps(lambda: peer.publish("/hexapod/cmd_vel", Twist(Vector3(0.05))), strides, hz=20)
+
+    def stands() -> bool:
+        latest = commanded(written.all, 11)[-50:]
+        return len(latest) == 50 and len(set(latest)) == 1
+
+    keeps(lambda: None, stands)
+    assert len(running(watcher)) == 6
+    assert peer.call("/hexapod/release") == (True, "released")
+    assert watcher.state().mode == Mode.IDLE
+
+
+def test_the_body_is_raised_and_leans_and_what_legs_cannot_do_is_not_taken(
+    driven: Bridge, peer: Peer, watcher: Client
+) -> None:
+    for topic in ("roll_setpoint", "pitch_setpoint", "cmd_base_height"):
+        peer.advertise(f"/hexapod/{topic}", Float64)
+    with rejected(driven, "roll_setpoint: the robot does not stand"):
+        peer.publish("/hexapod/roll_setpoint", Float64(0.1))
+    with rejected(driven, "cmd_base_height: it cannot stand 5 m high"):
+        peer.publish("/hexapod/cmd_base_height", Float64(5.0))
+    assert not running(watcher)
+    written = frames(watcher)
+    peer.publish("/hexapod/cmd_base_height", Float64(0.12))
+
+    def settles(count: int) -> Callable[[], bool]:
+        def settled() -> bool:
+            records = written.all
+            pairs = [(commanded(records, leg * 10 + 2)[-count:]) for leg in (1, 2)]
+            return all(len(each) == count and len(set(each)) == 1 for each in pairs)
+
+        return settled
+
+    keeps(lambda: None, settles(40))
+    level = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
+    assert level[1] + level[2] == pytest.approx(180.0, abs=0.1), "left and right servos mirror each other"
+    peer.publish("/hexapod/roll_setpoint", Float64(0.1))
+    keeps(lambda: None, lambda: commanded(written.all, 12)[-1] != level[1])
+    keeps(lambda: None, settles(40))
+    leans = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
+    assert leans[1] + leans[2] != pytest.approx(180.0, abs=1.0)
+    for value in (math.nan, math.inf):
+        with rejected(driven, "cmd_base_height: a height and a leaning are finite numbers"):
+            peer.publish("/hexapod/cmd_base_height", Float64(value))
+
+
+# ---- trajectories
+
+
+def plan(*points: tuple[float, float]) -> JointTrajectory:
+    """Seconds and radians of joint_11; the others stay."""
+    found = []
+    for at_s, moved_rad in points:
+        state = resting(joint_11=moved_rad)
+        whole, part = divmod(at_s, 1)
+        found.append(JointTrajectoryPoint(state.position, time_from_start=Duration(int(whole), int(part * 1e9))))
+    return JointTrajectory(joint_names=resting().name, points=tuple(found))
+
+
+@pytest.mark.usefixtures("driven")
+def test_a_trajectory_is_followed_and_the_newest_replaces_it(peer: Peer, watcher: Client) -> None:
+    written = frames(watcher)
+    peer.advertise("/hexapod/joint_trajectory", JointTrajectory)
+    peer.publish("/hexapod/joint_trajectory", plan((0.5, 0.0), (20.0, 0.5)))
+    zero_deg = GEOMETRY.servos[11].servo_deg(resting().position[0])
+    keeps(lambda: None, lambda: commanded(written.all, 11)[-1:] > [zero_deg + 1.0])
+    turned_deg = commanded(written.all, 11)[-1]
+    peer.publish("/hexapod/joint_trajectory", plan((1.0, -0.1)))
+    end_deg = GEOMETRY.servos[11].servo_deg(resting().position[0] - 0.1)
+    keeps(lambda: None, lambda: commanded(written.all, 11)[-1] == pytest.approx(end_deg, abs=0.006))
+    angles = commanded(written.all, 11)
+    steps = [abs(after - before) for before, after in itertools.pairwise(angles)]
+    assert max(angles) >= turned_deg
+    assert max(steps) < 3.0, "it went on from where the robot was"
+    assert peer.call("/hexapod/release") == (True, "released")
+    assert watcher.state().mode == Mode.IDLE
+
+
+@pytest.mark.parametrize("dies", [True, False], ids=["the SDK's process dies", "its token goes"])
+def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
+    dies: bool, driven: Bridge, watcher: Client
+) -> None:
+    """Also one whose GID is not its token's (the SDK's); another publisher makes no difference."""
+    written = frames(watcher)
+    raw = driven.publisher("joint_trajectory", JointTrajectory)
+    slow = plan((0.5, 0.0), (50.0, 1.0))
+    with Peer(driven.endpoint) as vanishing:
+        vanishing.advertise("/hexapod/joint_trajectory", JointTrajectory)
+        if dies:
+            vanishing.publish("/hexapod/joint_trajectory", slow)
+        else:
+            raw.publish(slow)
+        keeps(lambda: None, lambda: len(set(commanded(written.all, 11))) > 5)
+        if dies:
+            vanishing.child.kill()
+        else:
+            raw.vanish()
+        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
+    raw.vanish()
+    assert max(commanded(written.all, 11)) < 90 + 57, "it did not follow it to its end"
+    assert watcher.state().lease.holder == "ros2", "another may go on"
+
+
+def test_a_sender_that_nobody_sees_is_not_followed(gateway: Gateway, watcher: Client) -> None:
+    with bridged(gateway, "--drive") as own:
+        publisher = own.publisher("joint_trajectory", JointTrajectory, is_seen=False)
+        with rejected(own, "joint_trajectory: its sender is not seen in the graph"):
+            publisher.publish(plan((1.0, 0.1)))
+    assert not running(watcher)
+
+
+def test_one_kind_of_motion_at_a_time(driven: Bridge, peer: Peer, watcher: Client) -> None:
+    publisher = driven.publisher("joint_commands", JointState)
+    keeps(lambda: publisher.publish(resting()), lambda: len(running(watcher)) == 6)
+    peer.advertise("/hexapod/cmd_vel", Twist)
+    with rejected(driven, "cmd_vel: joint_commands moves the robot"):
+        peer.publish("/hexapod/cmd_vel", Twist(Vector3(0.05)))
