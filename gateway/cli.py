@@ -16,6 +16,7 @@ from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.bridge import command as bridge
 from gateway.people.tools import certs_changes, incidents, lease, recordings
+from gateway.people.tools.button import command as button
 from gateway.people.tools.calibrate import command as calibrate
 from gateway.people.tools.drill import command as drill
 from gateway.people.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
@@ -335,6 +336,7 @@ app.add_typer(drill.app)
 app.add_typer(calibrate.app)
 app.add_typer(walk.app)
 app.add_typer(bridge.app)
+app.add_typer(button.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

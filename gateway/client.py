@@ -25,9 +25,11 @@ from gateway.errors import (
     ZenohError,
 )
 from gateway.people.client.aio import AsyncClient, AsyncStream
+from gateway.people.client.aio_button import AsyncButton
 from gateway.people.client.aio_lease import AsyncLease
 from gateway.people.client.aio_walk import AsyncWalk
 from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
+from gateway.people.client.button import Button
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.people.client.stream import Stream
@@ -35,10 +37,12 @@ from gateway.people.client.walk import Walk
 
 __all__ = [
     "DEFAULT_ENDPOINT",
+    "AsyncButton",
     "AsyncClient",
     "AsyncLease",
     "AsyncStream",
     "AsyncWalk",
+    "Button",
     "Client",
     "DisconnectedError",
     "GatewayError",

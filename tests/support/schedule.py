@@ -19,6 +19,7 @@ ALONE: Final = (
     "zenoh/test_calibrate.py",
     "zenoh/test_calibrate_terminal.py",
     "zenoh/test_walk_command.py",
+    "zenoh/test_button_command.py",
     "zenoh/test_watch_terminal.py",
     "walking",  # each setpoint counts where a gait is recorded
     "hil/test_crash_story.py",  # an incident takes in five seconds after the end

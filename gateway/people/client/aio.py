@@ -15,6 +15,7 @@ from weakref import WeakSet
 import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError, ZenohError
+from gateway.people.client.aio_button import AsyncButton
 from gateway.people.client.aio_lease import AsyncLease
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import Angle
@@ -138,6 +139,10 @@ class AsyncClient:
     async def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
         """See `Client.ask_for_lease`."""
         return await self._ask(self.client.ask_for_lease, source)
+
+    def button(self, name: str | None = None) -> AsyncButton:
+        """A stop button: `async with robot.button("kitchen") as button: …`; see `Client.button`."""
+        return AsyncButton(self.client.button(name), self._threads.run)
 
     async def start_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
         """See `Client.start_leg`."""

@@ -13,6 +13,7 @@ import zenoh
 from pydantic import BaseModel, Field
 
 from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
+from gateway.people.client.button import Button, ButtonRequests
 from gateway.people.client.close_at_exit import close_at_the_end
 from gateway.people.client.config import client_config
 from gateway.people.client.hosts import Hosts
@@ -106,6 +107,8 @@ class Client:
         """Who this is in events: `source`, or the session's Zenoh id (which only a stream's commands tell)."""
         self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
         """For the lease, and for tools that keep one."""
+        self.button_requests = ButtonRequests(partial(self._get, again=False), Identity.of(config), self.name)
+        """For a button, and for tools that are one."""
         self._lease: Lease | None = None
         self.walks = False
         """Whether a walk of it is open; two would move the same legs."""
@@ -200,6 +203,16 @@ class Client:
         """The lease that commands carry; also one that was lost, until its `with` ends."""
         return self._lease if self._lease is not None and self._lease.token is not None else None
 
+    # ---- who watches
+
+    def button(self, name: str | None = None) -> Button:
+        """A stop button, for the time of a `with`: `with robot.button("kitchen") as button: button.alive()`.
+
+        It is alive only as often as the program says so; see `Button`. With a certificate you are its person; without,
+        `name`, or the client's.
+        """
+        return Button(self, name)
+
     # ---- commands, acknowledged
 
     def start_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
@@ -229,9 +242,12 @@ class Client:
         key = keys.servo_command(servo_number(servo_id))
         return self.ask(key, servo_payload(op, angle_deg), again=op == "stop")
 
-    def estop(self) -> Ack:
-        """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon."""
-        payload = self._payload(keys.ESTOP, {}, None)
+    def estop(self, source: str | None = None) -> Ack:
+        """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon.
+
+        `source`: who requests it, if not this client by its own name.
+        """
+        payload = self._payload(keys.ESTOP, {} if source is None else {"source": source}, None)
         return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
 
     def reset(self, estop: int | None = None) -> Ack:

@@ -1,9 +1,10 @@
-"""Who is asking for the lease: the person of the own certificate, and a nonce signed with its key.
+"""Who asks for the lease, or is a button: the person of the own certificate, and a nonce signed with its key.
 
 `cryptography` is loaded only when a lease is asked for: it takes long, and no emergency stop should wait for it.
 """
 
 import base64
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -44,13 +45,18 @@ class Identity:
             raise ConfigError(f"{self.certificate} names no person: get one from `hexapod-gateway certs issue NAME`")
         return str(units[0].value)
 
-    def prove(self, do: str, source: str, nonce: str) -> dict[str, str]:
-        """The proof that this person wants this now. Raises ConfigError."""
+    def prove(
+        self, do: str, source: str, nonce: str, text: Callable[[str, str, str], bytes] | None = None
+    ) -> dict[str, str]:
+        """The proof that this person wants this now. `text` is what is signed, by default a lease's.
+
+        Raises ConfigError.
+        """
         from cryptography.hazmat.primitives import serialization
 
         from schemas.lease import signed_text
 
-        signature = _sign(self.key, signed_text(do, source, nonce))
+        signature = _sign(self.key, (text or signed_text)(do, source, nonce))
         pem = self._read().public_bytes(serialization.Encoding.PEM).decode()
         return {"nonce": nonce, "certificate": pem, "signature": base64.b64encode(signature).decode()}
 

@@ -1,0 +1,1 @@
+"""`button`: a terminal that is a stop button."""

@@ -1,0 +1,116 @@
+"""The terminal of `button`: one thing, as large as the terminal is."""
+
+import time
+from typing import Final
+
+from rich.text import Text
+
+from gateway.errors import GatewayError
+from gateway.people.client.blocking import Client
+from gateway.people.client.button import Button
+from gateway.people.client.live import reports, subscribed
+from gateway.people.client.stops import UntilConfirmed
+from gateway.people.terminal import hint, screen, visible
+from gateway.people.tools.button.check_ins import CheckIns
+from schemas import keys as wire
+from schemas.telemetry import Ack, GatewayState, Mode
+
+SEEN_S: Final = 0.5
+"""A picture that is older than this is not drawn any more: the terminal is stuck, and its button checks in no more."""
+BELL_S: Final = 1.0
+_STOPPED: Final = frozenset({Mode.ESTOPPED})
+
+
+class Screen(screen.Screen):
+    """Shown until Ctrl-C; each key stops."""
+
+    def __init__(self, client: Client, button: Button) -> None:
+        """`button` is registered."""
+        super().__init__()
+        self._client = client
+        self._button = button
+        self._stop = UntilConfirmed(button.press, self._confirmed)
+        self._check_ins = CheckIns(button, self._is_drawn, lambda: client.state().uptime_s)
+        self._drawn_s = float("-inf")
+        self._state: GatewayState | None = None
+        self._pressed = ""
+        self._bell_s = 0.0
+
+    def run(self) -> int:
+        """Returns the exit code."""
+        with subscribed(self._client.session, {wire.STATE: reports(GatewayState, self._take)}):
+            self.show()
+        self.hint_at_fault()
+        if self._check_ins.refused:
+            hint(f"hexapod-gateway: {visible(self._check_ins.refused)}")
+        return 1 if self._check_ins.refused or self.fault is not None else 0
+
+    def begin(self) -> None:
+        """See `screen.Screen`."""
+        self._check_ins.start()
+
+    def end(self) -> None:
+        """See `screen.Screen`."""
+        try:
+            self._check_ins.end()
+        except GatewayError as error:
+            hint(f"hexapod-gateway: {visible(str(error))}")
+
+    def press(self, keys: list[str]) -> bool:
+        """See `screen.Screen`."""
+        if keys == ["ctrl-c"] or self._check_ins.refused:
+            return False
+        self._pressed = "STOPPING …"
+        self._stop.press()
+        return True
+
+    def _confirmed(self, ack: Ack | None, _began_ns: int) -> bool:
+        if ack is None:
+            self._pressed = "NOT STOPPED: no gateway answered; it is tried again"
+            return True
+        self._pressed = f"STOPPED: {ack.stop_frames} Stop frames written"
+        return False
+
+    # ---- what is known
+
+    def _take(self, state: GatewayState) -> None:
+        self._state = state
+
+    def _is_drawn(self) -> bool:
+        return time.monotonic() - self._drawn_s < SEEN_S
+
+    # ---- drawing
+
+    def picture(self, columns: int, rows: int) -> Text:
+        """See `screen.Screen`."""
+        self._drawn_s = time.monotonic()
+        lines, style = self._lines()
+        above = max(0, (rows - len(lines)) // 2)
+        centred = [line[:columns].center(columns) for line in lines]
+        filled = [" " * columns] * above + centred + [" " * columns] * max(0, rows - above - len(lines) - 1)
+        return Text("\n".join(filled), style=style, no_wrap=True)
+
+    def _lines(self) -> tuple[list[str], str]:
+        check_ins, name = self._check_ins, visible(self._button.name)
+        alive, required = check_ins.count
+        counted = f"{name} · {alive} alive, {required} required"
+        if check_ins.refused:
+            return ["THIS IS NO BUTTON", "", visible(check_ins.refused), "", "any key leaves"], "bold white on red"
+        if not check_ins.heard:
+            self._ring()
+            silent = f"for {check_ins.silent_ms / 1000:.1f} s"
+            why = visible(check_ins.trouble)
+            lines = ["THE GATEWAY DOES NOT HEAR THIS BUTTON", silent, "", why, "", self._pressed or counted]
+            return lines, "bold white on red"
+        if self._state is not None and self._state.mode in _STOPPED:
+            lines = ["STOPPED", "", self._pressed, "", counted, "Ctrl-C leaves · the driver resets"]
+            return lines, "bold black on yellow"
+        lines = ["ANY KEY STOPS THE ROBOT", "", self._pressed, "", counted, "Ctrl-C leaves"]
+        return lines, "bold white on dark_green"
+
+    def _ring(self) -> None:
+        """The terminal's bell, once a second."""
+        now_s = time.monotonic()
+        if now_s - self._bell_s >= BELL_S:
+            self._bell_s = now_s
+            self._console.bell()

@@ -1,0 +1,111 @@
+"""`hexapod-gateway button`: in a real terminal, on a real gateway."""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client
+from schemas.telemetry import GatewayState, Mode
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import states
+from tests.support.tmux import Terminal, need_tmux
+
+READY = "ANY KEY STOPS THE ROBOT"
+SETTINGS: dict[str, dict[str, Any]] = {
+    "buttons": {"required": 1, "timeout_ms": 2000},
+    "watchdog": {"timeout_ms": 10_000},
+}
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    need_tmux()
+    with Gateway(tmp_path, {**SETTINGS, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}) as running:
+        yield running
+
+
+@pytest.fixture
+def watcher(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="watcher") as client:
+        yield client
+
+
+def button(folder: Path, gateway: Gateway, name: str = "kitchen") -> Terminal:
+    folder.mkdir(exist_ok=True)
+    return Terminal(folder, [*COMMAND, "button", "--name", name, "--connect", gateway.endpoint])
+
+
+def alive(watcher: Client, *wanted: str) -> GatewayState:
+    return states(watcher).wait(lambda state: state.buttons.names == wanted, timeout_s=30)
+
+
+def test_any_key_stops_and_ctrl_c_leaves(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
+    with button(tmp_path / "t", gateway) as terminal:
+        terminal.wait(READY, "kitchen · 1 alive, 1 required")
+        alive(watcher, "kitchen")
+        assert watcher.start_leg(3, 90, 90, 90).accepted
+        terminal.press("j")
+        terminal.wait("STOPPED: 6 Stop frames written")
+        state = states(watcher).wait(lambda each: each.mode == Mode.ESTOPPED)
+        assert state.estop_source == "kitchen"
+        assert watcher.reset().accepted
+        terminal.wait(READY)
+        terminal.press("C-c")
+        assert terminal.wait_for_end() == 0
+    alive(watcher)
+
+
+def test_one_that_freezes_is_silent_and_comes_back(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
+    with button(tmp_path / "t", gateway) as terminal:
+        terminal.wait(READY)
+        alive(watcher, "kitchen")
+        assert watcher.start_leg(3, 90, 90, 90).accepted
+        pid = terminal.pid
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            assert alive(watcher).mode == Mode.IDLE
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        assert alive(watcher, "kitchen").mode == Mode.IDLE
+        terminal.wait(READY)
+
+
+def test_a_gateway_that_is_gone_is_said_loudly_and_one_that_is_back_is_registered_with(
+    tmp_path: Path, gateway: Gateway
+) -> None:
+    with button(tmp_path / "t", gateway) as terminal:
+        terminal.wait(READY)
+        gateway.child.close()
+        terminal.wait("THE GATEWAY DOES NOT HEAR THIS BUTTON")
+        settings = {**SETTINGS, "zenoh": {"listen": [gateway.endpoint]}}
+        with Gateway(tmp_path, settings) as second, second.client() as watcher:
+            terminal.wait(READY)
+            alive(watcher, "kitchen")
+
+
+def test_two_of_one_name_do_not_take_it_from_each_other_for_ever(
+    tmp_path: Path, gateway: Gateway, watcher: Client
+) -> None:
+    with button(tmp_path / "first", gateway) as first:
+        first.wait(READY)
+        with button(tmp_path / "second", gateway) as second:
+            second.wait(READY)
+            first.wait("THIS IS NO BUTTON", "another button has registered as kitchen")
+            first.press("j")
+            assert first.wait_for_end() == 1
+            alive(watcher, "kitchen")
+
+
+def test_without_a_gateway_it_ends_with_4(tmp_path: Path) -> None:
+    need_tmux()
+    with Terminal(tmp_path, [*COMMAND, "button", "--connect", f"tcp/127.0.0.1:{free_port()}"]) as terminal:
+        assert terminal.wait_for_end() == 4
+
+
+def test_without_a_terminal_it_ends_with_1(gateway: Gateway) -> None:
+    end = gateway.run("button")
+    assert (end.returncode, "button needs a terminal" in end.stderr) == (1, True)

@@ -1,0 +1,210 @@
+"""Stop buttons on a real gateway: programs that are one, attacks, certificates, and a restart."""
+
+import asyncio
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway import certs
+from gateway.client import AsyncClient, Client, RejectedError
+from gateway.people.client.proof import Identity
+from schemas import keys
+from schemas.button import ButtonAck, signed_text
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.gateway_process import Gateway, free_port
+from tests.support.heard import events
+from tests.support.secured import Secured
+
+TIMEOUT_MS = 600
+POSE = (90, 45, 120)
+SETTINGS: dict[str, dict[str, Any]] = {
+    "buttons": {"required": 1, "timeout_ms": TIMEOUT_MS},
+    "watchdog": {"timeout_ms": 10_000},
+}
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with Gateway(tmp_path_factory.mktemp("gateway"), SETTINGS) as running:
+        yield running
+
+
+@pytest.fixture
+def robot(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="kitchen") as client:
+        yield client
+
+
+class Pressing:
+    """Checks in meanwhile, as a person's device does."""
+
+    def __init__(self, alive: Callable[[], object]) -> None:
+        self._ended = threading.Event()
+        self._alive = alive
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        while not self._ended.wait(TIMEOUT_MS / 1000 / 6):
+            self._alive()
+
+    def __enter__(self) -> None:
+        self._alive()
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+def ask(session: zenoh.Session, do: str, **fields: Any) -> ButtonAck:
+    """One request as any Zenoh program sends it."""
+    (reply,) = session.get(keys.BUTTON, payload=json.dumps({"do": do, **fields}), timeout=5)
+    assert reply.ok is not None
+    return ButtonAck.model_validate_json(reply.ok.payload.to_bytes())
+
+
+def test_a_program_is_a_button_and_its_silence_stops_all_legs(robot: Client) -> None:
+    assert robot.start_leg(3, POSE).reason == Reason.NO_BUTTON
+    heard = events(robot)
+    with robot.button("kitchen") as button:
+        assert (button.name, button.timeout_ms) == ("kitchen", TIMEOUT_MS)
+        assert robot.start_leg(3, POSE).reason == Reason.NO_BUTTON, "it has not checked in yet"
+        assert (button.alive().alive, robot.state().buttons.names) == (1, ("kitchen",))
+        with Pressing(button.alive):
+            assert robot.start_leg(3, POSE).accepted
+        silent = heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
+        assert (silent.source, silent.legs) == ("kitchen", tuple(LEGS))
+        assert robot.state().mode == Mode.IDLE
+        assert button.alive().alive == 1
+        assert heard.wait(lambda event: event.kind == Kind.BUTTON_RETURNED).source == "kitchen"
+        assert robot.state().mode == Mode.IDLE, "who is back starts nothing"
+    assert heard.wait(lambda event: event.kind == Kind.BUTTON_LEFT).source == "kitchen"
+
+
+def test_a_press_is_the_emergency_stop_by_the_buttons_name(gateway: Gateway) -> None:
+    with gateway.client(source="a program") as robot, robot.button("door") as button:
+        assert button.press().stop_frames == len(LEGS)
+        assert robot.state().estop_source == "door"
+        assert robot.reset().accepted is False, "nobody is alive"
+        button.alive()
+        assert robot.reset().accepted
+
+
+def test_leaving_stops_at_once(robot: Client) -> None:
+    with robot.button("kitchen") as button:
+        button.alive()
+        assert robot.start_leg(3, POSE).accepted
+    assert robot.state().mode == Mode.IDLE
+
+
+def test_the_same_for_asyncio(gateway: Gateway) -> None:
+    async def main() -> None:
+        async with AsyncClient(gateway.endpoint) as robot, robot.button("kitchen") as button:
+            assert (await button.alive()).alive == 1
+            assert (await button.press()).accepted
+            await button.alive()
+            assert (await robot.reset()).accepted
+            assert button.name == "kitchen"
+            assert button.timeout_ms == TIMEOUT_MS
+
+    asyncio.run(main())
+
+
+def test_a_recorded_check_in_and_another_buttons_token_count_for_nothing(robot: Client) -> None:
+    token = ask(robot.session, "register", source="kitchen").button
+    assert token is not None
+    alive = {"button": token, "count": 7}
+    assert ask(robot.session, "alive", **alive).accepted
+    again = ask(robot.session, "alive", **alive)
+    assert (again.accepted, again.reason) == (False, Reason.STALE)
+    newer = ask(robot.session, "register", source="kitchen").button
+    assert ask(robot.session, "alive", button=token, count=8).reason == Reason.UNKNOWN_BUTTON
+    assert ask(robot.session, "leave", button=newer).accepted
+
+
+def test_a_put_is_rejected_with_a_sentence(robot: Client) -> None:
+    heard = events(robot)
+    robot.session.put(keys.BUTTON, json.dumps({"do": "register", "source": "kitchen"}))
+    rejected = heard.wait(lambda event: event.kind == Kind.COMMAND_REJECTED)
+    assert rejected.detail == "hexapod/button/cmd takes get only: a check-in that is not answered is none"
+
+
+def test_after_a_restart_all_register_anew_and_nothing_moves_before(tmp_path: Path) -> None:
+    settings = {**SETTINGS, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with Gateway(tmp_path, settings) as first, first.client(source="kitchen") as robot:
+        button = robot.button("kitchen")
+        button.register()
+        button.alive()
+        first.child.close()
+        with Gateway(tmp_path, settings):
+            assert robot.wait_ready(20).buttons.alive == 0
+            assert robot.start_leg(3, POSE).reason == Reason.NO_BUTTON
+            with pytest.raises(RejectedError, match="unknown_button"):
+                button.alive()
+            button.register()
+            button.alive()
+            assert robot.start_leg(3, POSE).accepted
+            button.leave()
+
+
+def test_with_a_ca_the_name_is_proved_and_the_role_button_moves_nothing(tmp_path: Path) -> None:
+    with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 5000}}) as secured:
+        for name in ("kitchen", "door"):
+            certs.issue(secured.folder, name, "button")
+        with secured.client("kitchen") as kitchen, secured.client("anna") as anna, secured.client("otto") as otto:
+            with kitchen.button("whoever") as button, anna.button() as hers:
+                assert (button.name, hers.name) == ("kitchen", "anna"), "a certificate's person, whatever is asked for"
+                assert hers.alive().alive == 1
+                assert button.alive().alive == 2
+                assert anna.start_leg(3, POSE).accepted
+                assert button.press().stop_frames == len(LEGS)
+                assert kitchen.state().estop_source == "kitchen"
+                assert not list(kitchen.session.get(keys.leg_command(3), payload=b"{}", timeout=1))
+                assert not list(otto.session.get(keys.BUTTON, payload=b'{"do":"challenge"}', timeout=1))
+            _no_other_name(kitchen.session, secured.folder)
+
+
+def _no_other_name(session: zenoh.Session, folder: Path) -> None:
+    """The kitchen's certificate registers no door, and an overheard proof serves nobody."""
+    identity = Identity(folder / "kitchen.pem", folder / "kitchen.key")
+    nonce = ask(session, "challenge").nonce
+    assert nonce is not None
+    stolen = identity.prove("register", "door", nonce, signed_text)
+    denied = ask(session, "register", source="door", proof=stolen)
+    assert (denied.reason, denied.detail) == (Reason.BUTTON_DENIED, "source is not the person of proof.certificate")
+    assert "has been used" in str(ask(session, "register", source="door", proof=stolen).detail)
+    nonce = ask(session, "challenge").nonce
+    assert nonce is not None
+    for_the_lease = identity.prove("register", "kitchen", nonce)
+    assert "signature" in str(ask(session, "register", source="kitchen", proof=for_the_lease).detail)
+    assert "proof is missing" in str(ask(session, "register", source="kitchen").detail)
+
+
+def test_a_flood_of_registrations_silences_nobody(gateway: Gateway, robot: Client) -> None:
+    """Two programs register as fast as they are answered; the button checks in every 100 ms beside them."""
+    ended = threading.Event()
+
+    def flood(number: int) -> None:
+        with gateway.client() as client:
+            while not ended.is_set():
+                ask(client.session, "register", source=f"flood {number} {time.monotonic_ns()}")
+
+    threads = [threading.Thread(target=flood, args=(number,)) for number in range(2)]
+    with robot.button("kitchen") as button, Pressing(button.alive):
+        assert robot.start_leg(3, POSE).accepted
+        for thread in threads:
+            thread.start()
+        ended.wait(3 * TIMEOUT_MS / 1000)  # what must not happen would have by then
+        ended.set()
+        for thread in threads:
+            thread.join()
+        state = robot.state()
+        assert state.mode == Mode.ACTIVE
+        assert state.buttons.names == ("kitchen",)
