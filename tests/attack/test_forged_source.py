@@ -1,8 +1,6 @@
 """Who uses somebody else's name, or many names, neither gets them rejected nor lets their old commands in."""
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -10,28 +8,15 @@ from gateway.client import Client, leg_payload
 from gateway.robot.core.staleness import SOURCES
 from schemas import keys
 from schemas.telemetry import Reason
-from tests.support.gateway_process import Gateway
+from tests.support.fixtures import client_fixture, gateway_fixture
 
 START = leg_payload("start", (90, 45, 120))
 DAY_MS = 86_400_000.0
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    with Gateway(tmp_path, {"limits": {"max_age_ms": 500}}) as running:
-        yield running
-
-
-@pytest.fixture
-def owner(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="owner") as client:
-        yield client
-
-
-@pytest.fixture
-def forger(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source=None) as client:
-        yield client
+gateway = gateway_fixture({"limits": {"max_age_ms": 500}}, scope="function")
+owner = client_fixture("owner")
+forger = client_fixture(None)
 
 
 def forge(client: Client, source: str, ahead_ms: float, *, op: str = "stop") -> bool:

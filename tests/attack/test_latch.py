@@ -14,6 +14,7 @@ from gateway.client import Client, leg_payload
 from gateway.people.tools.drill.cut_link import CutLink
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode, Reason
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events
 
@@ -23,16 +24,8 @@ HELD_S = 0.7
 FROZEN_S = 2.0
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    with Gateway(tmp_path, {"limits": {"max_age_ms": 500}, "watchdog": {"timeout_ms": 10_000}}) as running:
-        yield running
-
-
-@pytest.fixture
-def bystander(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="bystander") as client:
-        yield client
+gateway = gateway_fixture({"limits": {"max_age_ms": 500}, "watchdog": {"timeout_ms": 10_000}}, scope="function")
+bystander = client_fixture("bystander")
 
 
 @pytest.fixture

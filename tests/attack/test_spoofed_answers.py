@@ -16,6 +16,7 @@ from gateway.people.client.config import client_config
 from gateway.zenoh_config import open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.tmux import Terminal, need_tmux
 
@@ -49,10 +50,7 @@ def answering(endpoint: str, text: str | None, *wanted: str) -> Iterator[None]:
         kept.clear()
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway")) as running:
-        yield running
+gateway = gateway_fixture()
 
 
 @pytest.mark.parametrize("text", [*NONSENSE, FALSE])

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,16 +15,14 @@ from gateway.people.tools.kept_lease import me
 from gateway.people.tools.send import person_of
 from schemas.telemetry import Kind, Mode
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames
 
 NOBODY = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), {"telemetry": {"frames": True}}) as running:
-        yield running
+gateway = gateway_fixture({"telemetry": {"frames": True}})
 
 
 @pytest.fixture(autouse=True)

@@ -1,8 +1,6 @@
 """Whose legs the end of a stream stops: its own, also where nobody knows whether they run, and nobody else's."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import pytest
 
@@ -10,6 +8,7 @@ from gateway.client import AsyncClient, Client, DisconnectedError, RejectedError
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.robot.protocol.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames
 from tests.zenoh.test_client_stream import HZ, POSE, go_on, running
@@ -17,23 +16,9 @@ from tests.zenoh.test_client_stream import HZ, POSE, go_on, running
 Angles = dict[int, tuple[float, float, float]]
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 1000}}
-    with Gateway(tmp_path, settings) as running:
-        yield running
-
-
-@pytest.fixture
-def anna(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="anna") as client:
-        yield client
-
-
-@pytest.fixture
-def bert(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="bert") as client:
-        yield client
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 1000}}, scope="function")
+anna = client_fixture("anna")
+bert = client_fixture("bert")
 
 
 def stops(written: Heard[FrameRecord]) -> list[str]:

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
@@ -13,6 +13,7 @@ import pytest
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
 from gateway.people.tools.drill.cut_link import CutLink
 from schemas.telemetry import Cause, Event, Kind, Mode, Reason
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
@@ -22,27 +23,16 @@ TIMEOUT_MS = 1000
 """For setpoints every 20 ms, on a machine that may be busy for longer than the watchdog's 250."""
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    settings: dict[str, dict[str, Any]] = {
+gateway = gateway_fixture(
+    {
         "telemetry": {"frames": True},
         "limits.servos.61": {"max_deg": 100},
         "watchdog": {"timeout_ms": TIMEOUT_MS},
-    }
-    with Gateway(tmp_path, settings) as running:
-        yield running
-
-
-@pytest.fixture
-def watcher(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="somebody else") as client:
-        yield client
-
-
-@pytest.fixture
-def robot(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source=None) as client:
-        yield client
+    },
+    scope="function",
+)
+watcher = client_fixture("somebody else")
+robot = client_fixture(None)
 
 
 def go_on(stream: Stream, *legs: int, until: Callable[[], bool] = lambda: False) -> None:

@@ -14,6 +14,7 @@ from gateway.people.walking import STILL, Posture
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
 from schemas.telemetry import FrameRecord, GatewayState, Kind, Mode
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
@@ -26,10 +27,7 @@ PATIENT: Final[dict[str, dict[str, Any]]] = {
 WALKS_S: Final = 60.0
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), PATIENT) as running:
-        yield running
+gateway = gateway_fixture(PATIENT)
 
 
 @pytest.fixture
@@ -40,10 +38,7 @@ def watcher(gateway: Gateway) -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture
-def robot(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="walker") as client:
-        yield client
+robot = client_fixture("walker")
 
 
 def running(client: Client) -> list[int]:

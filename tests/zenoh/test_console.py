@@ -19,6 +19,7 @@ from gateway.client import Client
 from schemas.robot import LEGS
 from tests.support.child import Child
 from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
@@ -27,10 +28,7 @@ SET = {"servos": [{"op": "set", "angle_deg": angle} for angle in (91, 46, 121)]}
 STOP = {"servos": [{"op": "stop"}] * 3}
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway")) as running:
-        yield running
+gateway = gateway_fixture()
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import pytest
 from gateway.client import Client
 from schemas.telemetry import Mode
 from tests.support.console_process import Console, Page, SignedIn
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 
 FORWARD: Final = {"forward_m_s": 0.06}
@@ -65,10 +66,7 @@ class Pad(threading.Thread):
         self.join()
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), PATIENT) as running:
-        yield running
+gateway = gateway_fixture(PATIENT)
 
 
 @pytest.fixture(scope="module")

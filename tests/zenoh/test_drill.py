@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +19,7 @@ from gateway.people.tools.drill.run import drill
 from gateway.people.tools.drill.steps import STEPS
 from schemas.calibration import ServoChange
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import frames
 from tests.support.planted_gateway import MISTAKES
@@ -30,10 +30,7 @@ LATE_MS: Final = 70
 FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), FRAMES) as running:
-        yield running
+gateway = gateway_fixture(FRAMES)
 
 
 def test_it_passes_on_a_gateway_that_works_and_reports_it(gateway: Gateway, tmp_path: Path) -> None:

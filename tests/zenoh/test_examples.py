@@ -15,6 +15,7 @@ from gateway.client import Client
 from gateway.robot.protocol.frames import OneLeg, Op, centidegrees, decode
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import Heard, events, frames
 
@@ -26,10 +27,7 @@ SWUNG_DEG: Final = 95
 """The first joint of leg 3 goes so far when it walks, and stays at 90 while the robot stands up."""
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    with Gateway(tmp_path, {"telemetry": {"frames": True}}) as running:
-        yield running
+gateway = gateway_fixture({"telemetry": {"frames": True}}, scope="function")
 
 
 @pytest.fixture

@@ -4,13 +4,11 @@ import json
 import os
 import re
 import signal
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import jsonschema
-import pytest
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
@@ -18,15 +16,13 @@ from gateway.people.recordings import REPORTS
 from gateway.people.recordings.drawing import DRAWN_SCHEMAS
 from schemas.keys import STATE
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 
 PATIENCE_S = 10
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), {"telemetry": {"frames": True}}) as running:
-        yield running
+gateway = gateway_fixture({"telemetry": {"frames": True}})
 
 
 def address_of(child: Child) -> str:

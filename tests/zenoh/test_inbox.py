@@ -14,6 +14,7 @@ from gateway.robot.protocol.frames import OneLeg, OneServo, decode, stop_leg
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
@@ -21,11 +22,9 @@ START = leg_payload("start", (90, 45, 120))
 RATE_HZ = 50
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    settings = {"telemetry": {"frames": True, "state_hz": 0}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}}
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
-        yield running
+gateway = gateway_fixture(
+    {"telemetry": {"frames": True, "state_hz": 0}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}}
+)
 
 
 @pytest.fixture

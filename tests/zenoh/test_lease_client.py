@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
@@ -19,6 +18,7 @@ from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord, Kind, Mode, Reason
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, states
 from tests.support.secured import Secured
@@ -31,15 +31,13 @@ HZ = 50
 TTL_MS = 600.0
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    settings: dict[str, dict[str, Any]] = {
+gateway = gateway_fixture(
+    {
         "telemetry": {"frames": True},
         "lease": {"ttl_ms": TTL_MS},
         "watchdog": {"timeout_ms": 1000, "repeats": 0},
     }
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
-        yield running
+)
 
 
 @pytest.fixture
@@ -51,10 +49,7 @@ def anna(gateway: Gateway) -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture
-def bert(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="bert") as client:
-        yield client
+bert = client_fixture("bert")
 
 
 def is_stop(frame: FrameRecord) -> bool:

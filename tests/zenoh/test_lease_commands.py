@@ -12,16 +12,14 @@ from gateway.client import Client
 from gateway.people.tools.kept_lease import me
 from schemas.telemetry import GatewayState, Mode
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
 
 UNVERIFIED = "(a name that nobody has verified)"
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), {"watchdog": {"timeout_ms": 1000}}) as running:
-        yield running
+gateway = gateway_fixture({"watchdog": {"timeout_ms": 1000}})
 
 
 @pytest.fixture(autouse=True)

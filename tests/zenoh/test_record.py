@@ -20,6 +20,7 @@ from gateway.client import Client
 from gateway.people.recordings import is_cut_off, read
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
+from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames, states
 
@@ -36,10 +37,7 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
         yield running
 
 
-@pytest.fixture
-def robot(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="a gait") as client:
-        yield client
+robot = client_fixture("a gait")
 
 
 @contextmanager

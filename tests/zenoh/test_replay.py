@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +21,7 @@ from schemas.calibration import ServoChange
 from schemas.keys import FRAME
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, frames
 
@@ -30,11 +30,7 @@ TOLERANCE_MS: Final = 100
 """For a machine that is busy with other things; on a free one it is 5."""
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}}
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
-        yield running
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}})
 
 
 def ride(robot: Client) -> list[FrameRecord]:

@@ -1,28 +1,17 @@
 """`hexapod-gateway walk`: without a person, and in a real terminal."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Mode
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
 from tests.support.tmux import Terminal, need_tmux
 
-
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    settings = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
-        yield running
-
-
-@pytest.fixture
-def watcher(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="watcher") as client:
-        yield client
+gateway = gateway_fixture({"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}})
+watcher = client_fixture("watcher")
 
 
 def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:

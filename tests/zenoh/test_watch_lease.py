@@ -1,12 +1,12 @@
 """Who is driving, in a real terminal: the top line, and the keys to ask for the lease and to take it."""
 
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gateway.people.tools.kept_lease import me
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.tmux import LATE_S, Terminal, need_tmux
 
@@ -17,10 +17,7 @@ def _tmux(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}}) as running:
-        yield running
+gateway = gateway_fixture({"watchdog": {"timeout_ms": 10_000}}, scope="function")
 
 
 def test_it_shows_the_holder_asks_and_takes_with_a_question(gateway: Gateway, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import pytest
 from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events
 from tests.support.tmux import LATE_S, Terminal, need_tmux
@@ -30,10 +31,7 @@ def _tmux() -> None:
     need_tmux()
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    with Gateway(tmp_path, PATIENT) as running:
-        yield running
+gateway = gateway_fixture(PATIENT, scope="function")
 
 
 @contextmanager
