@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 from gateway.client import Client, Stream
 from gateway.geometry import load
 from gateway.people.walking import Odometry, Pose, Posture, Robot, Velocity, Walker
-from gateway.people.walking.limits import ranges
+from gateway.people.walking.robot import ranges
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord

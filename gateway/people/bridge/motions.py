@@ -22,7 +22,7 @@ from gateway.people.client.walk import Walk
 from gateway.people.ros2.joints import Degrees, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Posture, Robot, Velocity, Walker
-from gateway.people.walking.limits import ranges
+from gateway.people.walking.robot import ranges
 from schemas.robot import LEGS
 
 HZ: Final = 50.0

@@ -203,7 +203,7 @@ class Starts:
 
 
 class Receiver(Protocol):
-    """Called on threads of `Live`. Each call waits for moments at most."""
+    """Called on threads of `Live`, or by `OnLoop` on an event loop. Each call waits for moments at most."""
 
     def opened(self) -> None:
         """There is a session: from now on a Stop can be sent."""
@@ -214,8 +214,8 @@ class Receiver(Protocol):
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         """A state, published or as an answer, and when it came by this machine's monotonic clock."""
 
-    def received_event(self, event: Event) -> None:
-        """An event."""
+    def received_event(self, event: Event, left_out: int = 0) -> None:
+        """An event; before it so many were left out."""
 
     def received_token(self, alive: bool) -> None:
         """The gateway is there, or has ended, or the link to it has: within milliseconds where its process ends."""
@@ -332,39 +332,11 @@ class Live:
 # ---- to an event loop
 
 
-class Mail(NamedTuple):
-    """What has come since the last time."""
+class OnLoop:
+    """Hands on to a receiver on an event loop: one state and at most 256 events wait, so neither a flood nor a busy
+    loop takes memory."""
 
-    state: tuple[GatewayState, int] | None
-    """The newest, and when it came."""
-    events: list[Event]
-    left_out: int
-    """So many events before them."""
-    alive: bool | None
-    """The newest token; None: none came."""
-
-
-class LoopReceiver(Protocol):
-    """Called on the event loop."""
-
-    def opened(self) -> None:
-        """See `Receiver`."""
-
-    def not_opened(self, error: Exception) -> None:
-        """See `Receiver`."""
-
-    def looked(self, reasons: list[str]) -> None:
-        """See `Receiver`."""
-
-    def received(self, mail: Mail) -> None:
-        """Something has come."""
-
-
-class Mailbox:
-    """The hand-over to an event loop: one state and at most 256 events, so neither a flood nor a busy loop takes
-    memory."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, receiver: LoopReceiver) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, receiver: Receiver) -> None:
         self._loop = loop
         self._receiver = receiver
         self._lock = threading.Lock()
@@ -388,16 +360,18 @@ class Mailbox:
 
     def answered(self, client: "Client") -> None:
         """See `Receiver`."""
+        self._call(self._receiver.answered, client)
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         """See `Receiver`."""
         with self._noted():
             self._state = (state, received_ns)
 
-    def received_event(self, event: Event) -> None:
+    def received_event(self, event: Event, left_out: int = 0) -> None:
         """See `Receiver`."""
         with self._noted():
             self._events.append(event)
+            self._left_out += left_out
             if len(self._events) > KEPT_EVENTS:
                 self._events.popleft()
                 self._left_out += 1
@@ -417,10 +391,18 @@ class Mailbox:
 
     def _deliver(self) -> None:
         with self._lock:
-            mail = Mail(self._state, list(self._events), self._left_out, self._alive)
+            state, events, left_out, alive = self._state, list(self._events), self._left_out, self._alive
             self._announced, self._state, self._left_out, self._alive = False, None, 0, None
             self._events.clear()
-        self._receiver.received(mail)
+        if alive:
+            self._receiver.received_token(alive)
+        if state is not None:
+            self._receiver.received_state(*state)
+        for event in events:
+            self._receiver.received_event(event, left_out)
+            left_out = 0
+        if alive is False:
+            self._receiver.received_token(alive)
 
     def _call(self, function: Callable[..., None], *arguments: object) -> None:
         with suppress(RuntimeError):  # the loop is closed

@@ -13,7 +13,7 @@ from gateway.geometry import Geometry, load
 from gateway.people.client.stream import Stream
 from gateway.people.walking import HOLD_S, REST_S, Body, Posture, Robot, Velocity, Walker, WalkState
 from gateway.people.walking.gaits import gait as gait_named
-from gateway.people.walking.limits import ranges
+from gateway.people.walking.robot import ranges
 from schemas.robot import LEGS
 from schemas.telemetry import Reason
 

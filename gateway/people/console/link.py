@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, Protocol
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.client.live import SILENT_MS, Live, Mail, Mailbox
+from gateway.people.client.live import SILENT_MS, Live, OnLoop
 from gateway.people.console.driving import Requests
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.stops import AT_ONCE
@@ -61,7 +61,7 @@ class GatewayLink:
         self._listener = listener
         self._live = Live(
             partial(self._connect, source=source),
-            Mailbox(loop, self),
+            OnLoop(loop, self),
             partial(_why, connect, zenoh_config),
         )
         self._opened = asyncio.Event()
@@ -131,37 +131,41 @@ class GatewayLink:
         await asyncio.to_thread(self._live.close)
 
     def opened(self) -> None:
-        """A session is there."""
+        """See `Receiver`."""
         self._opened.set()
         self._state_ns = time.monotonic_ns()
 
     def not_opened(self, error: Exception) -> None:
-        """No session is there yet, or never will be."""
+        """See `Receiver`."""
         if isinstance(error, UnreachedError):
             self._note("gone", self._link.detail or str(error))
         elif not self._failed.done():
             self._failed.set_exception(error)
 
     def looked(self, reasons: list[str]) -> None:
-        """Why nobody is there."""
+        """See `Receiver`."""
         if self._link.status != "connected":
             self._note(self._link.status, "\n".join(reasons))
 
-    def received(self, mail: Mail) -> None:
-        """Hand on what has come."""
-        if mail.alive is not None:
-            self._ended = not mail.alive
-        if mail.state is not None:
-            state, self._state_ns = mail.state
-            self._listener.received_state(state, self._state_ns)
-            if not self._ended:
-                self._note("connected")
-        left_out = mail.left_out
-        for event in mail.events:
-            self._listener.received_event(event, left_out)
-            left_out = 0
-        if mail.alive is False:
+    def answered(self, client: Client) -> None:
+        """See `Receiver`."""
+
+    def received_token(self, alive: bool) -> None:
+        """See `Receiver`."""
+        self._ended = not alive
+        if not alive:
             self._note("gone", "the gateway has ended, or the link to it has")
+
+    def received_state(self, state: GatewayState, received_ns: int) -> None:
+        """See `Receiver`."""
+        self._state_ns = received_ns
+        self._listener.received_state(state, received_ns)
+        if not self._ended:
+            self._note("connected")
+
+    def received_event(self, event: Event, left_out: int = 0) -> None:
+        """See `Receiver`."""
+        self._listener.received_event(event, left_out)
 
     def _watch(self) -> None:
         if (time.monotonic_ns() - (self._state_ns or 0)) / 1e6 <= SILENT_MS:

@@ -14,7 +14,7 @@ from gateway.people.terminal.question import agrees
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.player import Player, without_pauses
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.rest import check_at_rest
 from gateway.robot.core.calibration import Calibration, calibration_of
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState
@@ -118,9 +118,7 @@ def _look_at(path: Path, recorded: Plan, losses: Losses) -> None:
 
 def _fit(state: GatewayState, recorded: Plan, speed: float) -> None:
     """Raises ConfigError where this gateway cannot follow."""
-    trouble = why_not_at_rest(state)
-    if trouble is not None:
-        raise ConfigError(trouble)
+    check_at_rest(state)
     gap_ms = recorded.longest_gap_ns / NS_PER_MS / speed
     if speed == 1 and gap_ms > state.watchdog.timeout_ms:
         hint(

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from gateway.errors import ConfigError
 from gateway.people.terminal import this_command
 from schemas.telemetry import GatewayState, Mode
 
@@ -17,3 +18,10 @@ def why_not_at_rest(state: GatewayState) -> str | None:
         str(Mode.ESTOPPED): f"leave the emergency stop first ({this_command()} reset)",
     }
     return f"the gateway is {state.mode}, and nothing is moved: {remedies.get(str(state.mode), _WAIT)}"
+
+
+def check_at_rest(state: GatewayState) -> None:
+    """Raises ConfigError unless it is."""
+    why_not = why_not_at_rest(state)
+    if why_not is not None:
+        raise ConfigError(why_not)

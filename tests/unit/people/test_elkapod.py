@@ -11,7 +11,7 @@ import pytest
 from examples.elkapod import gait
 from gateway.geometry import Geometry, foot_m, load
 from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
-from gateway.people.walking.limits import ranges
+from gateway.people.walking.robot import ranges
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.speed import step

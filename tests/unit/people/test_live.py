@@ -8,7 +8,8 @@ from queue import Empty
 import pytest
 from pydantic import BaseModel
 
-from gateway.people.client.live import KEPT_EVENTS, Mail, Mailbox, Order, ReportQueue, Starts
+from gateway.client import Client
+from gateway.people.client.live import KEPT_EVENTS, OnLoop, Order, ReportQueue, Starts
 from gateway.people.client.stops import AT_ONCE, UntilConfirmed
 from schemas.keys import EVENT, STATE
 from schemas.telemetry import Ack, Event, GatewayState, Kind
@@ -75,60 +76,70 @@ def test_a_queue_that_nobody_reads_does_not_grow() -> None:
 # ---- to an event loop
 
 
-class Received:
-    """On the loop."""
+class OnThisLoop:
+    """Keeps what it is called with."""
 
     def __init__(self) -> None:
-        self.mail: list[Mail] = []
-        self.others: list[object] = []
+        self.calls: list[tuple[object, ...]] = []
 
     def opened(self) -> None:
-        self.others.append("opened")
+        self.calls.append(("opened",))
 
     def not_opened(self, error: Exception) -> None:
-        self.others.append(error)
+        self.calls.append((error,))
 
     def looked(self, reasons: list[str]) -> None:
-        self.others.append(reasons)
+        self.calls.append((reasons,))
 
-    def received(self, mail: Mail) -> None:
-        self.mail.append(mail)
+    def answered(self, client: Client) -> None:
+        self.calls.append((client,))
+
+    def received_state(self, state: GatewayState, received_ns: int) -> None:
+        self.calls.append((state.uptime_s, received_ns))
+
+    def received_event(self, event: Event, left_out: int = 0) -> None:
+        self.calls.append((event.detail, left_out))
+
+    def received_token(self, alive: bool) -> None:
+        self.calls.append((alive,))
 
 
 def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> None:
-    async def busy() -> Received:
-        receiver = Received()
-        mailbox = Mailbox(asyncio.get_running_loop(), receiver)
+    async def busy() -> list[tuple[object, ...]]:
+        receiver = OnThisLoop()
+        to_loop = OnLoop(asyncio.get_running_loop(), receiver)
 
         def flood() -> None:
-            mailbox.opened()
+            to_loop.opened()
             for number in range(KEPT_EVENTS + 3):
-                mailbox.received_state(state(float(number)), number)
-                mailbox.received_event(event(Kind.STOPPING, str(number)))
-            mailbox.received_token(False)
-            mailbox.looked(["nobody is there"])
+                to_loop.received_state(state(float(number)), number)
+                to_loop.received_event(event(Kind.STOPPING, str(number)))
+            to_loop.received_token(False)
+            to_loop.looked(["nobody is there"])
 
         thread = threading.Thread(target=flood)
         thread.start()
         thread.join()  # the loop does nothing meanwhile
         await asyncio.sleep(0)
-        mailbox.received_token(True)
+        to_loop.received_token(True)
         await asyncio.sleep(0)
-        return receiver
+        return receiver.calls
 
-    receiver = asyncio.run(busy())
-    flood, later = receiver.mail
-    assert flood.state == (state(KEPT_EVENTS + 2.0), KEPT_EVENTS + 2)
-    assert [each.detail for each in flood.events] == [str(number) for number in range(3, KEPT_EVENTS + 3)]
-    assert (flood.left_out, flood.alive) == (3, False)
-    assert later == (None, [], 0, True)
-    assert receiver.others == ["opened", ["nobody is there"]]
+    assert asyncio.run(busy()) == [
+        ("opened",),
+        (KEPT_EVENTS + 2.0, KEPT_EVENTS + 2),
+        ("3", 3),
+        *((str(number), 0) for number in range(4, KEPT_EVENTS + 3)),
+        (False,),
+        (["nobody is there"],),
+        (True,),
+    ]
 
 
 def test_mail_for_a_loop_that_is_closed_goes_nowhere() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
-    Mailbox(loop, Received()).received_token(True)
+    OnLoop(loop, OnThisLoop()).received_token(True)
 
 
 # ---- a Stop

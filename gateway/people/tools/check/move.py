@@ -14,7 +14,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, visible
 from gateway.people.terminal.question import ask
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.rest import check_at_rest
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
@@ -48,7 +48,7 @@ def causes(state: GatewayState) -> tuple[str, ...]:
 def move(connect: Connection, *, agreed: bool) -> int:
     """Ask, move, stop, ask. 0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError."""
     with connect() as client:
-        _at_rest(client.state())
+        check_at_rest(client.state())
         servo_id = DEFAULT_SERVO if agreed else _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
         angle_deg = DEFAULT_ANGLE_DEG if agreed else _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] "))
         end_deg = angle_deg + (STEP_DEG if angle_deg + STEP_DEG <= _MOST_DEG else -STEP_DEG)
@@ -60,7 +60,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say("Nothing was moved.")
             return 1
         state = client.state()  # the questions took their time
-        _at_rest(state)
+        check_at_rest(state)
         if not _moved(client, servo_id, (angle_deg, end_deg), state.watchdog.timeout_ms):
             return 1
         state = client.state()
@@ -129,12 +129,6 @@ def _accepted(ack: Ack) -> bool:
     if not ack.accepted:
         say(visible(f"rejected: {ack.reason}: {ack.detail}"))
     return ack.accepted
-
-
-def _at_rest(state: GatewayState) -> None:
-    trouble = why_not_at_rest(state)
-    if trouble is not None:
-        raise ConfigError(trouble)
 
 
 def _servo(text: str) -> int:

@@ -17,7 +17,7 @@ from gateway.people.tools.drill.bench import LATE_MS, Bench, FailedError, Figure
 from gateway.people.tools.drill.steps import STEPS, Step
 from gateway.people.tools.driving import drives
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.rest import why_not_at_rest
+from gateway.people.tools.rest import check_at_rest
 from gateway.people.tools.signals import on_end_signals
 from schemas.telemetry import GatewayState, Mode
 
@@ -90,7 +90,7 @@ def drill(
     try:
         with connect() as client:
             state = client.state()
-            _at_rest(state)
+            check_at_rest(state)
             _may_drive(client, state)
             delta_deg = MOVE_DEG if whole_leg else STEP_DEG
             bench = Bench(
@@ -199,12 +199,6 @@ def _stopped(bench: Bench) -> Iterator[None]:
             hint(f"Servos still run: {', '.join(map(str, running))}: switch their power off.")
         else:
             hint("All legs are stopped.")
-
-
-def _at_rest(state: GatewayState) -> None:
-    trouble = why_not_at_rest(state)
-    if trouble is not None:
-        raise ConfigError(trouble)
 
 
 def _may_drive(client: Client, state: GatewayState) -> None:

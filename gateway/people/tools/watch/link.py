@@ -118,8 +118,9 @@ class Link:
         if state.mode != mode:  # else the next picture is soon enough
             self._changed()
 
-    def received_event(self, event: Event) -> None:
+    def received_event(self, event: Event, left_out: int = 0) -> None:
         """See `Receiver`."""
+        del left_out  # none: the model takes them as they come
         with self._changes():
             self._model.received_event(event, time.monotonic_ns(), _wall())
 
