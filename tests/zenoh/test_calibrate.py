@@ -100,7 +100,9 @@ def test_what_a_person_sees_on_the_robot_reaches_its_disk_and_its_wire(
     heard.wait(lambda record: record.bytes == "060220016600")  # its own 102 degrees
 
 
-def test_a_limit_of_the_settings_is_told_and_the_servo_goes_on(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
+def test_a_limit_of_the_settings_is_reported_and_the_servo_goes_on(
+    gateway: Gateway, anna: Client, tmp_path: Path
+) -> None:
     with guided(tmp_path, gateway) as terminal:
         terminal.press("6", "3", "Enter")
         terminal.wait("Start it at: 90_")

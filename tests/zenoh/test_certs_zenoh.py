@@ -277,7 +277,7 @@ def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role
     )
 
 
-def test_a_certificate_without_a_role_hears_nothing(tmp_path: Path) -> None:
+def test_a_certificate_without_a_role_receives_nothing(tmp_path: Path) -> None:
     with start(tmp_path / "D") as robot, Remote() as stranger, Remote() as carol:
         forge(robot.folder, "stranger", "stranger")
         robot.join(stranger, "stranger")

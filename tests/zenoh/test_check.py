@@ -250,7 +250,7 @@ def test_an_expired_certificate_is_one_failure(tmp_path: Path) -> None:
     assert said.stdout.count("gateway.pem expired on") == 1
 
 
-def test_a_clock_that_is_behind_is_said_to_be_the_fault(tmp_path: Path) -> None:
+def test_a_clock_that_is_behind_is_named_as_the_fault(tmp_path: Path) -> None:
     settings = folder(tmp_path / "D", days=90)
     results = network.certificates(settings, NOW - 400 * DAY)
     assert {result.verdict for result in results} == {FAILURE}

@@ -131,7 +131,7 @@ def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gatewa
     assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
 
 
-def test_a_laptop_that_is_late_hears_that_it_is_late(tmp_path: Path) -> None:
+def test_a_laptop_that_is_late_is_informed_that_it_is_late(tmp_path: Path) -> None:
     """And no bare `servo_stopped`."""
     settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 300}}
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:

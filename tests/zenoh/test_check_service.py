@@ -125,7 +125,7 @@ def test_in_a_container_without_a_right_it_says_what_it_cannot_try(
     assert says in line(child, name)
 
 
-def test_whoever_may_not_read_the_configuration_hears_how(machine: Machine) -> None:
+def test_whoever_may_not_read_the_configuration_is_informed_how(machine: Machine) -> None:
     machine.allow()
     child = machine.check(STRANGER)
     assert (child.returncode, child.stdout) == (2, ""), str(child)

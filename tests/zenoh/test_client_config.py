@@ -50,7 +50,7 @@ def test_with_neither_it_is_this_machines(tmp_path: Path, monkeypatch: pytest.Mo
                 assert client.state().mode == "idle"
 
 
-def test_a_file_that_names_no_gateway_is_said(tmp_path: Path) -> None:
+def test_a_file_that_names_no_gateway_is_reported(tmp_path: Path) -> None:
     (tmp_path / "empty.json5").write_text("{}")
     with pytest.raises(ConfigError, match=r"empty\.json5 names no gateway"):
         Client(zenoh_config=tmp_path / "empty.json5")

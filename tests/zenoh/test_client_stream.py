@@ -234,7 +234,7 @@ def test_the_emergency_stop_ends_it_and_a_reset_alone_moves_nothing(robot: Clien
         assert running(watcher) == [1]
 
 
-def test_a_setpoint_that_was_rejected_is_told_and_the_stream_goes_on(robot: Client, watcher: Client) -> None:
+def test_a_setpoint_that_was_rejected_is_reported_and_the_stream_goes_on(robot: Client, watcher: Client) -> None:
     with robot.stream(HZ) as stream, robot.stream(HZ) as other:
         stream.set({6: POSE})
         other.set({5: POSE})
@@ -307,7 +307,7 @@ def test_what_is_no_setpoint_is_not_sent(robot: Client, watcher: Client) -> None
     assert watcher.state().commands.accepted == 0
 
 
-def test_a_rate_that_the_watchdog_would_not_live_with_is_said(robot: Client) -> None:
+def test_a_rate_that_the_watchdog_would_not_live_with_is_reported(robot: Client) -> None:
     with pytest.raises(ValueError, match="the watchdog stops each leg"):
         robot.stream(1).__enter__()
     for hz in (0, -1, 1001):

@@ -199,7 +199,7 @@ def test_two_walkers_are_one_too_many(robot: Client, watcher: Client) -> None:
         pass
 
 
-def test_what_it_cannot_do_is_said_before_anything_moves(robot: Client, watcher: Client) -> None:
+def test_what_it_cannot_do_is_reported_before_anything_moves(robot: Client, watcher: Client) -> None:
     before = watcher.state().commands
     with pytest.raises(WalkError, match="there is no gait"):
         robot.walk(gait="gallop")

@@ -257,7 +257,7 @@ def test_without_the_lease_nothing_walks_and_joints_wait_for_the_walk(
     assert "this page walks" in answer["error"]
 
 
-def test_what_the_legs_cannot_do_is_said(page: Page, pad: Pad) -> None:
+def test_what_the_legs_cannot_do_is_reported(page: Page, pad: Pad) -> None:
     pad.hold(height_m=0.9)
     assert walk(page, lambda message: message["detail"] != "")["waits"]
     pad.hold(forward_m_s=0.9)

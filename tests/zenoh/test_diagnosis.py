@@ -173,7 +173,7 @@ def _wait_until(when: dt.datetime) -> None:
 # ---- role
 
 
-def test_an_observer_hears_of_the_role(robot: Robot) -> None:
+def test_an_observer_is_informed_of_the_role(robot: Robot) -> None:
     (line,) = said("--zenoh-config", robot.file("otto", "observer"))
     assert line.startswith("no gateway answered: role: you may not command, as observer → ")
 

@@ -194,7 +194,7 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:
     assert gateway.run("drill", "--only", "nonsense").returncode == 2
 
 
-def test_a_report_that_cannot_be_written_is_told_before_anything_moves(gateway: Gateway, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_written_is_reported_before_anything_moves(gateway: Gateway, tmp_path: Path) -> None:
     done = gateway.run("drill", "--report", str(tmp_path / "none" / "drill.html"))
     assert done.returncode == 2
     assert "there is no folder" in done.stderr

@@ -31,7 +31,9 @@ def incidents(gateway: Gateway, *arguments: str) -> tuple[int, list[str]]:
     return code, child.stdout.splitlines()
 
 
-def test_a_stop_is_told_at_once_and_a_killed_gateways_story_is_still_there(gateway: Gateway, tmp_path: Path) -> None:
+def test_a_stop_is_reported_at_once_and_a_killed_gateways_story_is_still_there(
+    gateway: Gateway, tmp_path: Path
+) -> None:
     with gateway.client(source="anna") as client:
         events: list[str] = []
         client.on_event(lambda event: events.append(f"{event.kind} {event.incident}"))

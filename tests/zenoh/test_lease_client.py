@@ -248,7 +248,7 @@ def test_a_forced_take_stops_all_legs_and_ends_the_other_ones_gait(anna: Client,
     assert len(lost) == 1
 
 
-def test_a_take_is_told_as_such_though_its_event_is_lost(
+def test_a_take_is_reported_as_such_though_its_event_is_lost(
     anna: Client, bert: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All legs stand still, and what was sent is rejected; why, the gateway is asked."""

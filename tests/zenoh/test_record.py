@@ -62,7 +62,7 @@ def walking(robot: Client) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("published", [True, False])
-def test_that_there_will_be_no_frames_is_said_at_the_start(tmp_path: Path, published: bool) -> None:
+def test_that_there_will_be_no_frames_is_reported_at_the_start(tmp_path: Path, published: bool) -> None:
     with (
         Gateway(tmp_path, {"telemetry": {"frames": published}}) as gateway,
         recording(gateway, tmp_path / "ride.mcap") as child,
@@ -106,7 +106,7 @@ def frames_in(path: Path) -> list[str]:
     return [json.dumps(message.content) for message in read(path) if message.topic == FRAME]
 
 
-def test_all_that_the_gateway_says_is_in_the_file_and_as_the_files_own_schemas_say(
+def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_schemas_say(
     gateway: Gateway, robot: Client, tmp_path: Path
 ) -> None:
     path = tmp_path / "ride.mcap"

@@ -78,7 +78,7 @@ def test_the_simulated_gateway_writes_the_same_frames_again(gateway: Gateway, re
     assert re.search(r"counted from when each command was sent: this machine was at most [\d.]+ ms late", again.stderr)
 
 
-def test_a_gateway_that_differs_is_told(tmp_path: Path, recorded: Path) -> None:
+def test_a_gateway_that_differs_is_reported(tmp_path: Path, recorded: Path) -> None:
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"frames": True},
         "watchdog": {"timeout_ms": WATCHDOG_MS, "repeats": 1},
@@ -132,7 +132,7 @@ def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, recorded: Path
         assert client.state().mode == "idle"
 
 
-def test_a_robot_that_moves_already_and_a_file_without_frames_are_told(gateway: Gateway, recorded: Path) -> None:
+def test_a_robot_that_moves_already_and_a_file_without_frames_are_reported(gateway: Gateway, recorded: Path) -> None:
     with gateway.client() as client:
         assert client.start_leg(1, 90, 90, 90).accepted
         with client.stream(50) as stream:

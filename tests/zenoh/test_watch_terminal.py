@@ -217,7 +217,7 @@ def test_a_gateway_that_dies_is_called_silent_and_comes_back_by_itself(tmp_path:
             terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
 
 
-def test_a_stop_that_nobody_heard_is_sent_again_when_the_gateway_is_back(tmp_path: Path) -> None:
+def test_a_stop_that_nobody_received_is_sent_again_when_the_gateway_is_back(tmp_path: Path) -> None:
     sections: dict[str, dict[str, Any]] = {**PATIENT, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
     with (
         Gateway(tmp_path, sections) as gateway,
@@ -277,7 +277,7 @@ def test_it_waits_for_a_gateway_that_is_not_there_yet(tmp_path: Path) -> None:
 # ---- certificates
 
 
-def test_over_tls_an_operator_stops_and_an_observer_hears_that_he_may_not(tmp_path: Path) -> None:
+def test_over_tls_an_operator_stops_and_an_observer_is_informed_that_he_may_not(tmp_path: Path) -> None:
     folder, port = tmp_path / "D", free_port()
     certs.init(folder, ["127.0.0.1"], port=port)
     certs.issue(folder, "anna", "operator")
@@ -328,7 +328,7 @@ def test_it_leaves_the_terminal_as_it_found_it(gateway: Gateway, tmp_path: Path,
         assert " isig " in shown
 
 
-def test_an_unconfirmed_stop_is_said_once_more_at_the_end(tmp_path: Path) -> None:
+def test_an_unconfirmed_stop_is_reported_once_more_at_the_end(tmp_path: Path) -> None:
     with watching(tmp_path, "--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.2") as terminal:
         terminal.wait("WAITING")
         terminal.press("e")
@@ -356,7 +356,7 @@ def test_where_there_are_no_unix_terminals_it_says_so() -> None:
     )
 
 
-def test_a_faulty_file_is_said_before_the_screen(tmp_path: Path) -> None:
+def test_a_faulty_file_is_reported_before_the_screen(tmp_path: Path) -> None:
     with watching(tmp_path, "--zenoh-config", str(tmp_path / "absent.json5")) as terminal:
         assert terminal.wait_for_end() == 2
         assert "absent.json5" in terminal.words

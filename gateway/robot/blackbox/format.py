@@ -1,4 +1,6 @@
-"""The black box's records: what they say, where each byte is, and how they are written; `decoding` reads them.
+"""The black box's records: what is in them, where each byte is, and how they are written.
+
+The readers are in `people/incidents/ring_decoding.py`.
 
 A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
 
@@ -14,6 +16,9 @@ A file is a header and slots of SLOT bytes. The record with sequence number n is
 
 A process that is killed while it writes leaves a slot whose checksum is wrong. Numbers are little-endian. Texts are
 UTF-8, preceded by their length, so that a kind, reason or cause that is added later needs no new version.
+
+Records are packed by hand, since they are written beside a gait: of a frame 0.3 µs, by a declarative table 3.5 µs, by
+`construct` 20.9 µs (10.2 compiled), measured in one run.
 """
 
 import json

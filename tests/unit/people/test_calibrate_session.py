@@ -227,7 +227,7 @@ def test_a_lost_lease_ends_the_test_and_keeps_the_draft(person: Person, holder: 
     assert person.guide.changed == [32]
 
 
-def test_a_stop_that_nobody_confirms_is_said_until_one_is(person: Person) -> None:
+def test_a_stop_that_nobody_confirms_is_reported_until_one_is(person: Person) -> None:
     person.tests(32)
     person.servos.fails["stop"] = UnansweredError("no gateway answered")
     person.press("escape")
@@ -244,7 +244,7 @@ def test_a_servo_that_somebody_else_stopped(person: Person) -> None:
     person.sees("servo 32 does not run any more: servo_stopped", "Servo: _")
 
 
-def test_a_gateway_that_does_not_answer_is_told(person: Person) -> None:
+def test_a_gateway_that_does_not_answer_is_reported(person: Person) -> None:
     person.tests(32)
     person.servos.answers["set"].clear()
     person.sees("NO ANSWER for 0.4 s: the gateway's watchdog stops the servo")

@@ -280,7 +280,7 @@ def test_files_of_the_layout_before_go_on_and_one_by_one_they_move(today: Path) 
     assert states(today)["operator-01"] == "good"
 
 
-def test_others_are_shut_out_too_where_that_is_said(today: Path) -> None:
+def test_others_are_shut_out_too_where_that_is_asked_for(today: Path) -> None:
     issue(today, "bert")
     assert certs.revoke(today, "anna", others_too=True, now=NOW).common_names == {"operator"}
 

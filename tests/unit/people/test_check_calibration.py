@@ -35,7 +35,7 @@ def test_one_that_cannot_be_used_is_a_failure_with_its_fix(tmp_path: Path) -> No
     assert "hexapod-gateway calibrate --accept-default" in fix
 
 
-def test_a_change_that_is_not_on_the_disk_after_seconds_is_told(tmp_path: Path) -> None:
+def test_a_change_that_is_not_on_the_disk_after_seconds_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     calibration_file.write(path, Calibration(3))
     staged = calibration_file.staged_for(path)
@@ -63,7 +63,7 @@ def test_in_memory_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
     assert "in memory only" in kept(Settings()).sentence
 
 
-def test_a_landing_pose_that_is_never_sent_is_told(tmp_path: Path) -> None:
+def test_a_landing_pose_that_is_never_sent_is_reported(tmp_path: Path) -> None:
     """By the settings or by the calibration, whose trims count."""
     path = tmp_path / "calibration.toml"
     calibration_file.write(path, Calibration(3, {12: ServoCalibration(-3_00)}, {21: 2_50}))

@@ -35,7 +35,7 @@ def test_a_certificate_and_a_clock(now: dt.datetime, said: str, fix: str) -> Non
 
 
 @pytest.mark.parametrize("endpoint", ["tls/[2001:db8::7]:7447", "quic/robot:7447", "robot:7447", "tls/robot"])
-def test_what_is_not_dialled_is_said_at_once(endpoint: str) -> None:
+def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
     (finding,) = look(endpoint, Identity(), time.monotonic() + 1)
     assert finding.step is Step.ENDPOINT
     assert finding.fix

@@ -150,7 +150,7 @@ async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> No
 
 
 @pytest.mark.virtual_time
-async def test_a_full_disk_is_said_once_and_leaves_nothing_behind(
+async def test_a_full_disk_is_reported_once_and_leaves_nothing_behind(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     robot = recorded(folder)

@@ -105,7 +105,7 @@ async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
 
 
 @pytest.mark.virtual_time
-async def test_a_gateway_that_stood_still_is_not_told_as_a_silent_leg(folder: Path) -> None:
+async def test_a_gateway_that_stood_still_is_not_reported_as_a_silent_leg(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(LEG_3, START)
     robot.sleep_through(4.2)
@@ -229,7 +229,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
 
 
 @pytest.mark.virtual_time
-async def test_a_landing_that_somebody_stops_and_the_next_one_are_told_apart(folder: Path) -> None:
+async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Path) -> None:
     robot = recorded(folder, **LANDING)
     for _ in range(2):
         robot.put(LEG_3, START)

@@ -119,7 +119,7 @@ def test_it_renews_by_itself_and_releases_at_the_end() -> None:
     assert (lease.held, lease.token, lease.lost, robot.hears) == (False, None, None, None)
 
 
-def test_what_the_gateway_rejects_is_lost_told_once_and_released_by_nobody() -> None:
+def test_what_the_gateway_rejects_is_lost_reported_once_and_released_by_nobody() -> None:
     robot, told = Robot(), Told()
     with lease_of(robot, told) as lease:
         robot.renewed = TAKEN
@@ -236,7 +236,7 @@ def test_it_asks_waits_and_is_handed_it() -> None:
         assert [each for each in robot.asked if each != "renew"] == again
 
 
-def test_it_waits_no_longer_than_it_is_told() -> None:
+def test_it_waits_no_longer_than_wait_s() -> None:
     robot = Robot(*[HELD] * 3)
     with pytest.raises(LeaseError, match="lease_held"):
         lease_of(robot, wait_s=0.01).acquire()

@@ -64,7 +64,7 @@ def test_a_list_among_angles_is_no_angle() -> None:
         (servo_number, 14, ValueError, "servo 14 does not exist; an id is the leg"),
     ],
 )
-def test_a_leg_or_servo_that_is_none_is_said(
+def test_a_leg_or_servo_that_is_none_is_reported(
     call: Callable[[object], int], wrong: object, error: type[Exception], sentence: str
 ) -> None:
     with pytest.raises(error) as raised:

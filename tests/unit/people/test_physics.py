@@ -110,7 +110,7 @@ def test_it_slides_down_a_slope_of_ice_and_not_one_of_wood() -> None:
 @pytest.mark.parametrize(
     "text", ["", "hills", "slope", "slope:", "slope:90", "slope:nan", "rough:-1", "rough:1", "flat:1"]
 )
-def test_what_is_no_terrain_is_said_with_what_there_is(text: str) -> None:
+def test_what_is_no_terrain_is_reported_with_what_there_is(text: str) -> None:
     with pytest.raises(ConfigError, match=r"there are flat, slope:DEGREES .* and rough:METRES"):
         assumed(None, None, None, text)
 
@@ -132,7 +132,7 @@ def test_a_robot_on_its_back_lies_there_until_it_is_set_upright() -> None:
     assert body.position_m[:2] == pytest.approx((0.3, 0.2), abs=0.05), "where it lay"
 
 
-def test_an_explosion_is_said_with_its_joint_and_the_robot_lies_down_anew() -> None:
+def test_an_explosion_is_reported_with_its_joint_and_the_robot_lies_down_anew() -> None:
     world = World(GEOMETRY)
     simulate(world, 0.5)
     assert world.fault() is None
@@ -159,7 +159,7 @@ def test_an_explosion_names_the_leg_that_is_inside_something() -> None:
     assert "leg 3 is in leg 5" in sentence or "leg 5 is in leg 3" in sentence
 
 
-def test_a_geometry_that_mujoco_rejects_is_said_in_one_line() -> None:
+def test_a_geometry_that_mujoco_rejects_is_reported_in_one_line() -> None:
     with pytest.raises(ConfigError, match="MuJoCo cannot simulate elkapod: ") as raised:
         World(GEOMETRY, Assumed(mass_kg=0.0))
     assert "\n" not in str(raised.value)

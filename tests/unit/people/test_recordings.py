@@ -270,7 +270,7 @@ def test_damage_in_the_middle_ends_what_can_be_read(path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 100, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\0" * 50])
-def test_what_is_no_recording_is_told_and_left_as_it_is(path: Path, content: bytes) -> None:
+def test_what_is_no_recording_is_reported_and_left_as_it_is(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     for mend in (repair, repair_file):
         with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP|was cut off before its first|no message)"):

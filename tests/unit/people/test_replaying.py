@@ -180,7 +180,7 @@ def test_the_same_frames_are_the_same_whenever_they_began() -> None:
     assert found.frames == 300
 
 
-def test_a_frame_that_comes_late_is_told() -> None:
+def test_a_frame_that_comes_late_is_reported() -> None:
     late = shifted(GAIT.expected, 5)
     late[100:101] = shifted(late[100:101], 900_000)
     found = compare(GAIT, PUNCTUAL, late, 0.8)
@@ -190,7 +190,7 @@ def test_a_frame_that_comes_late_is_told() -> None:
     assert compare(GAIT, PUNCTUAL, late, 1).passes
 
 
-def test_other_bytes_are_told() -> None:
+def test_other_bytes_are_reported() -> None:
     other = list(GAIT.expected)
     other[12] = other[12]._replace(data=leg(1, deg=10).to_bytes())
     found = compare(GAIT, PUNCTUAL, other, 5)
@@ -201,7 +201,7 @@ def test_other_bytes_are_told() -> None:
     assert found.same == 299
 
 
-def test_a_missing_frame_is_told() -> None:
+def test_a_missing_frame_is_reported() -> None:
     found = compare(GAIT, PUNCTUAL, GAIT.expected[:-1], 5)
     assert found.differences[0].startswith("leg 6: 49 frames are the same, 1 missing; the first: at 0.981 s 0e01")
     longer = [*GAIT.expected, Written(10**9, leg(6).to_bytes())]
@@ -209,7 +209,7 @@ def test_a_missing_frame_is_told() -> None:
     assert not compare(GAIT, PUNCTUAL, [], 5).passes
 
 
-def test_legs_in_another_order_are_told() -> None:
+def test_legs_in_another_order_are_reported() -> None:
     frames = GAIT.expected
     found = compare(GAIT, PUNCTUAL, [*frames[:6], frames[7], frames[6], *frames[8:]], 5)
     assert not found.differences
@@ -313,7 +313,7 @@ def test_a_frame_of_the_same_bytes_that_is_late_is_not_taken_for_its_neighbour()
     assert found.worst_ms == pytest.approx(15)
 
 
-def test_what_is_different_throughout_is_told_in_a_time_that_grows_with_its_length() -> None:
+def test_what_is_different_throughout_is_reported_in_a_time_that_grows_with_its_length() -> None:
     other = [frame._replace(data=leg(frame.data[2] // 10, deg=1).to_bytes()) for frame in LONG.expected]
     found = compare(LONG, LONG_SENT, other, 1)
     assert (found.same, len(found.differences)) == (0, 6)
@@ -345,7 +345,7 @@ def test_whatever_differs_in_a_walk_all_else_is_the_same(faults: list[tuple[int,
     assert found.passes == (not faults)
 
 
-def test_a_gap_that_the_watchdog_does_not_wait_for_is_told_beforehand(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gap_that_the_watchdog_does_not_wait_for_is_reported_beforehand(capsys: pytest.CaptureFixture[str]) -> None:
     watchdog = WatchdogReport.model_construct(timeout_ms=250)
     state = GatewayState.model_construct(mode=Mode.IDLE, watchdog=watchdog)
     for gap_ms in (240, 312):

@@ -133,7 +133,7 @@ def image(*records: tuple[int, int, bytes]) -> bytes:
     ],
     ids=repr,
 )
-def test_a_calibration_that_no_gateway_told_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
+def test_a_calibration_that_no_gateway_published_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
     ring = bytearray(image((form.CALIBRATION, 1, told[: form.ROOM])))
     header.put_calibration(ring, told)
     records, damaged, _ = ring_reader.parse(bytes(ring))

@@ -198,7 +198,7 @@ def test_a_count_of_nothings_that_lies_takes_no_time() -> None:
         decode(Empties, b"\x00\x01\x00\x00\xff\xff\xff\xff")
 
 
-def test_what_cannot_be_written_is_said() -> None:
+def test_what_cannot_be_written_is_reported() -> None:
     for message in (String("a\0b"), String("\ud800"), Time(2**31, 0), Duration(0, -1)):
         with pytest.raises(CdrError):
             encode(message)

@@ -29,7 +29,7 @@ STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4)
 # ---- is anybody there?
 
 
-def test_nobody_has_been_heard() -> None:
+def test_nothing_has_been_received() -> None:
     model = Model(trouble="no gateway answers on tcp/robot:7447")
     assert model.presence(0) is Presence.WAITING
     assert " WAITING " in screen(model)
@@ -95,7 +95,7 @@ def test_a_restart_is_noticed_after_a_silence_whichever_has_run_for_longer(start
     assert kinds(model) == [*(["restarted"] if restarted else []), "back", "silent"]
 
 
-def test_others_that_answer_are_told_once() -> None:
+def test_others_that_answer_are_reported_once() -> None:
     model = Model()
     for _ in range(3):
         model.note_others("2 programs answer", WALL)
@@ -127,7 +127,7 @@ def test_the_age_of_a_command_grows_between_two_states() -> None:
     assert row.endswith("━━━━╸─────   115 ms")
 
 
-def test_what_a_silent_gateway_last_said_is_not_shown_as_an_age() -> None:
+def test_what_a_silent_gateway_last_published_is_not_shown_as_an_age() -> None:
     model = Model()
     model.received_state(state(age_ms=40, watchdog=WatchdogState.ARMED, running=True), 0, WALL)
     row = screen(model, 5 * NS_PER_S).splitlines()[6]
@@ -270,7 +270,7 @@ def test_a_stop_that_nobody_answers_is_shouted_until_somebody_does() -> None:
     assert "confirmed 61000 ms after the key" in model.remark.text
 
 
-def test_who_waits_for_an_answer_hears_so_before_the_timeout() -> None:
+def test_who_waits_for_an_answer_is_informed_before_the_timeout() -> None:
     model = model_with_state(Model())
     model.stop_pressed(0)
     assert model.stop_alarm(STOP_PATIENCE_NS - 1) is None
@@ -331,7 +331,7 @@ def test_a_reset_is_asked_back_and_the_question_does_not_stand_for_ever() -> Non
     assert not model.asking(0)
 
 
-def test_a_reset_means_the_latest_emergency_stop_that_was_heard_of() -> None:
+def test_a_reset_means_the_latest_emergency_stop_that_was_received() -> None:
     model = Model()
     assert model.estop is None
     model.received_state(state(mode=Mode.ESTOPPED).model_copy(update={"estop": 3}), 0, WALL)
