@@ -1,13 +1,19 @@
 """Puts a mutant in the place of a module that is loaded, or is going to be; no file is ever written."""
 
-from collections.abc import Callable, Iterator, Set
+import ast
+import builtins
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_loader
 from inspect import CO_OPTIMIZED
 from types import CodeType, FunctionType, ModuleType
+from typing import Final
 
-CodesByPlace = dict[tuple[str, int], CodeType]
-"""Functions, those of classes, too, by qualified name and first line; what stands within one belongs to it."""
+Place = tuple[str, int]
+"""A function or method by qualified name and first line; what stands within one belongs to it."""
+CALLED: Final = "__called_in_a_test__"
+"""A name among Python's builtins."""
 
 
 class MutatedImport:
@@ -39,36 +45,56 @@ class _Loader(SourceFileLoader):
         """Keeps none, either."""
 
 
-def in_place(module: ModuleType, source: str, mutated: str, called: Set[CodeType]) -> Callable[[], None] | None:
-    """What gives the one function that differs its mutated code.
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Another code for a function that is loaded."""
 
-    None: it is more than one, one that is not found, or one that has been `called` already.
-    """
+    place: Place
+    functions: list[FunctionType]
+    code: CodeType
+
+    def __call__(self) -> None:
+        """Do it."""
+        for function in self.functions:
+            function.__code__ = self.code
+
+
+def in_place(module: ModuleType, source: str, mutated: str) -> Exchange | None:
+    """For the one function that differs. None: it is more than one, or none that is found."""
     file = str(module.__file__)
     was, is_now = compile(source, file, "exec"), compile(mutated, file, "exec")
     functions, others = dict(_functions(was)), dict(_functions(is_now))
     changed = [place for place, code in functions.items() if others.get(place) != code]
     if len(changed) != 1 or functions.keys() != others.keys() or _frame(was) != _frame(is_now):
         return None
-    found = [each for each in _loaded(vars(module), module.__name__) if _place(each.__code__) == changed[0]]
-    code = others[changed[0]]
-    if not found or any(len(each.__code__.co_freevars) != len(code.co_freevars) for each in found):
+    return _exchange(module, changed[0], others[changed[0]])
+
+
+def watched(module: ModuleType, source: str, called: Callable[[int], None]) -> list[Exchange]:
+    """For all functions: each reports the line it begins at whenever it is called, in whichever thread."""
+    setattr(builtins, CALLED, called)
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            line = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+            node.body[:0] = ast.parse(f"{CALLED}({line})").body
+    code = compile(ast.fix_missing_locations(tree), str(module.__file__), "exec")
+    exchanges = [_exchange(module, place, function) for place, function in _functions(code)]
+    return [each for each in exchanges if each is not None]
+
+
+def _exchange(module: ModuleType, place: Place, code: CodeType) -> Exchange | None:
+    functions = [each for each in _loaded(vars(module), module.__name__) if _place(each.__code__) == place]
+    if not functions or any(len(each.__code__.co_freevars) != len(code.co_freevars) for each in functions):
         return None
-    if called & {each.__code__ for each in found}:
-        return None
-
-    def exchange() -> None:
-        for each in found:
-            each.__code__ = code
-
-    return exchange
+    return Exchange(place, functions, code)
 
 
-def _place(code: CodeType) -> tuple[str, int]:
+def _place(code: CodeType) -> Place:
     return code.co_qualname, code.co_firstlineno
 
 
-def _functions(code: CodeType) -> Iterator[tuple[tuple[str, int], CodeType]]:
+def _functions(code: CodeType) -> Iterator[tuple[Place, CodeType]]:
     """Of a module or a class's body."""
     for const in code.co_consts:
         if isinstance(const, CodeType):

@@ -27,7 +27,7 @@ from typing import Final, NoReturn
 import pytest
 from hypothesis import Phase, settings
 
-from tests.mutants.exchange import MutatedImport, in_place
+from tests.mutants.exchange import MutatedImport, in_place, watched
 
 LIBRARIES: Final = (
     *("async_solipsism", "asyncio", "cryptography.x509", "hypothesis.stateful", "hypothesis.strategies"),
@@ -38,6 +38,10 @@ LIBRARIES: Final = (
 OURS: Final = ("gateway", "tests")
 MEMORY_BYTES: Final = 8 << 30
 """A fault that never ends may also take memory without end."""
+
+
+TEST_MAY_TAKE_S: Final = 20
+"""One test, with a fault that makes it wait for ever; those that judge take less than two."""
 
 
 class Outcome(StrEnum):
@@ -146,7 +150,7 @@ def _awaited(pid: int, pipe: int, limits: _Limits) -> Verdict:
         os.close(ends)
         test = tests.readline().strip() if in_time else ""
     code = os.waitstatus_to_exitcode(status)
-    if not in_time or code == -signal.SIGXCPU:
+    if not in_time or code in (-signal.SIGXCPU, -signal.SIGALRM):
         return Verdict(Outcome.TIMED_OUT)
     if code == 0:
         return Verdict(Outcome.SURVIVED)
@@ -179,6 +183,11 @@ class _Tests:
     pipe: int
     """For the name of the test that fails."""
 
+    @pytest.hookimpl
+    def pytest_runtest_logstart(self) -> None:
+        """A test begins; one that waits for ever ends all."""
+        signal.setitimer(signal.ITIMER_REAL, TEST_MAY_TAKE_S)
+
     @pytest.hookimpl(trylast=True)
     def pytest_configure(self) -> None:
         """After tests/conftest.py has chosen its profile."""
@@ -200,8 +209,12 @@ class _Loaded(_Tests):
     subject: Subject
     report: int
     """A pipe's end, for what became of each."""
-    called: set[CodeType] = field(default_factory=set)
+    imported: set[CodeType] = field(default_factory=set)
     """The subject's functions that are called while modules are imported."""
+    now: set[int] = field(default_factory=set)
+    """What the present test has called of them, by first line."""
+    noted: int | None = None
+    """Where that is written at its end, in the process that runs the tests without a mutant."""
     killers: list[str] = field(default_factory=list)
     """Tests that noticed a mutant, the last one first."""
 
@@ -211,7 +224,7 @@ class _Loaded(_Tests):
 
         def look(frame: FrameType, event: str, _: object) -> None:
             if event == "call" and frame.f_code.co_filename == file:
-                self.called.add(frame.f_code)
+                self.imported.add(frame.f_code)
 
         sys.setprofile(look)
 
@@ -221,9 +234,15 @@ class _Loaded(_Tests):
         sys.setprofile(None)
         gc.collect()
         gc.freeze()
+        source = (self.subject.root / self.subject.file).read_text(encoding="utf-8")
+        module = sys.modules[self.subject.module]
         begun_s, used_s = time.monotonic(), _children_used_s()
+        noted = os.memfd_create("calls")
         pid, self.pipe = _forked(_Limits())
         if pid == 0:
+            self.noted = noted
+            for look in watched(module, source, self.now.add):
+                look()
             return None
         without = _awaited(pid, self.pipe, _Limits())
         if without.outcome is not Outcome.SURVIVED:
@@ -231,16 +250,17 @@ class _Loaded(_Tests):
             return True
         limits = _Limits(5 + 4 * (_children_used_s() - used_s), 15 + 6 * (time.monotonic() - begun_s))
         _tell(self.report, limits=[limits.processor_s, limits.all_s])
-        source = (self.subject.root / self.subject.file).read_text(encoding="utf-8")
+        calls = dict(json.loads(line) for line in _text(noted).splitlines())
         for number, mutated in enumerate(self.subject.mutated):
-            exchange = in_place(sys.modules[self.subject.module], source, mutated, self.called)
-            if exchange is None:
+            exchange = in_place(module, source, mutated)
+            if exchange is None or self.imported & {each.__code__ for each in exchange.functions}:
                 _tell(self.report, number=number, outcome=None)
                 continue
+            tests = [item for item in session.items if exchange.place[1] in calls[item.nodeid]]
             pid, self.pipe = _forked(limits)
             if pid == 0:
                 exchange()
-                session.items.sort(key=lambda item: self._rank(item.nodeid))
+                session.items[:] = sorted(tests, key=lambda item: self._rank(item.nodeid))
                 return None
             verdict = _awaited(pid, self.pipe, limits)
             if verdict.test:
@@ -248,8 +268,21 @@ class _Loaded(_Tests):
             _tell(self.report, number=number, outcome=verdict.outcome, test=verdict.test)
         return True
 
+    @pytest.hookimpl
+    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+        """A test has ended."""
+        if self.noted is not None:
+            os.write(self.noted, f"{json.dumps([nodeid, sorted(self.now)])}\n".encode())
+            self.now.clear()
+
     def _rank(self, test: str) -> int:
         return self.killers.index(test) if test in self.killers else len(self.killers)
+
+
+def _text(file: int) -> str:
+    with open(file, encoding="utf-8") as opened:
+        opened.seek(0)
+        return opened.read()
 
 
 def _children_used_s() -> float:
