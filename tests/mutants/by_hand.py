@@ -55,18 +55,6 @@ MADE: Final[tuple[ByHand, ...]] = (
     ),
     ByHand(
         "gateway/certs/zenoh_files.py",
-        '{ subjects: ["operator"],\n',
-        '{ subjects: ["operator", "observer"],\n',
-        "observers command",
-    ),
-    ByHand(
-        "gateway/certs/zenoh_files.py",
-        '{ subjects: ["operator", "observer"],\n',
-        '{ subjects: ["observer"],\n',
-        "operators see nothing",
-    ),
-    ByHand(
-        "gateway/certs/zenoh_files.py",
         'flows: ["ingress"], messages: ["put", "delete", "query", "reply"], key_exprs: ["**"]',
         'flows: ["egress"], messages: ["put", "delete", "query", "reply"], key_exprs: ["**"]',
         "what comes in has no limit",

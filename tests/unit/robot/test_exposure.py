@@ -42,6 +42,8 @@ def rejected(*listen: str, **settings: Any) -> bool:
         "udp/127.0.0.1:7447",
         "ws/127.0.0.1:7447",
         "tls/127.0.0.1:7447",
+        "quic/127.0.0.1:7447",
+        "unixpipe//run/gateway.pipe",
         "tcp/127.0.0.1:7447#iface=lo",
         "tcp/127.0.0.1:7447#bind=127.0.0.1:7448",
         "tcp/127.0.0.1:7447?x=a:b",
@@ -106,6 +108,16 @@ def test_passwords_and_that_an_empty_dictionary_is_none(tmp_path: Path, text: st
     users = tmp_path / "users.txt"
     users.write_text(text)
     assert rejected("tcp/0.0.0.0:7447", **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
+
+
+@pytest.mark.parametrize("content", [None, b"anna:\xff"], ids=["missing", "no text"])
+def test_a_password_file_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | None) -> None:
+    users = tmp_path / "users.txt"
+    if content is not None:
+        users.write_bytes(content)
+    settings = {"listen/endpoints": ["tcp/0.0.0.0:7447"], "transport/auth/usrpwd/dictionary_file": str(users)}
+    with pytest.raises(ConfigError, match=r"users\.txt: the password file cannot be read"):
+        exposure.check(config(**settings), allow_insecure=True)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.pacing import NS_PER_MS, RateSlots, StartQueue, merged
+from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S, RateSlots, StartQueue, merged
 from gateway.robot.protocol.frames import STOP, Op, ServoOp
 
 START_90, START_45 = ServoOp(Op.START, 90_00), ServoOp(Op.START, 45_00)
@@ -53,6 +53,18 @@ def sent(period_ns: int, arrivals_ns: list[int]) -> list[tuple[int, int]]:
 def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
     """When frames go out."""
     return [at_ns for at_ns, _ in sent(period_ns, arrivals_ns)]
+
+
+def test_a_robot_that_has_just_booted_has_all_its_slots_too() -> None:
+    """At the clock's very beginning, with the longest period there is."""
+    slots = RateSlots(NS_PER_S)
+    for now_ns in (0, NS_PER_S // 4, NS_PER_S // 2):
+        assert slots.is_open(now_ns)
+        slots.take(now_ns)
+    assert slots.next_ns == NS_PER_S
+    queue = StartQueue(pause_ns=1)
+    queue.join(3)
+    assert queue.admits(3, 0)
 
 
 def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
