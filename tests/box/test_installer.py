@@ -7,11 +7,8 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.robot import settings
-from gateway.robot.protocol.framing import Framing
-from gateway.robot.settings import LimitSettings, ServoLimits, Settings, SpiSettings, WatchdogSettings
 from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box, Unit
-from tests.box.installed import CONFIGURATION, INSTALLER, NAME, REPOSITORY, share
+from tests.box.installed import CONFIGURATION, INSTALLER, NAME, share
 
 pytestmark = pytest.mark.systemd
 
@@ -110,26 +107,6 @@ def clear(machine: Machine) -> None:
     machine.box.run("rm", "-rf", f"/etc/{NAME}", str(Path(DROP_IN).parent))
     machine.box.run("systemctl", "daemon-reload")
     machine.box.write(CONFIG_TXT, STOCK)
-
-
-def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
-    """The configuration that is installed changes nothing; each default in it is the true one, and none is left out."""
-    installed = REPOSITORY / "deploy/gateway.toml"
-    assert settings.load(installed, simulated=True) == Settings()
-    lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another
-    uncommented = tmp_path / "gateway.toml"
-    uncommented.write_text("\n".join(re.sub(r"^# (\w+ = |\[)", r"\1", line) for line in lines))
-    spi = SpiSettings(avoid_deg=(1, 4))  # the default of one framing, which the file names
-    assert spi.avoid_cdeg == SpiSettings(framing=Framing.LENGTH_PREFIXED).avoid_cdeg
-    servo = ServoLimits(min_deg=20, max_deg=160)  # and the two examples that are no defaults
-    limits = LimitSettings(servos={"11": servo})
-    watchdog = WatchdogSettings(landing={"11": 90})
-    expected = Settings(spi=spi, limits=limits, watchdog=watchdog)
-    assert settings.load(uncommented).model_dump() == expected.model_dump()
-    shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
-    sections = [*(getattr(Settings(), name) for name in Settings.model_fields), servo]
-    tables = {"servos", "landing"}
-    assert shown - {"11"} == {name for section in sections for name in type(section).model_fields} - tables
 
 
 def test_rejections(bare: Machine) -> None:

@@ -102,6 +102,7 @@ JUDGES: Final = {
     "gateway/robot/core/legs.py": _SUPERVISOR,
     "gateway/robot/core/supervisor.py": _SUPERVISOR,
     "gateway/robot/core/lease.py": _LEASE,
+    "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
     "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
     "gateway/robot/core/joint_limits.py": _CALIBRATION,
     "gateway/robot/core/calibrating.py": _CALIBRATION,

@@ -1,5 +1,6 @@
 """Settings from a file and the environment: defaults, what overrides what, ranges (faults: test_settings_faults.py)."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from gateway.errors import ConfigError
+from gateway.robot import settings
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.settings import ServoLimits, Settings
+from gateway.robot.settings import LimitSettings, ServoLimits, Settings, SpiSettings, WatchdogSettings
 from tests.support.settings_file import faults, load
 
 pytestmark = pytest.mark.usefixtures("_clean_environment")
@@ -267,3 +269,23 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else repr(value)
+
+
+def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
+    """The configuration that is installed changes nothing; each default in it is the true one, and none is left out."""
+    installed = Path(__file__).parents[3] / "deploy/gateway.toml"
+    assert settings.load(installed, simulated=True) == Settings()
+    lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another
+    uncommented = tmp_path / "gateway.toml"
+    uncommented.write_text("\n".join(re.sub(r"^# (\w+ = |\[)", r"\1", line) for line in lines))
+    spi = SpiSettings(avoid_deg=(1, 4))  # the default of one framing, which the file names
+    assert spi.avoid_cdeg == SpiSettings(framing=Framing.LENGTH_PREFIXED).avoid_cdeg
+    servo = ServoLimits(min_deg=20, max_deg=160)  # and the two examples that are no defaults
+    limits = LimitSettings(servos={"11": servo})
+    watchdog = WatchdogSettings(landing={"11": 90})
+    expected = Settings(spi=spi, limits=limits, watchdog=watchdog)
+    assert settings.load(uncommented).model_dump() == expected.model_dump()
+    shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
+    sections = [*(getattr(Settings(), name) for name in Settings.model_fields), servo]
+    tables = {"servos", "landing"}
+    assert shown - {"11"} == {name for section in sections for name in type(section).model_fields} - tables
