@@ -7,7 +7,7 @@ WHEELS ?= dist/wheels
 # terminal, and a systemd to start in a box of its own.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium
 
-.PHONY: help run quick test check case bench walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: dist lock help run quick test check case bench walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -28,6 +28,8 @@ help:
 	@echo "make format   let ruff format"
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
 	@echo "              (for a Pi, from another machine: make wheels FOR=aarch64 FOR_PYTHON=3.11)"
+	@echo "make lock     write uv.lock and deploy/lock/ anew, after a change of the dependencies (UPGRADE=1: newer versions)"
+	@echo "make dist     fill dist/: wheel, sdist, locks, SBOM, sums and their signature, and a bundle (KEY=~/.ssh/release)"
 
 # Ctrl-C, and SIGTERM to make, end all; the console's end does not end the gateway.
 run: $(VENV)/run
@@ -83,6 +85,17 @@ format: $(VENV)/dev
 
 wheels: $(VENV)/bin/python
 	@deploy/wheels.sh $(abspath $(BIN)/python) $(WHEELS) $(FOR) $(FOR_PYTHON)
+
+# uv.lock has every version and hash, for every platform and extra; the two files in deploy/lock are what a robot installs.
+EXPORT = $(BIN)/uv export --quiet --frozen --no-config --no-header --no-annotate --format requirements.txt
+lock: $(VENV)/dev
+	$(BIN)/uv lock --no-config --default-index https://pypi.org/simple $(if $(UPGRADE),--upgrade)
+	$(EXPORT) --no-emit-project --extra spi --extra console --output-file deploy/lock/requirements.txt
+	$(EXPORT) --only-group build --output-file deploy/lock/build.txt
+
+# KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed. FOR, FOR_PYTHON: whom the bundle is for.
+dist: $(VENV)/dev
+	$(BIN)/python -m release $(if $(KEY),--key $(KEY)) $(if $(FOR),--processor $(FOR)) $(if $(FOR_PYTHON),--python $(FOR_PYTHON))
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

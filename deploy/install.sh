@@ -5,6 +5,9 @@
 #   sudo deploy/install.sh --framing F     length-prefixed (the published STM32 firmware) or plain (a controller that
 #                                          follows the protocol's document); without it, a terminal is asked
 #   sudo deploy/install.sh --wheels DIR    without a network, from a folder that `make wheels` filled
+#   sudo deploy/install.sh --bundle FILE   without a network, from a signed release (`make dist`): it is verified before anything is
+#                                          unpacked; --allow-downgrade: also one that is older; --trust SHA256:…: signed by
+#                                          another key than the releases before
 #   sudo deploy/install.sh --certs DIR     besides, bring the gateway's certificates (`hexapod-gateway certs init`)
 #   sudo deploy/install.sh --console       besides, the web console as a service of its own
 #   sudo deploy/install.sh --rollback      back to the release before this one
@@ -12,6 +15,9 @@
 #   sudo deploy/install.sh --uninstall     stops the service and removes all but the configuration
 #        deploy/install.sh --dry-run …     says what it would do, in the same lines, and does nothing
 #   sudo PYTHON=/usr/bin/python3.12 deploy/install.sh …
+#
+# With pip only, `hexapod-gateway install-service …` is the same program. Dependencies are those of deploy/lock, with their
+# SHA-256 (pip --require-hashes).
 #
 # Run it as often as you like: it changes what differs, of a configuration nothing but a framing that it lacks, and
 # restarts the service only if something that it runs has changed.
@@ -39,7 +45,7 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' framing=''
+dry=no bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' framing=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
@@ -47,6 +53,24 @@ while [ $# -gt 0 ]; do
 	--rollback) rollback=yes ;;
 	--force) force=yes ;;
 	--console) console=yes ;;
+	--allow-downgrade) allow_downgrade=yes ;;
+	--bundle | --own-wheel)
+		[ $# -ge 2 ] || fail "$1 needs a file"
+		[ -f "$2" ] || fail "$1: $2 is no file"
+		if [ "$1" = --bundle ]; then bundle=$(readlink -f "$2"); else own_wheel=$(readlink -f "$2"); fi
+		shift
+		;;
+	--opened) # by the installer before this one, which has verified what is there
+		opened=$2 unpacked=$2 wheels=$2/files
+		shift
+		;;
+	--trust)
+		case ${2:-} in
+		SHA256:?*) trust=$2 ;;
+		*) fail "$1 needs a key's fingerprint, SHA256:…, as ssh-keygen -l shows it" ;;
+		esac
+		shift
+		;;
 	--wheels | --certs)
 		[ $# -ge 2 ] || fail "$1 needs a folder"
 		[ -d "$2" ] || fail "$1: $2 is no folder"
@@ -98,8 +122,10 @@ check_sources() {
 	if [ -n "$wheels" ]; then
 		compgen -G "$wheels/hexapod_gateway-*.whl" >/dev/null ||
 			fail "$wheels has no hexapod_gateway-*.whl; fill it with: make wheels WHEELS=$wheels"
-	else
-		[ -f "$ROOT/pyproject.toml" ] || fail "$ROOT is not the repository; name a folder: --wheels DIR"
+		[ -s "$wheels/requirements.txt" ] || fail "$wheels has no requirements.txt, which \`make wheels\` writes with the hashes"
+	elif [ -z "$own_wheel" ]; then
+		[ -f "$ROOT/pyproject.toml" ] ||
+			fail "$ROOT is not the repository; hexapod-gateway install-service, --bundle FILE or --wheels DIR"
 	fi
 	local file
 	for file in ${certs:+$CERTIFICATES}; do
@@ -148,7 +174,7 @@ is_blank() { [ -e "$1" ] && [ -z "$(tr -d '\0[:space:]' <"$1" | head -c 1)" ]; }
 
 clean_up() {
 	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is fixed" >&2
-	rm -rf ${sources:+"$sources"} ${said_framing:+"$said_framing"}
+	rm -rf ${sources:+"$sources"} ${said_framing:+"$said_framing"} ${unpacked:+"$unpacked"}
 	if [ -n "$unfinished" ]; then
 		rm -rf "$unfinished"
 		rmdir "$OPT" 2>/dev/null || true # only if it is empty
@@ -304,6 +330,7 @@ keep_drop_ins() {
 
 install_all() {
 	check_python
+	if [ -n "$bundle" ] && [ -z "$opened" ]; then open_bundle; fi
 	check_sources
 	# shellcheck source=deploy/framing.sh
 	. "$HERE/framing.sh"
@@ -313,6 +340,7 @@ install_all() {
 	changed=no
 	write_configuration
 	configured=$changed
+	keep_trust
 	allow_spi
 	start_service
 	flush
@@ -374,6 +402,8 @@ check_machine
 . "$HERE/running.sh"
 # shellcheck source=deploy/venv.sh
 . "$HERE/venv.sh"
+# shellcheck source=deploy/bundle.sh
+. "$HERE/bundle.sh"
 # shellcheck source=deploy/releases.sh
 . "$HERE/releases.sh"
 # shellcheck source=deploy/console.sh

@@ -7,10 +7,13 @@
 build_venv() {
 	local inputs name
 	if [ -n "$wheels" ]; then
-		inputs=$(cd "$wheels" && sha256sum -- *)
+		inputs=$(cat "$wheels/requirements.txt")
 		to=$(basename "$(compgen -G "$wheels/hexapod_gateway-*.whl" | tail -n 1)" | cut -d- -f2)
+	elif [ -n "$own_wheel" ]; then
+		inputs=$(sha256sum <"$own_wheel" && cat "$HERE/lock/requirements.txt")
+		to=$(basename "$own_wheel" | cut -d- -f2)
 	else
-		inputs=$(cd "$ROOT" && find pyproject.toml gateway schemas -name __pycache__ -prune -o -type f -print0 |
+		inputs=$(cd "$ROOT" && find pyproject.toml deploy gateway schemas -name __pycache__ -prune -o -type f -print0 |
 			sort -z | xargs -0 sha256sum)
 		to=$(version_of "$ROOT")
 	fi
@@ -29,25 +32,45 @@ build_venv() {
 	[ "$(readlink -e $OPT/venv || true)" != "$name" ] && [ "$(release_of $NAME)" != "$name" ] || venv=$name-2
 	check_compiler
 	say "make $venv with $python ($version)"
-	say "install $NAME $to into it from ${wheels:-$ROOT and the network}"
+	say "install $NAME $to into it from ${wheels:-${own_wheel:-$ROOT} and the network}, with the hashes of the lock"
 	[ "$dry" = no ] || return 0
 	unfinished=$venv
 	rm -rf "$venv"
 	mkdir -p "$OPT"
 	"$python" -m venv "$venv" || fail "$venv could not be made (above is why); nothing else was changed"
-	if [ -n "$wheels" ]; then
-		# --isolated: no pip configuration of this machine, which may name an index.
-		"$venv/bin/pip" --isolated install --quiet --disable-pip-version-check --no-cache-dir --no-index \
-			--find-links "$wheels" "${NAME}[spi,console]"
-	else
-		sources=$(mktemp -d)
-		copy_sources "$ROOT" "$sources"
-		"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir "${sources}[spi,console]"
-	fi || fail "pip could not install $NAME (above is why); nothing else was changed"
+	if [ -n "$wheels" ]; then install_from_folder; else install_from_network; fi ||
+		fail "pip could not install $NAME (above is why); nothing else was changed"
 	{ "$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev'; } ||
 		fail "what was installed does not run (above is why); nothing else was changed"
 	mark_whole "$venv"
 	unfinished=''
+}
+
+# Nothing is installed whose SHA-256 nobody has named, and nothing that pip itself would choose (--no-deps). What builds
+# spidev, where that comes as source, is installed in the same way: pip's own isolation would fetch it without a look.
+install_hashed() {
+	"$venv/bin/pip" "$@" --quiet --disable-pip-version-check --no-cache-dir --no-deps --no-build-isolation --require-hashes
+}
+
+install_from_folder() {
+	# --isolated: no pip configuration of this machine, which may name an index.
+	[ ! -e "$wheels/build.txt" ] ||
+		install_hashed --isolated install --no-index --find-links "$wheels" -r "$wheels/build.txt" || return
+	install_hashed --isolated install --no-index --find-links "$wheels" -r "$wheels/requirements.txt"
+}
+
+install_from_network() {
+	sources=$(mktemp -d)
+	install_hashed install -r "$HERE/lock/build.txt" || return
+	if [ -z "$own_wheel" ]; then
+		mkdir "$sources/own"
+		SOURCE_DATE_EPOCH=$(epoch_of "$ROOT") copy_sources "$ROOT" "$sources/own" || return
+		"$venv/bin/pip" wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index \
+			--wheel-dir "$sources" "$sources/own" || return
+		own_wheel=$(compgen -G "$sources/hexapod_gateway-*.whl")
+	fi
+	install_hashed install -r "$HERE/lock/requirements.txt" || return
+	"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir --no-deps --no-index "$own_wheel"
 }
 
 # The mark has the SHA-256 of each file. All of them are on the disk before it is; else a power cut in the next half minute

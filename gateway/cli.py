@@ -313,6 +313,23 @@ def revoke(
     sys.exit(revoking.take(file, config))
 
 
+@app.command(
+    "install-service",
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+    add_help_option=False,
+)
+def install_service(context: typer.Context) -> None:
+    """Install the gateway as a service of this machine, with sudo: the same as deploy/install.sh, with its options.
+
+    Such as --framing length-prefixed, --certs DIR, --console, --bundle FILE, --rollback, --uninstall; --help names all.
+
+    Exit codes: 0 done, 1 rejected or failed, with one sentence, and the service that ran goes on.
+    """
+    from gateway.people.tools import install_service
+
+    sys.exit(install_service.install(context.args))
+
+
 @app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],

@@ -21,7 +21,7 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wheel and a source archive, built from a copy without what lies around in a working folder."""
     folder = tmp_path_factory.mktemp("build")
     names = ("pyproject.toml", "README.md", "LICENSE", "gateway", "schemas")
-    subprocess.run(["cp", "-r", *(REPOSITORY / name for name in names), folder], check=True)
+    subprocess.run(["cp", "-rL", *(REPOSITORY / name for name in names), folder], check=True)
     subprocess.run(
         [sys.executable, "-m", "build", "--outdir", folder / "dist", folder], check=True, capture_output=True
     )
