@@ -178,8 +178,9 @@ def _meaning(source: str) -> str:
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             node.returns = None
         elif isinstance(node, ast.arguments):
-            node.args += node.posonlyargs + node.kwonlyargs
-            node.posonlyargs, node.kwonlyargs = [], []
+            node.args = node.posonlyargs + node.args + node.kwonlyargs
+            node.defaults += [default for default in node.kw_defaults if default is not None]
+            node.posonlyargs, node.kwonlyargs, node.kw_defaults = [], [], []
         elif isinstance(node, ast.Call):
             node.keywords = [each for each in node.keywords if each.arg not in _NOT_JUDGED]
         elif isinstance(node, ast.ClassDef):

@@ -134,8 +134,8 @@ def test_names_stay_when_lines_move() -> None:
     assert len(set(names)) == len(names)
 
 
-def test_annotations_are_not_judged() -> None:
-    assert not mutants_of("def act(x: int | None, y: 'tuple[int, str]') -> str | None: ...\nx: int | None\n")
+def test_annotations_and_how_arguments_are_passed_are_not_judged() -> None:
+    assert not mutants_of("def act(x: int | None, *, y: 'tuple[int, str]', z=None) -> str | None: ...\nx: int | None\n")
 
 
 FILES = {
