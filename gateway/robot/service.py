@@ -203,6 +203,7 @@ async def _run(
         physics=physics and physics.zenoh_id,
         recorder=recorder,
         owner=owner,
+        calibration_kept=calibration_file.path_of(settings) is not None,
     )
     calibrations = _calibrations(settings, conductor, loop)
     revocations = Revocations(conductor, shut_out, loop, end.begin_again)
@@ -323,8 +324,7 @@ def _inbox(
         },
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
     )
-    conductor.take = inbox.take
-    conductor.instant_open = lambda: inbox.instant_open
+    conductor.connect(inbox)
     return inbox
 
 
@@ -337,7 +337,7 @@ def _attendants(
 ) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that look after the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
-    conductor.certificate = upkeep.certificate
+    conductor.reports.use_certificate(upkeep.certificate)
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
     older = OlderCa(shut_out, conductor.metrics.count_older_ca)
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
@@ -349,7 +349,7 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
         await asyncio.sleep(1 / settings.telemetry.state_hz)
         if outbox.anyone_listens(STATE):
             with conductor.owner:  # also for the order of reports: an older state must not follow a newer one
-                outbox.publish(STATE, conductor.state())
+                conductor.publish_state()
 
 
 async def _beat(

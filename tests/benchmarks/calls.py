@@ -105,7 +105,7 @@ async def _measure(run_s: float, recorder: Recorder) -> tuple[float, float]:
             on_estop=lambda received: conductor.tick((received,)),
             on_state_query=conductor.answer_state,
         )
-        conductor.take = inbox.take
+        conductor.connect(inbox)
     beat = asyncio.create_task(_beat(conductor))
     command = [sys.executable, "-m", "tests.benchmarks.publisher", endpoint, "--legs", "3", "--hz", str(HZ)]
     with ExitStack() as stack:

@@ -5,6 +5,7 @@ import asyncio
 import copy
 import heapq
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, Self, cast
 
@@ -115,6 +116,16 @@ class MarkedBus(Bus):
         return super().write(frames, preamble=preamble)
 
 
+class Waiting(deque[Received]):
+    """The inbox's side: messages that wait for the next tick."""
+
+    instant_open = False
+
+    def take(self) -> Iterator[Received]:
+        while self:
+            yield self.popleft()
+
+
 class Scene(UnsharedDevice):
     """A gateway, its controller, and a watcher of both; messages come at their times."""
 
@@ -132,7 +143,7 @@ class Scene(UnsharedDevice):
         self.calls: list[int] = []
         """The first transfer of each call since the last copy."""
         self._stall: tuple[int, int] | None = None
-        self._waiting: list[Received] = []
+        self._waiting = Waiting()
         spi = self.settings.spi
         self.bus = MarkedBus(
             self._open,
@@ -150,7 +161,7 @@ class Scene(UnsharedDevice):
             clock=self.loop.now_ns,
             simulated=True,
         )
-        self.conductor.take = self._take
+        self.conductor.connect(self._waiting)
         self.conductor.start()
         self._beat()
 
@@ -163,10 +174,6 @@ class Scene(UnsharedDevice):
 
     def publish(self, key: str, report: BaseModel) -> None:
         """The outbox's side: nobody listens."""
-
-    def _take(self) -> Iterator[Received]:
-        while self._waiting:
-            yield self._waiting.pop(0)
 
     def _receive(self, message: Message) -> None:
         fields: dict[str, Any] = {

@@ -4,10 +4,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.robot.blackbox.recorder import RingRecorder, Written
-from gateway.robot.core.targets import Intent
-from gateway.robot.protocol.frames import Op, ServoOp
+from gateway.robot.blackbox.recorder import ACCEPTED, Heard, RingRecorder
+from gateway.robot.core.events import Transmit
+from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
 from gateway.robot.settings import Settings
+from gateway.robot.spi.bus import Sent
 from schemas.keys import leg_command
 from schemas.telemetry import Cause
 
@@ -18,22 +19,14 @@ def writers(folder: Path) -> dict[str, Callable[[], None]]:
         Settings.model_validate({"recorder": {"path": str(folder)}}), {}, time.monotonic_ns, time.time_ns
     )
     recorder.open()
-    intent = Intent(tuple((31 + joint, ServoOp(Op.SET, 90_00)) for joint in range(3)), "anna", 12.0)
-
-    key = leg_command(3)
-
-    def frame() -> None:
-        recorder.step, recorder.told = [Written(b"\x0e" * 14, Cause.COMMAND, 5, 45_000)], 0
-        recorder.frames()
-
-    def setpoint() -> None:
-        recorder.command(1, "put", key, "anna", intent, 5_000_000)
-        recorder.step, recorder.told = [Written(b"\x0e" * 14, Cause.COMMAND, 5_100_000, 45_000)], 0
-        recorder.decided(1, "accepted", key, "anna")
+    key, target = leg_command(3), ServoOp(Op.SET, 90_00)
+    heard = Heard(5_000_000, 1, "put", key, "anna", 12.0, tuple((31 + joint, target) for joint in range(3)))
+    sent = Sent(0, b"\x0e" * 14, 5_100_000, 45_000)
+    transmit = Transmit(OneLeg(3, (target, target, target)), Cause.COMMAND, None, (1,))
 
     return {
-        "setpoint with its frame": setpoint,
-        "command": lambda: recorder.command(0, "put", key, "anna", intent, 5_000_000),
-        "decision": lambda: recorder.decided(1, "estopped", key, "anna"),
-        "frame": frame,
+        "setpoint with its frame": lambda: recorder.step(heard, [(transmit, sent)], [(1, ACCEPTED, key, "anna")]),
+        "command": lambda: recorder.step(heard, (), ()),
+        "decision": lambda: recorder.step(None, (), [(1, "estopped", key, "anna")]),
+        "frame": lambda: recorder.step(None, [(transmit, sent)], ()),
     }

@@ -63,6 +63,7 @@ class Robot:
         self.reports: list[tuple[str, BaseModel]] = []
         self._acks: list[tuple[int, Ack]] = []
         self._waiting: list[Received] = []
+        self.instant_open = False
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),
@@ -72,8 +73,9 @@ class Robot:
             clock=self.now_ns,
             simulated=True,
             recorder=NO_RECORDER if record is None else record(self.settings, {}, self.now_ns, lambda: WALL_NS),
+            calibration_kept=keep is not None,
         )
-        self.conductor.take = self._take
+        self.conductor.connect(self)
         fresh = (f"{number:032x}" for number in itertools.count(1))
         answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
         self.desk = LeaseRequestReader(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
@@ -111,7 +113,8 @@ class Robot:
         """The outbox's side."""
         self.reports.append((key, report))
 
-    def _take(self) -> Iterator[Received]:
+    def take(self) -> Iterator[Received]:
+        """The inbox's side."""
         taken, self._waiting = self._waiting, []
         for received in taken:
             yield received

@@ -1,12 +1,7 @@
 """What the gateway tells its black box. `NO_RECORDER` takes it all and keeps nothing.
 
-Nothing here is on the way of a Stop: a step's Stops, and the command that asked for them, are recorded once all of
-them are written. Other frames are recorded as soon as they are written, so that what was carried out when the process
-was killed is there.
-
-A command that is carried out at once is recorded with its frame, where that is one call of some 100 µs. Where it is
-two, with a pause between them (`length-prefixed` without `spi.batch`), a process may well be killed before the second;
-then the command is recorded first.
+Nothing here is on the way of a Stop: it is told of a step once all frames of it are written, and before anybody is
+answered. A command that is carried out at once is one record with its frame.
 
 Who calls owns the gateway's state, as with the supervisor.
 """
@@ -23,12 +18,12 @@ from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.core.calibration import Calibration, report_of
-from gateway.robot.core.targets import Intent
+from gateway.robot.core.events import Transmit
+from gateway.robot.core.targets import Targets
 from gateway.robot.core.value import value
-from gateway.robot.protocol.frames import OP_STOP
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import Settings
-from schemas.telemetry import Cause, Kind, Mode
+from gateway.robot.spi.bus import Sent
+from schemas.telemetry import Kind, Mode
 
 LAG_NS: Final = 10_000_000
 """A timer that is later than this is recorded: a Stop would have been late by it."""
@@ -59,26 +54,28 @@ _IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUT
 """These are incidents only where legs are stopped for them."""
 MISTAKE: Final = "mistake"
 ACCEPTED: Final = "accepted"
+COALESCED: Final = "coalesced"
 
 logger = logging.getLogger(__name__)
 
 
-Held = tuple[int, int, str, str, str | None, Intent]
-"""A command that is to be recorded: when it came, its number, verb, key and source, and what it wants."""
+Written = tuple[Transmit, Sent]
+"""A frame that was written: why, and what the bus says of it."""
+Decided = tuple[int, str, str, str | None]
+"""What became of a command: its number (0: it got no further than this), the verdict, its key and source."""
 
 
 @value
-class Written:
-    """A frame that was written: its bytes, why, when its last bit left (computed: the begin of its call and its place
-    on the wire), how long its call took, and when it was due."""
+class Heard:
+    """A command that came in at `ns`; `number` 0: it gets no further."""
 
-    data: bytes
-    cause: Cause
     ns: int
-    transfer_ns: int
-    deadline_ns: int | None = None
-    heard: bool = True
-    """False: it counts as failed, since the preamble before it did."""
+    number: int
+    verb: str
+    key: str
+    source: str | None
+    sent_ms: float | None = None
+    targets: Targets = ()
 
 
 class Recorder:
@@ -88,12 +85,6 @@ class Recorder:
     """The id of the latest incident of this run."""
     incidents = 0
     """How many this run has begun."""
-    step: Sequence[Written] = ()
-    """The frames that the supervisor's present step has written up to now."""
-    told = 0
-    """How many of them are recorded."""
-    held: Held | None = None
-    """The command of the present step, if it is not recorded yet."""
 
     def __enter__(self) -> Self:
         return self
@@ -112,14 +103,8 @@ class Recorder:
     def close(self) -> None:
         """No more records."""
 
-    def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
-        """A command came in at `ns`; `number` 0: it gets no further."""
-
-    def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
-        """What became of it; number 0: of a message that was not read as a command."""
-
-    def frames(self) -> None:
-        """Record what is not recorded of `step`, and its command; to be called when no Stop follows in it."""
+    def step(self, heard: Heard | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
+        """A step: the command that it took, if it took one, the frames that it wrote, and what became of commands."""
 
     def mode(self, mode: Mode) -> None:
         """The gateway's mode changes."""
@@ -164,8 +149,6 @@ class RingRecorder(Recorder):
         self._ring: Ring | None = None
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
-        # Whether a command is recorded before its frame.
-        self._before = settings.spi.framing is not Framing.PLAIN and not settings.spi.batch
         self._clock_ns = 0  # when the time that people read was recorded last
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
@@ -194,49 +177,37 @@ class RingRecorder(Recorder):
             self._ring.close()
             self._ring = None
 
-    def command(self, number: int, verb: str, key: str, source: str | None, intent: Intent, ns: int) -> None:
-        if number and not self._before:
-            self.held = ns, number, verb, key, source, intent
-            return
-        for target in intent.targets:
-            if target[1].op is OP_STOP:
-                self.held = ns, number, verb, key, source, intent
+    def step(self, heard: Heard | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
+        accepted = 0  # with the only frame of this step: it then needs no Decision
+        if len(written) == 1:
+            numbers = written[0][0].numbers
+            for number, verdict, _, _ in decided:
+                if verdict == ACCEPTED and numbers == (number,):
+                    accepted = number
+        if heard is not None:
+            if accepted == heard.number != 0 and len(decided) == 1 and self._carried_out(heard, written[0][1]):
                 return
-        self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
+            fields = form.command(heard.number, heard.verb, heard.key, heard.source, heard.sent_ms, heard.targets)
+            self._append(form.COMMAND, heard.ns, fields)
+        for transmit, sent in written:
+            late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
+            self._append(form.FRAME, sent.ns, form.frame(sent.data, transmit.cause, sent.call_ns, late_ns, accepted))
+        for number, verdict, key, source in decided:
+            if not number or number != accepted:
+                self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
 
-    def decided(self, number: int, verdict: str, key: str, source: str | None) -> None:
-        if self.held is not None:
-            if verdict == ACCEPTED and self.told == len(self.step) - 1 and self._ring is not None:
-                ns, of, verb, _, _, intent = self.held
-                frame = self.step[self.told]
-                body = form.carried_out(
-                    self._ring.sequence, ns, number, verb, key, source, intent.sent_ms, intent.targets,
-                    frame.data, frame.ns, frame.transfer_ns,
-                ) if of == number else None  # fmt: skip
-                if body is not None:
-                    self._ring.put(body)
-                    self.told += 1
-                    self.held = None
-                    return
-            self._release()
-        if verdict == ACCEPTED and self.told == len(self.step) - 1:
-            written = self.step[self.told]
-            self.told += 1
-            self._append(
-                form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, 0, number)
-            )
-        else:
-            self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
-
-    def frames(self) -> None:
-        if self.held is not None:
-            self._release()
-        if self.told == len(self.step):
-            return
-        for written in self.step[self.told :]:
-            late_ns = 0 if written.deadline_ns is None else written.ns - written.deadline_ns
-            self._append(form.FRAME, written.ns, form.frame(written.data, written.cause, written.transfer_ns, late_ns))
-        self.told = len(self.step)
+    def _carried_out(self, heard: Heard, sent: Sent) -> bool:
+        """Record a command and its frame as one; False: that does not fit, or there is no ring yet."""
+        if self._ring is None:
+            return False
+        body = form.carried_out(
+            self._ring.sequence, heard.ns, heard.number, heard.verb, heard.key, heard.source, heard.sent_ms,
+            heard.targets, sent.data, sent.ns, sent.call_ns,
+        )  # fmt: skip
+        if body is None:
+            return False
+        self._ring.put(body)
+        return True
 
     def mode(self, mode: Mode) -> None:
         self._append(form.MODE, self._clock(), form.mode(mode))
@@ -265,8 +236,6 @@ class RingRecorder(Recorder):
             self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
 
     def mistake(self, detail: str) -> None:
-        if self.held is not None:
-            self._release()
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
@@ -298,12 +267,6 @@ class RingRecorder(Recorder):
                 self._ring.announce()
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident
-
-    def _release(self) -> None:
-        """Record the command that was held, now that its Stops are written."""
-        if self.held is not None:
-            (ns, number, verb, key, source, intent), self.held = self.held, None
-            self._append(form.COMMAND, ns, form.command(number, verb, key, source, intent.sent_ms, intent.targets))
 
     def _wait(self, kind: int, ns: int, rest: bytes) -> None:
         if len(self._waiting) < KEPT_BEFORE_OPEN:

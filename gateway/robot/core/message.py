@@ -3,7 +3,7 @@
 No Zenoh here, so that whatever carries messages can be exchanged, and a second edge can stand beside the first.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from typing import Final, Protocol
 
@@ -51,6 +51,27 @@ class Received:
     def channel(self) -> str:
         """Messages of one channel came in this order; between channels the order is unknown."""
         return f"{'get' if self.verb is _GET else 'put'} {self.key}"
+
+
+class Messages(Protocol):
+    """What the conductor needs of the left edge."""
+
+    @property
+    def instant_open(self) -> bool:
+        """Whether what is taken next is of the same instant as what was taken last."""
+
+    def take(self) -> Iterable[Received]:
+        """What has come, in the order in which it applies."""
+
+
+class NoMessages:
+    """Before the left edge is connected."""
+
+    instant_open = False
+
+    def take(self) -> Iterable[Received]:
+        """Nothing."""
+        return ()
 
 
 class Outbox(Protocol):

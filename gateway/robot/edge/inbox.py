@@ -157,7 +157,7 @@ class Inbox:
         self._compare(taken)
         self._read_all = False
         if self._rings.instant_open:
-            self._closing.set(self._loop.time() + FLOOD_PAUSE_S)  # to close it, if nothing else comes
+            self._closing.set_in(FLOOD_PAUSE_S)  # to close it, if nothing else comes
 
     @property
     def instant_open(self) -> bool:
@@ -293,7 +293,7 @@ class Inbox:
         self._look_again.cancel()
         if self._missed or self._lost_some:
             self._attempt = attempt
-            self._look_again.set(self._loop.time() + LOOK_AGAIN_S[attempt])
+            self._look_again.set_in(LOOK_AGAIN_S[attempt])
 
     def _looked(self) -> None:
         attempt = self._attempt

@@ -74,6 +74,10 @@ class OwnersTimer:
             self._wakes_s = due_s
             self._loop.call_soon_threadsafe(self._told)
 
+    def set_in(self, delay_s: float) -> None:
+        """Call back so long from now."""
+        self.set(self._loop.time() + delay_s)
+
     def cancel(self) -> None:
         """Do not call back."""
         self._due_s = math.inf

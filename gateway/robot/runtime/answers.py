@@ -1,71 +1,85 @@
-"""What becomes of commands: counted, recorded, answered, and told where they are rejected."""
+"""What becomes of commands: counted, recorded, answered, and published where they are rejected."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.events import Completed, Transmit
+from gateway.errors import SpiError
+from gateway.robot.blackbox.recorder import ACCEPTED, COALESCED, Decided, Heard, Recorder
+from gateway.robot.core.events import Announce, Completed, Rejected, Transmit
 from gateway.robot.core.intake import echo_of
 from gateway.robot.core.message import Reply
+from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
-from gateway.robot.runtime.sources import Sources, Tell
 from schemas.telemetry import Ack, Kind, Reason
 
 Servos = Sequence[tuple[int, object]]
 """The servos that a command names, each with what it asks of it."""
-Sender = tuple[str, str | None, Reply | None, Servos]
-"""Of a command that the supervisor knows by its number: its key, its source, how it is answered, and for what."""
+End = Completed | Rejected
+
+
+@dataclass(slots=True)
+class _Pending:
+    """A command that the supervisor has, and has not ended yet."""
+
+    key: str
+    source: str | None
+    reply: Reply | None
+    servos: Servos
+    written: tuple[int, ...] = ()
+    """The legs that a frame of it was written for."""
 
 
 class Answers:
     """Knows who waits for which answer. Called by the owner of the state."""
 
-    def __init__(
-        self, metrics: Metrics, recorder: Recorder, sources: Sources, tell: Tell, clock: Callable[[], int]
-    ) -> None:
-        self.pending: dict[int, Sender] = {}
-        """The commands whose end the supervisor has not told yet, by their numbers."""
-        self.numbers = itertools.count(1)
-        self.rejected = 0
-        """The number of the last command that the supervisor rejected."""
-        self._written: dict[int, list[int]] = {}
-        """The legs that a command under way has had a frame written for."""
+    def __init__(self, metrics: Metrics, recorder: Recorder, events: EventPublisher) -> None:
+        self._pending: dict[int, _Pending] = {}
+        self._numbers = itertools.count(1)
         self._metrics = metrics
         self._recorder = recorder
-        self._sources = sources
-        self._tell = tell
-        self._clock = clock
+        self._events = events
 
     def expect(self, key: str, source: str | None, reply: Reply | None, servos: Servos) -> int:
         """The number of a new command, which is answered under it."""
-        number = next(self.numbers)
-        self.pending[number] = key, source, reply, servos
+        number = next(self._numbers)
+        self._pending[number] = _Pending(key, source, reply, servos)
         return number
 
     def wrote(self, transmit: Transmit) -> None:
         """A frame was written: should a command that it belongs to be rejected now, its answer names the leg."""
         for number in transmit.numbers:
-            self._written.setdefault(number, []).append(transmit.frame.leg)
+            self._pending[number].written += (transmit.frame.leg,)
 
-    def accept(self, completed: Completed) -> None:
-        """A command has taken effect."""
-        self._metrics.accepted += 1
-        self._metrics.coalesced += completed.coalesced
-        key, source, reply, _ = self.pending.pop(completed.number)
-        self._written.pop(completed.number, None)
-        self._recorder.decided(completed.number, "coalesced" if completed.coalesced else "accepted", key, source)
-        if reply is not None:
-            reply(Ack(accepted=True, coalesced=True if completed.coalesced else None).model_dump_json().encode())
+    def decided(self, end: End, fault: SpiError | None) -> Decided:
+        """What the black box has of a command's end, in a step in which the bus may have failed."""
+        pending = self._pending[end.number]
+        match end:
+            case Rejected():
+                verdict: str = end.reason
+            case Completed() if fault is not None:
+                verdict = Reason.BUS_FAULT
+            case Completed():
+                verdict = COALESCED if end.coalesced else ACCEPTED
+        return end.number, verdict, pending.key, pending.source
 
-    def reject_pending(self, number: int, reason: Reason, detail: str) -> None:
-        """A command that the supervisor knows takes no effect, or none beyond the frames that were written of it."""
-        self.rejected = number
-        key, source, reply, servos = self.pending.pop(number)
-        written = sorted(set(self._written.pop(number, ())))
-        self.reject(key, source, reply, reason, detail, number, servos, written)
+    def end(self, end: End, fault: SpiError | None) -> None:
+        """Answer a command that the supervisor has ended."""
+        pending = self._pending.pop(end.number)
+        match end:
+            case Rejected():
+                self._reject(pending, end.reason, end.detail)
+            case Completed() if fault is not None:
+                self._reject(pending, Reason.BUS_FAULT, f"the frame could not be written: {fault}")
+            case Completed():
+                self._metrics.accepted += 1
+                self._metrics.coalesced += end.coalesced
+                if pending.reply is not None:
+                    ack = Ack(accepted=True, coalesced=True if end.coalesced else None)
+                    pending.reply(ack.model_dump_json().encode())
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
-        """Tell of a message that is rejected without being taken: on a key that nothing reads, or about the lease."""
+        """Publish that a message is rejected without being taken: on a key that nothing reads, or about the lease."""
         self.reject(echo_of(key), source, None, reason, detail)
 
     def reject(
@@ -75,25 +89,25 @@ class Answers:
         reply: Reply | None,
         reason: Reason,
         detail: str,
-        number: int = 0,
+        *,
         servos: Servos = (),
-        written: Sequence[int] = (),
+        heard: Heard | None = None,
     ) -> None:
-        """A message takes no effect; without a number it gets no further than this.
+        """A message gets no further than this; `servos` and `heard` where it was read."""
+        self._recorder.step(heard, (), ((0, reason, key, source),))
+        self._reject(_Pending(key, source, reply, servos), reason, detail)
 
-        `servos`: where it was read; `written`: the legs for which a frame of it was written.
-        """
+    def _reject(self, pending: _Pending, reason: Reason, detail: str) -> None:
+        written = sorted(set(pending.written))
         if written:
             legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
             detail = f"{detail}; what it asks of {legs} had been written before"
         self._metrics.rejected[reason] += 1
-        self._recorder.decided(number, reason, key, source)
-        if reply is not None:
-            ack = Ack(accepted=False, reason=reason, detail=detail, written=list(written) or None)
-            reply(ack.model_dump_json().encode())
-        left_out = self._sources.admit(Kind.COMMAND_REJECTED, source, self._clock())
-        if left_out is not None:
-            self._tell(Kind.COMMAND_REJECTED, detail, source, key, reason, left_out, legs_of(servos))
+        if pending.reply is not None:
+            ack = Ack(accepted=False, reason=reason, detail=detail, written=written or None)
+            pending.reply(ack.model_dump_json().encode())
+        legs_named = legs_of(pending.servos)
+        self._events.announce(Announce(Kind.COMMAND_REJECTED, detail, pending.source, pending.key, legs_named, reason))
 
 
 def legs_of(servos: Servos) -> tuple[int, ...]:

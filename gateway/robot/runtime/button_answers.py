@@ -1,6 +1,6 @@
 """What becomes of a button's request: the supervisor decides, and here it is answered."""
 
-from gateway.robot.core.events import ButtonAnswer, ButtonRequest
+from gateway.robot.core.events import ButtonRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.settings import ButtonSettings
@@ -18,8 +18,7 @@ class ButtonAnswers:
 
     def ask(self, request: ButtonRequest, reply: Reply) -> None:
         """Whoever asks is known, or has a name that needs no proof."""
-        effects = self._conductor.ask(request)
-        answer = next((effect for effect in effects if isinstance(effect, ButtonAnswer)), None)
+        answer = self._conductor.ask(request).button
         if answer is None:  # the service has ended
             return
         if answer.reason is not None:

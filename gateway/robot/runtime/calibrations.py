@@ -8,14 +8,14 @@ from typing import Final
 
 from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.calibration_intake import CalibrationIntent
-from gateway.robot.core.events import Announce, Calibrate, Keep, Kept
+from gateway.robot.core.events import Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
 from schemas import keys
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Reason
 
 WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
 """Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
@@ -34,11 +34,9 @@ class Calibrations:
 
     def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
         """Without `keep`, a calibration lives as long as the process."""
-        self._loop = loop
         self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
         self._conductor = conductor
         self._keep = keep
-        conductor.calibration_kept = keep is not None
         self._written = b""
         self._written_of: Calibration | None = None
 
@@ -51,7 +49,7 @@ class Calibrations:
     def tell(self) -> None:
         """Publish what is in force, and have the black box know it."""
         self._conductor.recorder.calibration(self._in_force)
-        self._conductor.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
+        self._conductor.publish(keys.CALIBRATION, report_of(self._in_force))
 
     def answer(self, reply: Reply) -> None:
         """Answer a `get` on what is in force."""
@@ -71,9 +69,9 @@ class Calibrations:
             return
         number = answers.expect(key, source, reply, servos)
         event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, key, intent.lease)
-        for effect in conductor.ask(event):
-            if isinstance(effect, Keep):
-                self._hand_on(effect)
+        keep = conductor.ask(event).keep
+        if keep is not None:
+            self._hand_on(keep)
 
     def reject(self, source: str | None, rejection: Rejection, reply: Reply) -> None:
         """Answer a message that is no change, and tell of it."""
@@ -84,7 +82,7 @@ class Calibrations:
         if self._keep is None:
             kept(None)
         else:
-            self._slow.set(self._loop.time() + SLOW_S)
+            self._slow.set_in(SLOW_S)
             self._keep(keep.calibration, kept)
 
     def _note_delay(self) -> None:
@@ -94,10 +92,11 @@ class Calibrations:
 
     def _kept(self, number: int, fault: str | None) -> None:
         self._slow.cancel()
-        effects = self._conductor.ask(Kept(number, fault))
-        if any(isinstance(effect, Announce) and effect.kind is Kind.CALIBRATED for effect in effects):
+        before = self._in_force
+        self._conductor.ask(Kept(number, fault))
+        if self._in_force is not before:
             self.tell()
-            self._conductor.outbox.publish(keys.STATE, self._conductor.state())
+            self._conductor.publish_state()
 
     @property
     def _in_force(self) -> Calibration:

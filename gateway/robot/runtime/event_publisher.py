@@ -1,52 +1,87 @@
-"""What happens, told to everybody who wants to know: the log, whoever listens on Zenoh, and the black box."""
+"""What happens goes out through here: to the log, to whoever listens on Zenoh, and to the black box.
+
+It names the source, and limits how often each source is reported for each kind. Nothing here decides what is sent.
+"""
 
 import logging
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from gateway.robot.blackbox.recorder import Recorder, Written
-from gateway.robot.core.message import Outbox
+from gateway.robot.core.events import Announce
+from gateway.robot.core.intake import named_source
+from gateway.robot.core.message import Outbox, Received
+from gateway.robot.core.rejection_limit import RejectionLimit
 from gateway.robot.runtime.report import WARNINGS, wall_clock
 from schemas import keys, telemetry
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Kind
+
+LIMITED: Final = (
+    Kind.COMMAND_REJECTED,
+    Kind.SOURCE_CHANGED,
+    Kind.OVERFLOW,
+    Kind.LEASE_ACQUIRED,
+    Kind.LEASE_RELEASED,
+    Kind.LEASE_TAKEN,
+    Kind.LEASE_ASKED,
+    Kind.CALIBRATED,
+    Kind.BUTTON_REGISTERED,
+    Kind.BUTTON_LEFT,
+    Kind.BUTTON_RETURNED,
+)
+"""What others can bring about as often as they like. Each kind has a limit of its own, so that none is left out for
+another's sake: two people who fight for a leg hide no takeover."""
 
 logger: Final = logging.getLogger(__name__)
 
 
-class Teller:
-    """Events and frames go out through here."""
+class EventPublisher:
+    """Called by the owner of the state."""
 
-    def __init__(self, outbox: Outbox, recorder: Recorder) -> None:
+    def __init__(self, outbox: Outbox, recorder: Recorder, clock: Callable[[], int]) -> None:
         self._outbox = outbox
         self._recorder = recorder
+        self._clock = clock
+        self._limits = {kind: RejectionLimit() for kind in LIMITED}
+        self._unread: Received | None = None
+        self._estop_source: str | None = None
 
-    def event(
-        self,
-        kind: Kind,
-        detail: str,
-        source: str | None = None,
-        key: str | None = None,
-        reason: Reason | None = None,
-        left_out: int = 0,
-        legs: tuple[int, ...] = (),
-    ) -> None:
-        """Tell an event; `legs`, ascending, are those that it is about."""
-        incident = self._recorder.event(kind, source, key, reason, detail, left_out, legs)
-        level = logging.WARNING if kind in WARNINGS else logging.INFO
+    def note_estop(self, received: Received) -> None:
+        """An emergency stop is requested. Its payload is left unread: its Stops come first."""
+        self._unread = received
+
+    @property
+    def estop_source(self) -> str | None:
+        """Who requested the latest emergency stop; to be asked after its Stops are written."""
+        if self._unread is not None:
+            self._estop_source = named_source(self._unread.payload) or self._unread.source
+            self._unread = None
+        return self._estop_source
+
+    def announce(self, what: Announce) -> None:
+        """Publish an event, unless too many of its kind and source were published."""
+        kind = what.kind
+        source = self.estop_source if kind is Kind.ESTOP_ENGAGED else what.source
+        limit = self._limits.get(kind)
+        left_out = 0 if limit is None else limit.admit(source, self._clock())
+        if left_out is None:
+            return
+        incident = self._recorder.event(kind, source, what.key, what.reason, what.detail, left_out, what.legs)
         extra = {
-            "kind": kind, "source": source, "key": key, "reason": reason, "left_out": left_out or None,
-            "legs": list(legs) or None, "incident": incident,
+            "kind": kind, "source": source, "key": what.key, "reason": what.reason, "left_out": left_out or None,
+            "legs": list(what.legs) or None, "incident": incident,
         }  # fmt: skip
-        logger.log(level, detail, extra=extra)
+        logger.log(logging.WARNING if kind in WARNINGS else logging.INFO, what.detail, extra=extra)
         event = telemetry.Event(
-            time=wall_clock(), kind=kind, source=source, key=key, reason=reason, detail=detail, left_out=left_out,
-            legs=legs, incident=incident,
+            time=wall_clock(), kind=kind, source=source, key=what.key, reason=what.reason, detail=what.detail,
+            left_out=left_out, legs=what.legs, incident=incident,
         )  # fmt: skip
         self._outbox.publish(keys.EVENT, event)
 
-    def frames(self, written: list[Written]) -> None:
+    def frames(self, written: Sequence[Written]) -> None:
         """Publish the frames of a step, after the last of them was written."""
-        for frame in written:
+        for transmit, sent in written:
             record = telemetry.FrameRecord(
-                time=wall_clock(), monotonic_ns=frame.ns, bytes=frame.data.hex(), cause=frame.cause
+                time=wall_clock(), monotonic_ns=sent.ns, bytes=sent.data.hex(), cause=transmit.cause
             )
             self._outbox.publish(keys.FRAME, record)

@@ -1,6 +1,6 @@
 """What becomes of a request for the lease: the supervisor decides, and here it is answered."""
 
-from gateway.robot.core.events import LeaseAnswer, LeaseRequest
+from gateway.robot.core.events import LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from schemas import keys
@@ -17,8 +17,7 @@ class LeaseAnswers:
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
         """Whoever asks is known, or has said a name that needs no proof."""
-        effects = self._conductor.ask(request)
-        answer = next((effect for effect in effects if isinstance(effect, LeaseAnswer)), None)
+        answer = self._conductor.ask(request).lease
         if answer is None:  # the service has ended
             return
         if answer.reason is not None:

@@ -24,7 +24,6 @@ class PreambleInPauses:
         failed: Callable[[SpiError], None],
     ) -> None:
         self._bus = bus
-        self._loop = loop
         self._clock = clock
         self._failed = failed
         self._timer = OwnersTimer(loop, owner, self._write_part)
@@ -37,7 +36,7 @@ class PreambleInPauses:
         """
         self._repeat_ns = repeat_ns
         if not self._timer.armed and self._wanted():
-            self._timer.set(self._loop.time())  # on the loop, whose turns leave the state to others between two zeros
+            self._timer.set_in(0)  # on the loop, whose turns leave the state to others between two parts
         if repeat_ns is None or due_ns is None or self._timer.armed or self._bus.just_resynchronised:
             return due_ns
         return min(due_ns, repeat_ns - self._bus.preamble_ns)
@@ -62,4 +61,4 @@ class PreambleInPauses:
             self._failed(fault)
             return
         if more:
-            self._timer.set(self._loop.time())
+            self._timer.set_in(0)

@@ -54,7 +54,7 @@ class _Numbers(Collector):
         yield CounterMetricFamily(
             f"{_PREFIX}_incidents", "Incidents that the black box has begun", self._conductor.recorder.incidents
         )
-        certificate = self._conductor.certificate
+        certificate = self._conductor.reports.certificate
         expiry = GaugeMetricFamily(
             f"{_PREFIX}_certificate_expiry_timestamp_seconds",
             "When the first of the certificates in use expires",

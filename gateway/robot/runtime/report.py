@@ -55,73 +55,88 @@ def wall_clock() -> datetime:
     return datetime.now(UTC)
 
 
-def report(
-    settings: Settings,
-    supervisor: Supervisor,
-    bus: Bus,
-    metrics: Metrics,
-    *,
-    started_ns: int,
-    now_ns: int,
-    simulated: bool,
-    physics: str | None = None,
-    estop_source: str | None = None,
-    incident: str | None = None,
-    calibration_kept: bool = False,
-    certificate: CertificateReport | None = None,
-    limits: LimitsReport,
-) -> GatewayState:
-    """The state at `now_ns`."""
-    p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
-    return GatewayState(
-        mode=supervisor.mode,
-        time=wall_clock(),
-        uptime_s=(now_ns - started_ns) / 1e9,
-        version=__version__,
-        protocol=VERSION,
-        simulated=simulated,
-        physics=physics,
-        legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
-        commands=CommandCounts(
-            accepted=metrics.accepted,
-            rejected=metrics.rejected.total(),
-            coalesced=metrics.coalesced,
-            overflows=metrics.overflows,
-            lost=metrics.lost,
-        ),
-        spi=SpiReport(
-            device="simulated controller" if simulated else settings.spi.device,
-            framing=settings.spi.framing,
-            frames=bus.frames,
-            errors=bus.errors,
-        ),
-        watchdog=WatchdogReport(
-            timeout_ms=settings.watchdog.timeout_ms,
-            landing_ms=settings.watchdog.landing_ms,
-            expirations=supervisor.expirations,
-            stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
-        ),
-        estop=supervisor.estops,
-        estop_source=estop_source,
-        incident=incident,
-        loop_lag_us=LoopLag(
-            p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
-        ),
-        lease=_lease(supervisor.lease, now_ns),
-        buttons=_buttons(supervisor.buttons),
-        calibration=CalibrationReport(
-            revision=supervisor.calibrating.in_force.revision,
-            fault=supervisor.calibrating.fault,
-            kept=calibration_kept,
-        ),
-        telemetry=TelemetryReport(frames=settings.telemetry.frames),
-        certificate=certificate,
-        limits=limits,
-    )
+class StateReports:
+    """Makes the states of one run of the gateway."""
+
+    def __init__(
+        self, settings: Settings, *, simulated: bool, physics: str | None, calibration_kept: bool, started_ns: int
+    ) -> None:
+        self._settings = settings
+        self._simulated = simulated
+        self._physics = physics
+        self._calibration_kept = calibration_kept
+        """Whether the calibration outlasts this process."""
+        self._started_ns = started_ns
+        self._limits = limits_of(settings)  # made once: no report has to wait for it
+        self.certificate: CertificateReport | None = None
+        """Of those in use, the first that expires."""
+
+    def use_certificate(self, certificate: CertificateReport | None) -> None:
+        """What the certificates in use are is known."""
+        self.certificate = certificate
+
+    def state(
+        self,
+        supervisor: Supervisor,
+        bus: Bus,
+        metrics: Metrics,
+        now_ns: int,
+        *,
+        estop_source: str | None,
+        incident: str | None,
+    ) -> GatewayState:
+        """The state at `now_ns`."""
+        settings = self._settings
+        p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
+        return GatewayState(
+            mode=supervisor.mode,
+            time=wall_clock(),
+            uptime_s=(now_ns - self._started_ns) / 1e9,
+            version=__version__,
+            protocol=VERSION,
+            simulated=self._simulated,
+            physics=self._physics,
+            legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
+            commands=CommandCounts(
+                accepted=metrics.accepted,
+                rejected=metrics.rejected.total(),
+                coalesced=metrics.coalesced,
+                overflows=metrics.overflows,
+                lost=metrics.lost,
+            ),
+            spi=SpiReport(
+                device="simulated controller" if self._simulated else settings.spi.device,
+                framing=settings.spi.framing,
+                frames=bus.frames,
+                errors=bus.errors,
+            ),
+            watchdog=WatchdogReport(
+                timeout_ms=settings.watchdog.timeout_ms,
+                landing_ms=settings.watchdog.landing_ms,
+                expirations=supervisor.expirations,
+                stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
+            ),
+            estop=supervisor.estops,
+            estop_source=estop_source,
+            incident=incident,
+            loop_lag_us=LoopLag(
+                p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
+            ),
+            lease=_lease(supervisor.lease, now_ns),
+            buttons=_buttons(supervisor.buttons),
+            calibration=CalibrationReport(
+                revision=supervisor.calibrating.in_force.revision,
+                fault=supervisor.calibrating.fault,
+                kept=self._calibration_kept,
+            ),
+            telemetry=TelemetryReport(frames=settings.telemetry.frames),
+            certificate=self.certificate,
+            limits=self._limits,
+        )
 
 
 def limits_of(settings: Settings) -> LimitsReport:
-    """Made once: no report has to wait for it."""
+    """The settings' limits, as the state has them."""
     servos = {name: ServoLimitsReport(**each.model_dump()) for name, each in settings.limits.servos.items()}
     return LimitsReport(leg_rate_hz=settings.limits.leg_rate_hz, servos=servos)
 

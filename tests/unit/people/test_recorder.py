@@ -126,19 +126,16 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("only_stops", [True, False])
-async def test_nothing_is_recorded_between_a_stop_and_its_frame(
+async def test_nothing_is_recorded_before_a_frame_is_written(
     folder: Path, framing: Framing, only_stops: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where a frame takes two calls, a move is recorded first: the process may be killed between them."""
     robot = recorded(folder, spi={"framing": framing, "batch": False})
     await asyncio.sleep(1)  # the repeats of the start's Stops, with their preambles
     there: list[list[Any]] = []
     monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
     before = len(contents(folder))
     robot.put(LEG_3, leg("stop") if only_stops else leg("start", 9, 9, 9))
-    first = not only_stops and framing is Framing.LENGTH_PREFIXED
-    assert [isinstance(found[-1], form.CommandRecord) for found in there] == [first] * len(there)
-    assert {len(found) for found in there} == {before + first}
+    assert {len(found) for found in there} == {before}
     after = {type(found) for found in contents(folder)[before:]}
     assert after - {form.ModeChange} == {form.CommandRecord, form.FrameWritten}
 
@@ -146,7 +143,7 @@ async def test_nothing_is_recorded_between_a_stop_and_its_frame(
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("batch", [True, False])
-async def test_a_setpoint_is_one_record_where_a_frame_is_one_call(folder: Path, framing: Framing, batch: bool) -> None:
+async def test_a_setpoint_is_one_record(folder: Path, framing: Framing, batch: bool) -> None:
     robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
     robot.put(LEG_3, START)
     before = ring_reader.read(folder / place.RING).records
@@ -156,8 +153,7 @@ async def test_a_setpoint_is_one_record_where_a_frame_is_one_call(folder: Path, 
     records = ring_reader.read(folder / place.RING).records[len(before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
     assert kinds == [form.CommandRecord, form.FrameWritten] * 3
-    one = 1 if batch or framing is Framing.PLAIN else 2
-    assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3 * one
+    assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3
     for command, frame in zip(records[::2], records[1::2], strict=True):
         assert isinstance(command.content, form.CommandRecord)
         assert isinstance(frame.content, form.FrameWritten)

@@ -154,12 +154,11 @@ async def test_a_servo_that_is_stopped_again_and_again_does_not_keep_its_legs_ot
 
 async def test_a_start_of_an_instant_that_is_still_open_does_not_come_after_its_stop() -> None:
     robot = await started_and_quiet()
-    instant_open = True
-    robot.conductor.instant_open = lambda: instant_open
+    robot.instant_open = True
     robot.put(keys.servo_command(31), servo("stop"))
     robot.put(LEG_3, START)
     assert robot.controller.energised == set()
-    instant_open = False
+    robot.instant_open = False
     robot.put(LEG_3, START)
     assert robot.controller.energised == {31, 32, 33}
 

@@ -100,7 +100,7 @@ class Gateway:
                 on_estop=lambda received: self.conductor.tick((received,)),
                 on_state_query=self._answer,
             )
-            self.conductor.take = self.inbox.take
+            self.conductor.connect(self.inbox)
         self.rings.puts[keys.ESTOP][0].on_receive = lambda: self.noted.append(len(self.controller.transfers))
 
     def owner(self) -> Ownership:

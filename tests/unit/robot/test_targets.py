@@ -26,6 +26,11 @@ def test_every_target_has_its_row() -> None:
     assert TARGETS.keys() == set(Target)
 
 
+def test_only_a_reset_names_no_servos() -> None:
+    """Any other message becomes a Command, which is done when each of its servos is: without one, never."""
+    assert [key for key in COMMAND_KEYS if not servos_of(COMMAND_KEYS[key])] == [keys.RESET]
+
+
 @pytest.mark.parametrize("key", COMMAND_KEYS.values(), ids=str)
 def test_a_key_follows_at_least_what_it_may_stop(key: CommandKey) -> None:
     assert servos_of(key) <= follows(key), "an older Start on another key would come after a Stop on this one"

@@ -1,0 +1,127 @@
+"""Carries out what a step of the supervisor wants: the one place for each effect. Nothing waits but a transfer."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, assert_never
+
+from gateway.errors import SpiError
+from gateway.robot.blackbox.recorder import Heard, Recorder, Written
+from gateway.robot.core.events import Announce, ButtonAnswer, Completed, Effect, Keep, LeaseAnswer, Rejected, Transmit
+from gateway.robot.runtime.answers import Answers
+from gateway.robot.runtime.event_publisher import EventPublisher
+from gateway.robot.runtime.metrics import Metrics
+from gateway.robot.spi.bus import Bus
+from schemas.telemetry import Cause, Kind
+
+_REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What a step came to: what was written, who was rejected, and what is left for whoever asked."""
+
+    written: list[Written] = field(default_factory=list)
+    fault: SpiError | None = None
+    """Why not all frames were written; commands that were completed are rejected for it."""
+    rejected: list[int] = field(default_factory=list)
+    """The numbers of commands that the supervisor rejected."""
+    lease: LeaseAnswer | None = None
+    """To be sent to whoever asked."""
+    button: ButtonAnswer | None = None
+    """The same."""
+    keep: Keep | None = None
+    """To be written to the disk by whoever asked."""
+
+    def stop_frames(self, cause: Cause) -> int:
+        """How many frames with this cause a controller is known to have been sent."""
+        return sum(sent.heard and transmit.cause is cause for transmit, sent in self.written)
+
+
+class Executor:
+    """The hands of the conductor."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        answers: Answers,
+        events: EventPublisher,
+        recorder: Recorder,
+        metrics: Metrics,
+        *,
+        publish_frames: bool,
+    ) -> None:
+        self._bus = bus
+        self._answers = answers
+        self._events = events
+        self._recorder = recorder
+        self._metrics = metrics
+        self._publish_frames = publish_frames
+
+    def carry_out(self, effects: Sequence[Effect], heard: Heard | None = None) -> Outcome:
+        """The frames first, as batches; then the record of it, answers and events. `heard`: the command of this step.
+
+        No answer, no record and no event stands before a frame of the same step.
+        """
+        outcome = Outcome()
+        transmits = [effect for effect in effects if type(effect) is Transmit]
+        unbatched = self._write(transmits, outcome) if transmits else None
+        ends = [effect for effect in effects if type(effect) is Completed or type(effect) is Rejected]
+        self._recorder.step(heard, outcome.written, [self._answers.decided(end, outcome.fault) for end in ends])
+        if unbatched is not None:
+            self._events.announce(Announce(Kind.BUS_UNBATCHED, unbatched))
+        for effect in effects:
+            match effect:
+                case Transmit():
+                    pass  # written above
+                case Completed():
+                    self._answers.end(effect, outcome.fault)
+                case Rejected():
+                    outcome.rejected.append(effect.number)
+                    self._answers.end(effect, outcome.fault)
+                case Announce(kind=Kind.BUS_RECOVERED) if outcome.fault is not None:
+                    pass  # it opened, but did not take six Stops: the fault goes on, and has been published
+                case Announce():
+                    self._events.announce(effect)
+                case LeaseAnswer():
+                    outcome.lease = effect
+                case ButtonAnswer():
+                    outcome.button = effect
+                case Keep():
+                    outcome.keep = effect
+                case _:
+                    assert_never(effect)
+        if self._publish_frames:
+            self._events.frames(outcome.written)
+        return outcome
+
+    def _write(self, transmits: list[Transmit], outcome: Outcome) -> str | None:
+        """Write a step's frames: first Stops in one batch, repeated ones in one, then what moves, unless one failed.
+
+        Returns why each transfer is a call of its own from now on, if that is new.
+        """
+        unbatched = None
+        for batch in _batches(transmits):
+            report = self._bus.write([effect.frame for effect in batch], preamble=batch[0].cause is _REPEAT)
+            for sent in report.sent:
+                effect = batch[sent.place]
+                outcome.written.append((effect, sent))
+                self._metrics.frames[effect.cause] += 1
+                self._answers.wrote(effect)
+                if effect.deadline_ns is not None and sent.heard:
+                    self._metrics.watchdog_stops.record(self._bus.ended_ns - effect.deadline_ns)
+            unbatched = report.rejection or unbatched
+            if report.fault is not None:
+                outcome.fault = report.fault
+                break
+        return unbatched
+
+
+def _batches(transmits: list[Transmit]) -> list[list[Transmit]]:
+    """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits."""
+    if len(transmits) == 1:
+        return [transmits]
+    stops = [effect for effect in transmits if effect.frame.is_stop]
+    first = [effect for effect in stops if effect.cause is not _REPEAT]
+    repeated = [effect for effect in stops if effect.cause is _REPEAT]
+    moves = [effect for effect in transmits if not effect.frame.is_stop]
+    return [batch for batch in (first, repeated, moves) if batch]
