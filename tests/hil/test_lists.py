@@ -24,7 +24,7 @@ for line in sys.stdin:
     answer = "written"
     for _ in range(count):
         try:
-            device.transfer([Transfer(bytes.fromhex(data), pause_us) for data, pause_us in batch])
+            device.transfer([(bytes.fromhex(data), pause_us) for data, pause_us in batch])
         except BatchRejectedError:
             answer = "rejected"
         except SpiError as error:

@@ -216,7 +216,7 @@ def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
     bus = bus_for(settings.spi, lambda: controller)
     bus.open()
     bus.write([stop_leg(number) for number in LEGS])
-    assert [[each.pause_us for each in batch] for batch in controller.batches] == [[pause_us] * 6]
+    assert [[each[1] for each in batch] for batch in controller.batches] == [[pause_us] * 6]
 
 
 @pytest.mark.parametrize(("batch", "calls"), [(True, 1), (False, 6)])

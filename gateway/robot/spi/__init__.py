@@ -1,16 +1,10 @@
 """What the service needs from an SPI device, real or simulated."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-
-class Transfer(NamedTuple):
-    """One chip-select cycle, and the least pause behind it, in µs; nothing comes back in v1.0.0."""
-
-    data: bytes
-    pause_us: int
-
-
+Transfer = tuple[bytes, int]
+"""One chip-select cycle, and the least pause behind it, in µs; nothing comes back in v1.0.0."""
 Batch = Sequence[Transfer]
 """Transfers that leave together: nothing of this or another program comes between them, or into the last pause."""
 

@@ -16,15 +16,15 @@ A first Stop waits for none of that, unless a batch has just failed.
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.robot.core.latency import Latency
-from gateway.robot.protocol.frames import Frame
+from gateway.robot.protocol.frames import ONE_LEG_LEN, Frame
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.spi import SpiDevice, Transfer
 from gateway.robot.spi.guard import GuardedDevice
@@ -39,8 +39,6 @@ ZEROS_AT_ONCE: Final = 8
 """In one call: half a preamble, 0.8 ms."""
 CS_CHANGE_NS: Final = 10_000
 """What Linux adds to each pause, while chip select is released."""
-LOST_BODY_NS: Final = 900_000_000
-"""If a call took longer than this, a body may have come later than the 1000 ms for which the controller awaits it."""
 IDLE_NS: Final = 1_100_000_000
 """After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
@@ -59,7 +57,8 @@ INSIST_NS: Final = 200_000_000
 that waits meanwhile is more urgent."""
 
 
-class Sent(NamedTuple):
+@dataclass(slots=True)
+class Sent:
     """A frame on the wire."""
 
     place: int
@@ -108,11 +107,18 @@ class Bus:
         self._framing = framing
         self.announces = framing is Framing.LENGTH_PREFIXED
         """Whether a controller can be out of sync at all."""
+        self._size = 2 if self.announces else 1
+        """Transfers of a frame."""
         self._gap_us = ceil(frame_gap_us)
         self._gap_ns = self._gap_us * 1000 + CS_CHANGE_NS
-        self._zero = Transfer(ZERO, max(self._gap_us, ZERO_PAUSE_US))
-        self._zero_ns = self._zero.pause_us * 1000 + CS_CHANGE_NS + 8_000_000_000 // speed_hz
+        zero_pause_us = max(self._gap_us, ZERO_PAUSE_US)
+        self._zero: Transfer = ZERO, zero_pause_us
         self._byte_ns = 8_000_000_000 // speed_hz
+        self._zero_ns = zero_pause_us * 1000 + CS_CHANGE_NS + self._byte_ns
+        self._announced_ns = self._byte_ns + self._gap_ns if self.announces else 0
+        """What a frame takes on the wire besides its own bytes."""
+        self.preamble_ns = PREAMBLE_ZEROS * (zero_pause_us * 1000 + ZERO_NS)
+        """How long a preamble takes at most, part by part in turns of a loop."""
         self._batch = batch
         self._resync_ns = resync_ns
         self._avoid_cdeg = avoid_cdeg
@@ -120,6 +126,10 @@ class Bus:
         self._pause = pause
         self._opened: SpiDevice | None = None
         self._device: GuardedDevice | None = None
+        self._most = PREAMBLE_ZEROS
+        """The most transfers of a call."""
+        self._moves_at_once = 1
+        """The most frames of a call that move."""
         self.ended_ns = 0
         """When the last call ended."""
         self._synchronised = False  # as far as failed batches tell
@@ -140,7 +150,11 @@ class Bus:
         except SpiError:
             self.errors += 1
             raise
-        self._device = self._guarded(self._opened if self._batch else self._one_by_one(self._opened))
+        self._device = self._guarded(self._opened)
+        self._most = self._opened.most_transfers
+        longest_ns = self._byte_ns * ONE_LEG_LEN + self._announced_ns
+        most_moves = (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)
+        self._moves_at_once = max(1, min(self._most // self._size, most_moves))
 
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
         """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
@@ -149,9 +163,16 @@ class Bus:
         """
         report, stops = Report(), frames[0].is_stop
         data = [frame.to_bytes() for frame in frames]
+        zeros = self._zeros_ahead(stops=stops, preamble=preamble) if self.announces else 0
         try:
-            for zeros, part in self._calls(data, self._zeros_ahead(stops=stops, preamble=preamble), stops=stops):
-                report.sent += self._call(report, zeros, data, part)
+            while zeros and (not stops or zeros + self._size * len(data) > self._most):
+                part = min(zeros, ZEROS_AT_ONCE, self._most)
+                self._call(report, part)
+                zeros -= part
+            at_once = max(1, (self._most - zeros) // self._size) if stops else self._moves_at_once
+            for first in range(0, len(data), at_once):
+                self._call(report, zeros, data[first : first + at_once], first)
+                zeros = 0
         except SpiError as fault:
             report.fault = fault
             self.errors += 1
@@ -169,11 +190,6 @@ class Bus:
         """Whether `stop-servos` stops the servos through the same device now."""
         return self._device is not None and self._device.stop_servos_at_work()
 
-    @property
-    def preamble_ns(self) -> int:
-        """How long a preamble takes at most, part by part in turns of a loop."""
-        return PREAMBLE_ZEROS * (self._zero.pause_us * 1000 + ZERO_NS)
-
     def write_zeros(self) -> bool:
         """Write a part of a preamble; returns whether more is to follow. Raises SpiError.
 
@@ -182,7 +198,7 @@ class Bus:
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
             at_once = ZEROS_AT_ONCE if self._batch else 1
             try:
-                self._call(Report(), min(at_once, PREAMBLE_ZEROS - self._zeros), (), range(0))
+                self._call(Report(), min(at_once, PREAMBLE_ZEROS - self._zeros))
             except SpiError:
                 self.errors += 1
                 raise
@@ -206,8 +222,6 @@ class Bus:
 
     def _zeros_ahead(self, *, stops: bool, preamble: bool) -> int:
         """How many zeros have to come first."""
-        if not self.announces:
-            return 0
         wanted = preamble or not self._synchronised
         if not wanted:
             now_ns = self._clock()
@@ -218,79 +232,64 @@ class Bus:
             wanted = not stops and (overdue or 0 < self._zeros < PREAMBLE_ZEROS)
         return max(0, PREAMBLE_ZEROS - self._zeros) if wanted else 0
 
-    def _calls(self, data: Sequence[bytes], zeros: int, *, stops: bool) -> Iterator[tuple[int, range]]:
-        """The calls that write these frames behind so many zeros: each as (zeros, which frames)."""
-        most = PREAMBLE_ZEROS if self._opened is None else self._opened.most_transfers
-        size = 2 if self.announces else 1
-        while zeros and (not stops or zeros + size * len(data) > most):
-            part = min(zeros, ZEROS_AT_ONCE, most)
-            yield part, range(0)
-            zeros -= part
-        if stops:
-            room = max(1, (most - zeros) // size)
-        else:
-            longest_ns = self._frame_ns(max(map(len, data)))
-            room = max(1, min(most // size, (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)))
-        for first in range(0, len(data), room):
-            yield zeros, range(first, min(first + room, len(data)))
-            zeros = 0
-
-    def _frame_ns(self, size: int) -> int:
-        """From a frame's first bit to its last."""
-        return self._byte_ns * (size + 1) + self._gap_ns if self.announces else self._byte_ns * size
-
     # ---- one call
 
-    def _call(self, report: Report, zeros: int, data: Sequence[bytes], part: range) -> list[Sent]:
-        """Write zeros, then a part of the frames, in one call; these frames. Raises SpiError."""
+    def _call(
+        self, report: Report, zeros: int, data: Sequence[bytes] = (), first: int = 0, *, heard: bool = True
+    ) -> None:
+        """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
+        if self._device is None:
+            raise SpiError("the SPI device is closed")
+        gap_us = self._gap_us
         batch = [self._zero] * zeros
-        for place in part:
-            if self.announces:
-                batch.append(Transfer(data[place][:1], self._gap_us))
-            batch.append(Transfer(data[place], self._gap_us))
+        if self.announces:
+            batch += [transfer for each in data for transfer in ((each[:1], gap_us), (each, gap_us))]
+        else:
+            batch += [(each, gap_us) for each in data]
         zeros_before, synchronised = self._zeros + zeros, self._synchronised
         self._synchronised = False  # until it has succeeded
-        self._zeros = self._zeros if not part else 0  # a zero that failed may have arrived: one more does no harm
+        self._zeros = 0 if data else self._zeros  # a zero that failed may have arrived: one more does no harm
         self._failures += 1
         begun_ns = self._clock()
         try:
-            self._transfer(batch, report)
+            self._device.transfer(batch)
+        except BatchRejectedError as rejection:
+            report.rejection = self._go_one_by_one(batch, rejection)
         finally:
             ended_ns = self.ended_ns = self._clock()
             self.transfer_latency.record(ended_ns - begun_ns)
-        if part and self.announces and ended_ns - begun_ns > LOST_BODY_NS:
-            raise SpiError("the transfers took so long that the controller may have given a frame up")
         self._failures = 0
         self._synchronised = synchronised or zeros_before >= PREAMBLE_ZEROS
-        if zeros_before >= PREAMBLE_ZEROS and zeros:
+        if zeros and zeros_before >= PREAMBLE_ZEROS:
             self._synchronised_ns, self.resync_due = ended_ns, False
-        if not part:
+        if not data:
             self._zeros = zeros_before
-        sent, wire_ns = [], begun_ns + zeros * self._zero_ns
-        for place in part:
-            wire_ns += self._frame_ns(len(data[place]))
-            sent.append(Sent(place, data[place], min(wire_ns, ended_ns), ended_ns - begun_ns))
+        wire_ns = begun_ns + zeros * self._zero_ns
+        for each in data:
+            wire_ns += self._byte_ns * each[0] + self._announced_ns  # a frame's first byte is its length
+            report.sent.append(
+                Sent(first, each, wire_ns if wire_ns < ended_ns else ended_ns, ended_ns - begun_ns, heard)
+            )
             wire_ns += self._gap_ns
-        return sent
+            first += 1
 
-    def _transfer(self, batch: list[Transfer], report: Report) -> None:
-        if self._device is None or self._opened is None:
-            raise SpiError("the SPI device is closed")
+    def _go_one_by_one(self, batch: list[Transfer], rejection: BatchRejectedError) -> str:
+        """Nothing of it was written. If it can be written transfer by transfer, all that follows is; returns why."""
+        if not self._batch or self._opened is None:
+            raise rejection
+        self._batch = False
+        device = self._guarded(self._opened)
         try:
-            self._device.transfer(batch)
-        except BatchRejectedError as rejection:
-            if not self._batch:
-                raise
-            # Nothing of it was written. If it can be written transfer by transfer, all that follows is.
-            device = self._guarded(self._one_by_one(self._opened))
             device.transfer(batch)
-            self._device, self._batch, report.rejection = device, False, str(rejection)
+        except SpiError:
+            self._batch = True
+            raise
+        self._device = device
+        return str(rejection)
 
     def _guarded(self, device: SpiDevice) -> GuardedDevice:
-        return GuardedDevice(device, self._framing, self._avoid_cdeg)
-
-    def _one_by_one(self, device: SpiDevice) -> OneByOne:
-        return OneByOne(device, self._clock, self._pause)
+        written = device if self._batch else OneByOne(device, self._clock, self._pause)
+        return GuardedDevice(written, self._framing, self._avoid_cdeg)
 
     # ---- Stops that failed
 
@@ -309,11 +308,10 @@ class Bus:
                 # Without any zero, a Stop may be tried all the same: a synchronised controller receives it. Behind a
                 # part of the zeros another one could take a servo's id for a length, which no preamble completes.
                 if not heard and (self._zeros or self._failures < TRIES):
-                    self._call(Report(), ZEROS_ON_A_BAD_BUS if self._zeros else 1, (), range(0))
+                    self._call(report, ZEROS_ON_A_BAD_BUS if self._zeros else 1)
                     continue
                 left.rotate(-1)  # one that fails is tried again after the others
-                (sent,) = self._call(report, 0, data, range(left[-1], left[-1] + 1))
-                report.sent.append(sent._replace(heard=heard))
+                self._call(report, 0, (data[left[-1]],), left[-1], heard=heard)
                 if heard:
                     left.pop()
 

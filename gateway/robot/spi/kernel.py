@@ -88,8 +88,8 @@ class KernelDevice:
         Raises BatchRejectedError where the kernel rejects the list: it looks at all of it before the first bit leaves.
         """
         try:
-            if len(batch) == 1 and not batch[0].pause_us:
-                self._spi.writebytes2(batch[0].data)
+            if len(batch) == 1 and not batch[0][1]:
+                self._spi.writebytes2(batch[0][0])
                 return
             size = self._fill(batch)
             sent = fcntl.ioctl(self._spi.fileno(), _MESSAGES[len(batch)], self._list)

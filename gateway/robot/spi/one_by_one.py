@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import Final
 
 from gateway.errors import SpiError
-from gateway.robot.spi import Batch, SpiDevice, Transfer
+from gateway.robot.spi import Batch, SpiDevice
 
 STALE_NS: Final = 500_000_000
 """Half of the 1000 ms after which the controller gives up a frame that it awaits. The other half allows for delays
@@ -46,7 +46,7 @@ class OneByOne:
                 if written_ns is not None and self._clock() - written_ns > STALE_NS:
                     raise SpiError("this program stood still between two transfers that belong together")
                 written_ns = self._clock()
-                self._device.transfer((Transfer(data, 0),))
+                self._device.transfer(((data, 0),))
                 self._pause(pause_us / 1e6)
 
     def fileno(self) -> int | None:

@@ -179,31 +179,3 @@ def test_what_failed_is_followed_by_a_preamble_for_all_that_comes() -> None:
     scene.device.begin(())
     scene.bus.write([START_2])
     assert scene.device.seen == [*[ZERO] * PREAMBLE_ZEROS, *scene.transfers(START_2)]
-
-
-class Slow(SimulatedController):
-    """Each transfer takes so long."""
-
-    def __init__(self, framing: Framing, took_ns: int) -> None:
-        self.now_ns = 0
-        self.took_ns = took_ns
-        super().__init__(framing, clock=lambda: self.now_ns)
-
-    def take(self, data: bytes) -> None:
-        super().take(data)
-        self.now_ns += self.took_ns
-
-
-@pytest.mark.parametrize(
-    ("framing", "took_ns", "fails"),
-    [(PREFIXED, 450_000_001, True), (PREFIXED, 450_000_000, False), (Framing.PLAIN, 5_000_000_000, False)],
-)
-def test_a_call_that_took_so_long_that_the_controller_may_have_given_up_counts_as_failed(
-    framing: Framing, took_ns: int, fails: bool
-) -> None:
-    device = Slow(framing, took_ns)
-    bus = Bus(lambda: device, framing, frame_gap_us=0, clock=lambda: device.now_ns)
-    bus.open()
-    while framing is PREFIXED and bus.write_zeros():
-        pass
-    assert (bus.write([START_11]).fault is not None) is fails

@@ -48,7 +48,7 @@ class Devices(UnsharedDevice):
         if len(batch) > 1 and not self.takes_lists:
             raise BatchRejectedError("no lists here")
         self.calls.append(tuple(batch))
-        self.now_ns += wire_ns(batch) + batch[-1].pause_us * 1000
+        self.now_ns += wire_ns(batch) + batch[-1][1] * 1000
 
     def close(self) -> None:
         self.open_now -= 1
@@ -75,7 +75,7 @@ class Devices(UnsharedDevice):
 def wire_ns(batch: Batch) -> int:
     """From the first bit to the last, as the emulated device counts it."""
     return sum(3200 * len(data) + pause_us * 1000 + CS_CHANGE_NS for data, pause_us in batch) - (
-        batch[-1].pause_us * 1000 + CS_CHANGE_NS
+        batch[-1][1] * 1000 + CS_CHANGE_NS
     )
 
 
@@ -166,7 +166,7 @@ def test_without_batches_the_same_is_written_transfer_by_transfer(framing: Frami
     devices = Devices()
     assert devices.bus(framing, batch=False).write(STOPS).fault is None
     assert devices.sizes == [1] * len(STOPS) * (2 if framing is PREFIXED else 1)
-    assert {batch[0].pause_us for batch in devices.calls} == {0}, "the pauses are slept"
+    assert {batch[0][1] for batch in devices.calls} == {0}, "the pauses are slept"
     assert frames_of(devices.calls) == [stop.to_bytes() for stop in STOPS]
 
 

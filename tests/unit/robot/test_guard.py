@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from gateway.errors import SpiError
 from gateway.robot.protocol.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.spi import Batch, Transfer
+from gateway.robot.spi import Batch
 from gateway.robot.spi.guard import GuardedDevice, IllegalTransferError
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
@@ -41,7 +41,7 @@ class Recorder(UnsharedDevice):
 def passes(framing: Framing, *data: bytes) -> bool:
     """Whether a batch of these transfers reaches the device; as a whole, or not at all."""
     device = Recorder()
-    batch = [Transfer(each, 7) for each in data]
+    batch = [(each, 7) for each in data]
     try:
         GuardedDevice(device, framing).transfer(batch)
     except IllegalTransferError:
@@ -148,7 +148,7 @@ def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle
         OneLeg(6, (servo, elsewhere, elsewhere)),
         OneLeg(6, (elsewhere, STOP, servo)),
     ):
-        batch = [Transfer(data, 0) for each in (stop_leg(1), frame) for data in PREFIXED.transfers(each.to_bytes())]
+        batch = [(data, 0) for each in (stop_leg(1), frame) for data in PREFIXED.transfers(each.to_bytes())]
         GuardedDevice(Recorder(), PREFIXED).transfer(batch)
         device = Recorder()
         guarded = GuardedDevice(device, PREFIXED, (1_00, 4_00))
@@ -171,13 +171,13 @@ def test_no_stop_is_rejected_for_its_angle() -> None:
     stops: list[Frame] = [*(stop_leg(leg) for leg in LEGS), *(OneServo(servo, STOP) for servo in SERVO_IDS)]
     for stop in stops:
         device = Recorder()
-        GuardedDevice(device, Framing.PLAIN, (0, 180_01)).transfer([Transfer(stop.to_bytes(), 0)])
+        GuardedDevice(device, Framing.PLAIN, (0, 180_01)).transfer([(stop.to_bytes(), 0)])
         assert len(device.batches) == 1
 
 
 def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
     with pytest.raises(IllegalTransferError, match="06 02 20 02 00 00"):
-        GuardedDevice(Recorder(), Framing.PLAIN).transfer([Transfer(STOP_WITH_ANGLE, 0)])
+        GuardedDevice(Recorder(), Framing.PLAIN).transfer([(STOP_WITH_ANGLE, 0)])
 
 
 def test_plain_has_no_preamble_and_no_announcements() -> None:
@@ -196,7 +196,7 @@ def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> 
 def test_a_device_s_fault_comes_through_and_changes_nothing() -> None:
     controller = SimulatedController(PREFIXED)
     guarded = GuardedDevice(controller, PREFIXED)
-    batch = [Transfer(data, 0) for data in (b"\x0e", STOP_1)]
+    batch = [(data, 0) for data in (b"\x0e", STOP_1)]
     controller.fail_next(1)
     with pytest.raises(SpiError):
         guarded.transfer(batch)
