@@ -10,6 +10,7 @@ from gateway.robot.core.events import (
     Event,
     Rejected,
     Reset,
+    StoppedOutside,
 )
 from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Leg, Rules, Servo
@@ -173,7 +174,7 @@ class StopsTakeSlots(Legs):
     """A Stop on command waits for the leg's rate slot."""
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
-        if not leg.slots.is_open(now_ns):
+        if now_ns < leg.slots.next_ns:
             return []
         return super()._stop_on_command(leg, servos, command, now_ns)
 
@@ -233,11 +234,11 @@ class LatchLostInFault(Supervisor):
 class LateCommandsCount(Supervisor):
     """A command that comes after the deadline, but before anyone looked, saves its leg."""
 
-    def _in_time(self, event: Event, now_ns: int) -> list[Effect]:
+    def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
         if isinstance(event, Command) and self._rejection(event) is None:
             for servo_id, _ in event.targets:
                 self.legs.by_number[servo_id // 10].heard_ns = now_ns
-        return super()._in_time(event, now_ns)
+        return super().step(event, now_ns, instant_ns)
 
 
 class RejectedCommandsFeed(Supervisor):
@@ -287,16 +288,16 @@ class RecoversWithoutStops(Supervisor):
 class BelievesInStopsFromOutside(Supervisor):
     """All count as stopped, and one that was started after its Stop from outside runs on."""
 
-    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
-        effects = super()._stop_with_outside(now_ns)
+    def _outside(self, event: StoppedOutside, now_ns: int) -> list[Effect]:
+        effects = super()._outside(event, now_ns)
         return [effect for effect in effects if getattr(effect, "cause", None) is not Cause.REPEAT]
 
 
 class StartsBesideStopServos(Supervisor):
     """A start is taken that a Stop from outside undoes, unseen."""
 
-    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
-        effects = super()._stop_with_outside(now_ns)
+    def _outside(self, event: StoppedOutside, now_ns: int) -> list[Effect]:
+        effects = super()._outside(event, now_ns)
         self.stopped_outside = False
         return effects
 

@@ -30,13 +30,11 @@ from gateway.robot.core.events import (
     ShutDown,
     TimePassed,
 )
-from gateway.robot.core.lease import TRANSITIONS as LEASE_TRANSITIONS
 from gateway.robot.core.lease import LeaseState
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs, _PendingCommand
 from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.core.transitions import TRANSITIONS
 from schemas.telemetry import Mode
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.buttons_model import button_requests, buttons_key, copied_buttons
@@ -48,6 +46,7 @@ from tests.support.lease_model import copied_lease, lease_key, lease_requests, t
 from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import CONFIGURATIONS, Configuration
+from tests.support.transitions import LEASE_TRANSITIONS, TRANSITIONS
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +110,7 @@ _SUPERVISOR_FIELDS: Final = {
 }
 # The first two rows matter; the third follows from them, and the last counts within a step.
 _LEGS_FIELDS: Final = {
-    *("_rules", "_reach", "by_number", "servos", "_pending"),
+    *("_rules", "_reach", "by_number", "_all", "servos", "_pending"),
     *("_queue", "instant_ns", "landing", "land_ns"),
     *("due_ns", "repeat_ns", "at_rest"),
     *("_moved", "stops"),
@@ -119,7 +118,7 @@ _LEGS_FIELDS: Final = {
 
 
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
-    legs.by_number = by_number
+    legs.by_number, legs._all = by_number, tuple(by_number.values())
     legs.servos = {servo.servo_id: servo for leg in by_number.values() for servo in leg.servos}
 
 

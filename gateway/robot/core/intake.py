@@ -119,7 +119,9 @@ def _fields(row: Row, intent: Intent) -> int:
     for _, op in intent.targets:
         fields += 1 if op is STOP else 2
     once, each_leg = row.fields_around
-    return fields + once + each_leg * len(intent.targets) // len(JOINTS)
+    if each_leg:
+        fields += each_leg * len(intent.targets) // len(JOINTS)
+    return fields + once
 
 
 class _GivenTwiceError(Exception):

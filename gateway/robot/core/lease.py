@@ -37,41 +37,6 @@ class LeaseState(StrEnum):
     HANDED_OVER = "handed over"
 
 
-_FREE, _HELD, _ASKED, _HANDED_OVER = LeaseState
-
-TRANSITIONS: Final[dict[LeaseState, dict[Do, frozenset[LeaseState]]]] = {
-    _FREE: {
-        Do.ACQUIRE: frozenset({_HELD}),
-        Do.ASK: frozenset({_FREE}),
-        Do.TAKE: frozenset({_HELD}),
-        Do.RENEW: frozenset({_FREE}),
-        Do.RELEASE: frozenset({_FREE}),
-    },
-    _HELD: {
-        Do.ACQUIRE: frozenset({_HELD}),
-        Do.ASK: frozenset({_ASKED}),
-        Do.TAKE: frozenset({_HELD}),
-        Do.RENEW: frozenset({_HELD}),
-        Do.RELEASE: frozenset({_HELD, _FREE}),
-    },
-    _ASKED: {
-        Do.ACQUIRE: frozenset({_ASKED}),
-        Do.ASK: frozenset({_ASKED}),
-        Do.TAKE: frozenset({_ASKED, _HELD}),
-        Do.RENEW: frozenset({_ASKED}),
-        Do.RELEASE: frozenset({_ASKED, _FREE, _HANDED_OVER}),
-    },
-    _HANDED_OVER: {
-        Do.ACQUIRE: frozenset({_HANDED_OVER, _HELD}),
-        Do.ASK: frozenset({_HANDED_OVER}),
-        Do.TAKE: frozenset({_HANDED_OVER, _HELD}),
-        Do.RENEW: frozenset({_HANDED_OVER}),
-        Do.RELEASE: frozenset({_HANDED_OVER}),
-    },
-}
-"""Where each request leads; where it may also leave the lease as it is, it may be rejected. Time leads to FREE."""
-
-
 class Lease:
     """The lease of one robot. One owner, one thread."""
 

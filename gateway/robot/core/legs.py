@@ -71,7 +71,8 @@ class Legs:
         self._rules = rules
         self._reach = reach
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
-        self.servos = {servo.servo_id: servo for leg in self.by_number.values() for servo in leg.servos}
+        self._all = tuple(self.by_number.values())
+        self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
         self._pending: dict[int, _PendingCommand] = {}
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
@@ -92,7 +93,7 @@ class Legs:
         """When its next frames are due: each leg gets one in a period, however slowly it goes."""
 
     def __iter__(self) -> Iterator[Leg]:
-        return iter(self.by_number.values())
+        return iter(self._all)
 
     # ---- time
 
@@ -106,13 +107,12 @@ class Legs:
 
         A command that only moves its own legs has changed nothing of the others, so these are not looked at.
         """
-        legs = self.by_number.values()
-        for leg in legs if self._moved is None else self._moved:
+        for leg in self._all if self._moved is None else self._moved:
             self._look_at(leg)
         self._moved = None
         due_ns = repeat_ns = NEVER
         at_rest = True
-        for leg in legs:
+        for leg in self._all:
             due_ns = leg.due_ns if leg.due_ns < due_ns else due_ns
             repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
             at_rest = at_rest and not leg.runs
@@ -121,17 +121,18 @@ class Legs:
         self.at_rest = at_rest
 
     def _look_at(self, leg: Leg) -> None:
-        deadline_ns = leg.deadline_ns(self._rules.timeout_ns)
-        due_ns = NEVER if deadline_ns is None else deadline_ns
-        repeat_ns = NEVER
-        runs = waits = False
+        due_ns = repeat_ns = NEVER
+        runs = waits = armed = False
         for servo in leg.servos:
             if servo.angle_cdeg is not None:
-                runs = True
+                runs = armed = True
             if servo.waiting is not None or servo.target_cdeg is not None:
                 waits = True
+                armed = armed or servo.will_run
             if servo.repeats_left and servo.repeat_ns < repeat_ns:
                 repeat_ns = servo.repeat_ns
+        if armed and leg.heard_ns is not None:
+            due_ns = leg.heard_ns + self._rules.timeout_ns
         if self.landing is not None and runs:
             due_ns = self.landing.ends_ns
             if self.landing.moves(leg.servos):
@@ -159,10 +160,9 @@ class Legs:
         moved: list[Leg] = []
         for servo_id, op in command.targets:
             servo = self.servos[servo_id]
-            if servo.leg in by_leg:
-                by_leg[servo.leg].append((servo, op))
-            else:
-                by_leg[servo.leg] = [(servo, op)]
+            if servo.leg not in by_leg:
+                by_leg[servo.leg] = []
+            by_leg[servo.leg] += [(servo, op)]
         self._pending[command.number] = _PendingCommand(len(command.targets))
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
@@ -180,7 +180,7 @@ class Legs:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns
                 effects += self._move(leg, targets, command, now_ns)
-                moved.append(leg)
+                moved += [leg]
             else:
                 stops.append((leg, [servo for servo, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
@@ -237,7 +237,7 @@ class Legs:
             self._queue.join(leg.number)
         elif self._queue.legs:
             self._queue.leave(leg.number)
-        if not (waiting or (limited and leg.is_bound)) or not leg.slots.is_open(now_ns):
+        if not (waiting or (limited and leg.is_bound)) or now_ns < leg.slots.next_ns:
             return []
         if energises:
             if not self._queue.admits(leg.number, now_ns):
@@ -262,7 +262,7 @@ class Legs:
                 pending = self._pending[servo.waiting_number]
                 pending.targets -= 1
                 if not pending.targets:
-                    effects.append(self._completed(servo.waiting_number))
+                    effects += [self._completed(servo.waiting_number)]
         return effects
 
     def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
@@ -324,7 +324,7 @@ class Legs:
         if self.land_ns <= now_ns:
             self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
-            if not leg.slots.is_open(now_ns):
+            if now_ns < leg.slots.next_ns:
                 continue
             leg.landed_ns = self.landing.next_part_ns(leg.landed_ns, now_ns)
             for servo in leg.servos:

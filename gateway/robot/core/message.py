@@ -56,9 +56,8 @@ class Received:
 class Messages(Protocol):
     """What the conductor needs of the left edge."""
 
-    @property
-    def instant_open(self) -> bool:
-        """Whether what is taken next is of the same instant as what was taken last."""
+    instant_open: bool
+    """Whether what is taken next is of the same instant as what was taken last."""
 
     def take(self) -> Iterable[Received]:
         """What has come, in the order in which it applies."""

@@ -45,10 +45,6 @@ class RateSlots:
     next_ns: int = 0
     """When the next frame may go out."""
 
-    def is_open(self, now_ns: int) -> bool:
-        """Whether a frame may go out now."""
-        return now_ns >= self.next_ns
-
     def take(self, now_ns: int) -> None:
         """A frame goes out now and uses up the oldest slot that the bucket still holds."""
         kept_ns = now_ns - (BUCKET - 1) * self.period_ns

@@ -25,7 +25,10 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
 10. Angles here are users'; only a frame that goes out has the servo's own (`Legs`, by the calibration in force). The
     calibration changes for no servo that runs or waits to be started, and nothing starts one meanwhile (`calibrating`).
-11. While fewer buttons are alive than are required, starts, sets and resets are rejected, and what runs is stopped, or
+11. A servo whose speed is limited goes towards its target step by step, one in each rate slot (`speed`, `Legs`).
+12. Where a landing is configured, a silent leg begins one in place of its Stop: all servos that run go to the landing
+    pose, nothing else moves, and six legs are stopped at an end that is known from its beginning (`landing`).
+14. While fewer buttons are alive than are required, starts, sets and resets are rejected, and what runs is stopped, or
     lands, when they have become too few (`buttons`). Stops need no button.
 
 `StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
@@ -36,7 +39,7 @@ Within one instant, the order of what came by different channels is unknown. So 
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
-from typing import Final
+from typing import Final, assert_never, get_args
 
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
@@ -67,7 +70,6 @@ from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
-from gateway.robot.core.transitions import TRANSITIONS, IllegalEvent
 from gateway.robot.protocol.frames import OP_SET, OP_STOP
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -84,6 +86,20 @@ _REJECTING: Final = {
     Mode.STOPPING: (Reason.STOPPING, _STOPPING),
 }
 """The modes in which every command that comes is rejected, and why."""
+
+
+_AT_START: Final[frozenset[type[Event]]] = frozenset({EmergencyStop, BusOpened, BusFailed, TimePassed, ShutDown})
+_ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
+LEGAL: Final = {mode: _ANY - {BusOpened} for mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED)} | {
+    Mode.STARTING: _AT_START,
+    Mode.BUS_FAULT: _ANY,
+    Mode.STOPPING: _ANY,
+}
+"""In which mode which event may come; any other is a mistake of the caller. Tests have where each leads."""
+
+
+class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
+    """The caller sent an event that has no place in this mode; the state is as it was."""
 
 
 class Supervisor:
@@ -117,43 +133,32 @@ class Supervisor:
         """When `TimePassed` is next needed; None: not before something else happens."""
 
     def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
-        """Take one event. Raises IllegalEvent, and changes nothing, where TRANSITIONS has no place for it.
+        """Take one event. Raises IllegalEvent, and changes nothing, where it has no place in this mode (`LEGAL`).
 
         Events with the same `instant_ns` (their own time, if not given) were collected together, and nobody knows in
         which order they were sent; to deal with them takes time, and deadlines do not wait for that.
         """
-        if type(event) not in TRANSITIONS[self.mode]:
+        if type(event) not in LEGAL[self.mode]:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
         if type(event) is Kept and not self.calibrating.awaits(event.number):
             raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
         lease_ns, button_ns = self.lease.due_ns, self.buttons.due_ns
         late = (lease_ns is not None and now_ns >= lease_ns) or (button_ns is not None and now_ns >= button_ns)
-        ended = [*self.lease.expire(now_ns), *self.buttons.expire(now_ns, self._without_buttons())] if late else []
-        match event:
-            case (
-                Command()
-                | TimePassed()
-                | Reset()
-                | ButtonRequest()
-                | Calibrate()
-                | Kept()
-                | StoppedOutside(at_work=False)
-            ):
-                effects = self._in_time(event, now_ns)
-            case LeaseRequest():
-                effects = self._lease_request(event, now_ns)
-            # These stop everything, or find a bus that sends nothing: what was due has no meaning any more.
-            case EmergencyStop():
-                effects = self._emergency_stop(event, now_ns)
-            case StoppedOutside():
-                effects = self._stop_with_outside(now_ns)
-            case BusOpened():
-                effects = self._bus_opened(now_ns)
-            case BusFailed():
-                effects = self._bus_failed(event)
-            case ShutDown():
-                effects = self._shut_down(now_ns)
+        effects = [*self.lease.expire(now_ns), *self.buttons.expire(now_ns, self._without_buttons())] if late else []
+        # An event takes its place between the deadlines that it is too late for and the rate slots that it may use.
+        due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
+        if (due or self.buttons.closed) and self._stops_all(event):
+            due = False
+        elif self.buttons.closed:
+            effects += self._stop_unwatched(now_ns)
+        if due:
+            effects += self._expire(now_ns)
+        effects += self._take(event, now_ns)
+        if due:
+            effects += self.legs.repeat_stops(now_ns)
+            effects += self.legs.take_slots(now_ns)
+            effects += self.legs.land(now_ns)
         self.legs.look()
         if self.legs.landing is not None and self.legs.at_rest:
             self.legs.landing = None  # people have stopped all that was on its way down
@@ -163,8 +168,44 @@ class Supervisor:
             self.due_ns = self.lease.due_ns if self.due_ns is None else min(self.due_ns, self.lease.due_ns)
         if self.buttons.due_ns is not None:
             self.due_ns = self.buttons.due_ns if self.due_ns is None else min(self.due_ns, self.buttons.due_ns)
-        effects = ended + effects if ended else effects
         return sorted(effects, key=_after_stops) if self.legs.stops else effects
+
+    def _take(self, event: Event, now_ns: int) -> list[Effect]:
+        effects: list[Effect]
+        match event:
+            case Command():
+                effects = self._command(event, now_ns)
+            case TimePassed():
+                effects = []
+            case EmergencyStop():
+                effects = self._emergency_stop(event, now_ns)
+            case Reset():
+                effects = self._reset(event, now_ns)
+            case LeaseRequest():
+                effects = self._lease_request(event, now_ns)
+            case StoppedOutside():
+                effects = self._outside(event, now_ns)
+            case ButtonRequest():
+                effects = self._button_request(event, now_ns)
+            case Calibrate() | Kept():
+                effects = self._calibration(event, now_ns)
+            case BusOpened():
+                effects = self._bus_opened(now_ns)
+            case BusFailed():
+                effects = self._bus_failed(event)
+            case ShutDown():
+                effects = self._shut_down(now_ns)
+            case _:
+                assert_never(event)
+        return effects
+
+    def _stops_all(self, event: Event) -> bool:
+        """Whether it stops everything, or finds a bus that sends nothing: what was due has no meaning any more."""
+        if isinstance(event, LeaseRequest):
+            return not self._ended and self.lease.is_takeover(event)
+        if isinstance(event, StoppedOutside):
+            return event.at_work
+        return isinstance(event, EmergencyStop | BusOpened | BusFailed | ShutDown)
 
     def _mode_now(self) -> Mode:
         """The first that applies."""
@@ -175,33 +216,6 @@ class Supervisor:
         if self._latched_ns is not None:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
-
-    def _in_time(self, event: Event, now_ns: int) -> list[Effect]:
-        """Take an event between the deadlines that it is too late for and the rate slots that it may still use."""
-        due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
-        effects = self._stop_unwatched(now_ns) if self.buttons.closed else []
-        if due:
-            effects += self._expire(now_ns)
-        match event:
-            case Command():
-                effects += self._command(event, now_ns)
-            case Reset():
-                effects += self._reset(event, now_ns)
-            case LeaseRequest():
-                effects += self._without_takeover(event, now_ns)
-            case ButtonRequest():
-                effects += self._button_request(event, now_ns)
-            case StoppedOutside():
-                self.stopped_outside = False
-            case Calibrate():
-                effects += self._calibrate(event, now_ns)
-            case Kept():
-                effects += self.calibrating.kept(event)
-        if due:
-            effects += self.legs.repeat_stops(now_ns)
-            effects += self.legs.take_slots(now_ns)
-            effects += self.legs.land(now_ns)
-        return effects
 
     # ---- events
 
@@ -249,6 +263,9 @@ class Supervisor:
     def _why_unwatched(self) -> tuple[Reason, str] | None:
         """Why too few watch for a start, a set or a reset; None: enough do."""
         return self.buttons.rejection() if self.buttons.closed else None
+
+    def _calibration(self, event: Calibrate | Kept, now_ns: int) -> list[Effect]:
+        return self.calibrating.kept(event) if isinstance(event, Kept) else self._calibrate(event, now_ns)
 
     def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
         rejection = _REJECTING.get(self.mode) or self._why_closed(event.lease)
@@ -307,32 +324,28 @@ class Supervisor:
         return None
 
     def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
-        if self._ended or not self.lease.is_takeover(request):
-            return self._in_time(request, now_ns)
-        taken = f"{request.source} has taken the lease"
-        stops = self._stop_all(Cause.COMMAND, now_ns, Reason.NOT_HOLDER, taken)
-        told, answer = self.lease.grant(request, now_ns)
-        return [*stops, *told, answer]
-
-    def _without_takeover(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
         if self._ended:
             return [LeaseAnswer(Reason.STOPPING, _STOPPING)]
-        told, answer = self.lease.grant(request, now_ns)
-        dropped: list[Effect] = []
+        before: list[Effect] = []
+        if self.lease.is_takeover(request):
+            before = self._stop_all(Cause.COMMAND, now_ns, Reason.NOT_HOLDER, f"{request.source} has taken the lease")
+        published, answer = self.lease.grant(request, now_ns)
         if answer.token is not None:
             # What others had waiting would move under the new holder.
             detail = f"{answer.holder} has acquired the lease"
-            dropped = self.legs.drop(self.legs.servos.values(), Reason.NOT_HOLDER, detail)
-        return [*dropped, *told, answer]
+            before += self.legs.drop(self.legs.servos.values(), Reason.NOT_HOLDER, detail)
+        return [*before, *published, answer]
 
     def _button_request(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         if self._ended:
             return [ButtonAnswer(Reason.STOPPING, _STOPPING)]
-        told, answer = self.buttons.grant(request, now_ns, self._without_buttons())
-        return [*(self._stop_unwatched(now_ns) if self.buttons.closed else ()), *told, answer]
+        published, answer = self.buttons.grant(request, now_ns, self._without_buttons())
+        return [*(self._stop_unwatched(now_ns) if self.buttons.closed else ()), *published, answer]
 
-    def _stop_with_outside(self, now_ns: int) -> list[Effect]:
-        first, self.stopped_outside = not self.stopped_outside, True
+    def _outside(self, event: StoppedOutside, now_ns: int) -> list[Effect]:
+        first, self.stopped_outside = event.at_work and not self.stopped_outside, event.at_work
+        if not event.at_work:
+            return []
         effects = self._stop_all(Cause.REPEAT, now_ns, Reason.SERVO_STOPPED, _OUTSIDE)
         if first:
             detail = "stop-servos stopped all servos past the gateway; nothing moves until it is started again"

@@ -96,6 +96,8 @@ class Inbox:
         self._read_all = False
         self._look_again = OwnersTimer(loop, owner, self._looked)
         self._attempt = 0
+        self.instant_open = False
+        """Whether what is taken next is of the same instant as what was taken last."""
         self._closing = OwnersTimer(loop, owner, on_wakeup)
         self._declared: list[Any] = []
         self._replies = ReplySender("answers")
@@ -119,8 +121,8 @@ class Inbox:
             ("estop-get", self._queryable(session, ESTOP, RING_DEPTH)),
         )
         waits: list[tuple[str, Handler[Any], Callable[[Any, int], Deal]]] = [
-            ("wakeup-put", self._wakeups[0], lambda item, now_ns: partial(self._on_wakeup, item, now_ns)),
-            ("wakeup-get", self._wakeups[1], lambda item, now_ns: partial(self._on_wakeup, item, now_ns)),
+            ("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
+            ("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
             (
                 "state-get",
                 self._queryable(session, STATE, RING_DEPTH),
@@ -156,13 +158,8 @@ class Inbox:
             yield self._estops.popleft()
         self._compare(taken)
         self._read_all = False
-        if self._rings.instant_open:
+        if self.instant_open:
             self._closing.set_in(FLOOD_PAUSE_S)  # to close it, if nothing else comes
-
-    @property
-    def instant_open(self) -> bool:
-        """Whether what is taken next is of the same instant as what was taken last."""
-        return self._rings.instant_open
 
     @property
     def hears(self) -> bool:
@@ -258,6 +255,7 @@ class Inbox:
             found = self._rings.read(keys)
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
             found = []
+        self.instant_open = self._rings.instant_open
         if self._others:
             found += [(other.key, other) for other in self._others]
             self._others.clear()

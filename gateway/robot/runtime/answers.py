@@ -1,12 +1,11 @@
 """What becomes of commands: counted, recorded, answered, and published where they are rejected."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gateway.errors import SpiError
 from gateway.robot.blackbox.recorder import ACCEPTED, COALESCED, Decided, Heard, Recorder
-from gateway.robot.core.events import Announce, Completed, Rejected, Transmit
+from gateway.robot.core.events import Announce, Completed, Effect, Rejected, Transmit
 from gateway.robot.core.intake import echo_of
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.event_publisher import EventPublisher
@@ -15,7 +14,6 @@ from schemas.telemetry import Ack, Kind, Reason
 
 Servos = Sequence[tuple[int, object]]
 """The servos that a command names, each with what it asks of it."""
-End = Completed | Rejected
 
 
 @dataclass(slots=True)
@@ -35,35 +33,40 @@ class Answers:
 
     def __init__(self, metrics: Metrics, recorder: Recorder, events: EventPublisher) -> None:
         self._pending: dict[int, _Pending] = {}
-        self._numbers = itertools.count(1)
+        self._number = 0
         self._metrics = metrics
         self._recorder = recorder
         self._events = events
 
     def expect(self, key: str, source: str | None, reply: Reply | None, servos: Servos) -> int:
         """The number of a new command, which is answered under it."""
-        number = next(self._numbers)
-        self._pending[number] = _Pending(key, source, reply, servos)
-        return number
+        self._number += 1
+        self._pending[self._number] = _Pending(key, source, reply, servos)
+        return self._number
 
     def wrote(self, transmit: Transmit) -> None:
         """A frame was written: should a command that it belongs to be rejected now, its answer names the leg."""
         for number in transmit.numbers:
             self._pending[number].written += (transmit.frame.leg,)
 
-    def decided(self, end: End, fault: SpiError | None) -> Decided:
-        """What the black box has of a command's end, in a step in which the bus may have failed."""
-        pending = self._pending[end.number]
-        match end:
-            case Rejected():
-                verdict: str = end.reason
-            case Completed() if fault is not None:
-                verdict = Reason.BUS_FAULT
-            case Completed():
-                verdict = COALESCED if end.coalesced else ACCEPTED
-        return end.number, verdict, pending.key, pending.source
+    def decided(self, effects: Sequence[Effect], fault: SpiError | None) -> Sequence[Decided]:
+        """What the black box has of the commands that end with this step, in which the bus may have failed."""
+        found: tuple[Decided, ...] = ()
+        for effect in effects:
+            match effect:
+                case Rejected():
+                    verdict: str = effect.reason
+                case Completed() if fault is not None:
+                    verdict = Reason.BUS_FAULT
+                case Completed():
+                    verdict = COALESCED if effect.coalesced else ACCEPTED
+                case _:
+                    continue
+            pending = self._pending[effect.number]
+            found += ((effect.number, verdict, pending.key, pending.source),)
+        return found
 
-    def end(self, end: End, fault: SpiError | None) -> None:
+    def end(self, end: Completed | Rejected, fault: SpiError | None) -> None:
         """Answer a command that the supervisor has ended."""
         pending = self._pending.pop(end.number)
         match end:

@@ -281,7 +281,8 @@ class Conductor:
         outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
-        self._publish_mode()
+        if self.supervisor.mode is not self._published_mode:
+            self._publish_mode()
         return outcome
 
     # ---- the bus

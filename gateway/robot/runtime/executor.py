@@ -65,8 +65,7 @@ class Executor:
         outcome = Outcome()
         transmits = [effect for effect in effects if type(effect) is Transmit]
         unbatched = self._write(transmits, outcome) if transmits else None
-        ends = [effect for effect in effects if type(effect) is Completed or type(effect) is Rejected]
-        self._recorder.step(heard, outcome.written, [self._answers.decided(end, outcome.fault) for end in ends])
+        self._recorder.step(heard, outcome.written, self._answers.decided(effects, outcome.fault))
         if unbatched is not None:
             self._events.announce(Announce(Kind.BUS_UNBATCHED, unbatched))
         for effect in effects:
@@ -100,11 +99,11 @@ class Executor:
         Returns why each transfer is a call of its own from now on, if that is new.
         """
         unbatched = None
-        for batch in _batches(transmits):
+        for batch in _batches(transmits) if transmits[1:] else (transmits,):
             report = self._bus.write([effect.frame for effect in batch], preamble=batch[0].cause is _REPEAT)
             for sent in report.sent:
                 effect = batch[sent.place]
-                outcome.written.append((effect, sent))
+                outcome.written += [(effect, sent)]
                 self._metrics.frames[effect.cause] += 1
                 self._answers.wrote(effect)
                 if effect.deadline_ns is not None and sent.heard:
@@ -118,8 +117,6 @@ class Executor:
 
 def _batches(transmits: list[Transmit]) -> list[list[Transmit]]:
     """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits."""
-    if len(transmits) == 1:
-        return [transmits]
     stops = [effect for effect in transmits if effect.frame.is_stop]
     first = [effect for effect in stops if effect.cause is not _REPEAT]
     repeated = [effect for effect in stops if effect.cause is _REPEAT]

@@ -178,7 +178,6 @@ class Bus:
             self.errors += 1
             if stops and self._device is not None:
                 self._insist(data, report)
-        self.frames += len(report.sent)
         self.resync_due = (
             self._resync_ns > 0
             and self.announces
@@ -267,11 +266,11 @@ class Bus:
         wire_ns = begun_ns + zeros * self._zero_ns
         for each in data:
             wire_ns += self._byte_ns * each[0] + self._announced_ns  # a frame's first byte is its length
-            report.sent.append(
-                Sent(first, each, wire_ns if wire_ns < ended_ns else ended_ns, ended_ns - begun_ns, heard)
-            )
+            left_ns = wire_ns if wire_ns < ended_ns else ended_ns
+            report.sent += [Sent(first, each, left_ns, ended_ns - begun_ns, heard)]
             wire_ns += self._gap_ns
             first += 1
+            self.frames += 1
 
     def _go_one_by_one(self, batch: list[Transfer], rejection: BatchRejectedError) -> str:
         """Nothing of it was written. If it can be written transfer by transfer, all that follows is; returns why."""

@@ -163,7 +163,7 @@ def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle
 def test_the_reason_is_the_first_servo_that_is_not_allowed_not_one_at_the_end_of_the_interval() -> None:
     frame = OneLeg(6, (ServoOp(Op.SET, 4_00), ServoOp(Op.SET, 2_00), STOP))
     with pytest.raises(IllegalTransferError, match="moves servo 62 to 2 degrees"):
-        GuardedDevice(Recorder(), Framing.PLAIN, (1_00, 4_00)).transfer([Transfer(frame.to_bytes(), 0)])
+        GuardedDevice(Recorder(), Framing.PLAIN, (1_00, 4_00)).transfer([(frame.to_bytes(), 0)])
 
 
 def test_no_stop_is_rejected_for_its_angle() -> None:

@@ -3,10 +3,11 @@
 import pytest
 
 from gateway.robot.core.events import Announce, Do, LeaseAnswer, LeaseRequest
-from gateway.robot.core.lease import MOST_ASKERS, TRANSITIONS, LeaseState
+from gateway.robot.core.lease import MOST_ASKERS, LeaseState
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
+from tests.support.transitions import LEASE_TRANSITIONS as TRANSITIONS
 
 ANNA, BERT, CARL = "a" * 32, "b" * 32, "c" * 32
 GRANTED = "lease granted"

@@ -9,7 +9,7 @@ from gateway.robot.core.calibration import Calibration, Change, ServoCalibration
 from gateway.robot.core.events import Announce, Kept, Rejected, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
-from gateway.robot.core.transitions import IllegalEvent
+from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Kind, Mode
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
 

@@ -23,10 +23,10 @@ from gateway.robot.core.events import (
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.core.transitions import TRANSITIONS
 from gateway.robot.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Reason
+from tests.support.transitions import TRANSITIONS
 from tests.unit.robot.test_calibration import angles, calibrations
 
 MOST_TRIM_CDEG = 20_00

@@ -15,10 +15,11 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
-from gateway.robot.core.transitions import TRANSITIONS, IllegalEvent
+from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
+from tests.support.transitions import TRANSITIONS
 
 # ---- 6, bus fault
 

@@ -33,7 +33,6 @@ from gateway.robot.core.events import (
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.core.transitions import TRANSITIONS
 from gateway.robot.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
@@ -41,6 +40,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.support.history import demand
 from tests.support.oracle import Oracle
+from tests.support.transitions import TRANSITIONS
 
 MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sampled_from([0, 45_00, 90_00, 180_00]))
 OPS = st.one_of(MOVES, MOVES, st.just(STOP))

@@ -1,4 +1,7 @@
-"""In which mode which event may come to the supervisor, and where it leads: the table. Pure."""
+"""In which mode which event may come to the supervisor, and which modes it may lead to; the same of the lease.
+
+Written down apart from the code that decides, so that tests compare the two.
+"""
 
 from typing import Final, get_args
 
@@ -8,6 +11,7 @@ from gateway.robot.core.events import (
     ButtonRequest,
     Calibrate,
     Command,
+    Do,
     EmergencyStop,
     Event,
     Kept,
@@ -17,6 +21,7 @@ from gateway.robot.core.events import (
     StoppedOutside,
     TimePassed,
 )
+from gateway.robot.core.lease import LeaseState
 from schemas.telemetry import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
@@ -86,6 +91,36 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
 
+_FREE, _HELD, _ASKED, _HANDED_OVER = LeaseState
 
-class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
-    """The caller sent an event that has no place in this mode; the state is as it was."""
+LEASE_TRANSITIONS: Final[dict[LeaseState, dict[Do, frozenset[LeaseState]]]] = {
+    _FREE: {
+        Do.ACQUIRE: frozenset({_HELD}),
+        Do.ASK: frozenset({_FREE}),
+        Do.TAKE: frozenset({_HELD}),
+        Do.RENEW: frozenset({_FREE}),
+        Do.RELEASE: frozenset({_FREE}),
+    },
+    _HELD: {
+        Do.ACQUIRE: frozenset({_HELD}),
+        Do.ASK: frozenset({_ASKED}),
+        Do.TAKE: frozenset({_HELD}),
+        Do.RENEW: frozenset({_HELD}),
+        Do.RELEASE: frozenset({_HELD, _FREE}),
+    },
+    _ASKED: {
+        Do.ACQUIRE: frozenset({_ASKED}),
+        Do.ASK: frozenset({_ASKED}),
+        Do.TAKE: frozenset({_ASKED, _HELD}),
+        Do.RENEW: frozenset({_ASKED}),
+        Do.RELEASE: frozenset({_ASKED, _FREE, _HANDED_OVER}),
+    },
+    _HANDED_OVER: {
+        Do.ACQUIRE: frozenset({_HANDED_OVER, _HELD}),
+        Do.ASK: frozenset({_HANDED_OVER}),
+        Do.TAKE: frozenset({_HANDED_OVER, _HELD}),
+        Do.RENEW: frozenset({_HANDED_OVER}),
+        Do.RELEASE: frozenset({_HANDED_OVER}),
+    },
+}
+"""Where each request leads; where it may also leave the lease as it is, it may be rejected. Time leads to FREE."""
