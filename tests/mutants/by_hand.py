@@ -198,24 +198,6 @@ MADE: Final[tuple[ByHand, ...]] = (
         "what a deadline stops is started by what the same tick had taken",
     ),
     ByHand(
-        "gateway/robot/runtime/conductor.py",
-        "source = intent.source or received.source",
-        "source = received.source or intent.source",
-        "a program cannot say who it is",
-    ),
-    ByHand(
-        "gateway/robot/runtime/conductor.py",
-        "            self._step(Reset(number, source, received.key, intent.estop, intent.lease), instant_ns)\n",
-        "            self._step(Reset(number, source, received.key, intent.estop, intent.lease))\n",
-        "a reset beats an emergency stop of its instant",
-    ),
-    ByHand(
-        "gateway/robot/runtime/conductor.py",
-        "            self._step(command, instant_ns, now_ns)\n",
-        "            self._step(command, None, now_ns)\n",
-        "an older start overtakes a Stop of its instant",
-    ),
-    ByHand(
         "gateway/robot/core/supervisor.py",
         "        self.legs.begin(now_ns if instant_ns is None else instant_ns)\n",
         "        self.legs.instant_ns = now_ns\n",

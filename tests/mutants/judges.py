@@ -108,10 +108,11 @@ JUDGES: Final = {
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/robot/core/calibration.py": _CALIBRATION,
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/core/targets.py": (*_INBOX, f"{_UNIT}test_intake.py"),
+    "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", *_INBOX, f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": _CONDUCTOR,
+    "gateway/robot/runtime/executor.py": _CONDUCTOR,
     "gateway/robot/runtime/conductor.py": _CONDUCTOR,
 }
 """What keeps the robot safe, in the order of the way back: what stays longest comes first."""
