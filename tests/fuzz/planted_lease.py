@@ -110,9 +110,11 @@ class StopsNeedTheLease(Supervisor):
 class OthersStartsWait(Supervisor):
     """What others had waiting moves under the new holder."""
 
-    def _without_takeover(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
-        told, answer = self.lease.grant(request, now_ns)
-        return [*told, answer]
+    def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
+        if self._ended or self.lease.is_takeover(request):
+            return super()._lease_request(request, now_ns)
+        published, answer = self.lease.grant(request, now_ns)
+        return [*published, answer]
 
 
 class OversleepsTheLease(Supervisor):
