@@ -11,13 +11,14 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-import jsonschema
 import pytest
 import zenoh
 from mcap.reader import make_reader
 
 from gateway.client import Client
 from gateway.people.recordings import is_cut_off, read
+from gateway.people.recordings.drawing import DRAWN, FRAMES, JOINT_STATES, LOG
+from gateway.people.ros2.cdr import decode
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture
@@ -126,20 +127,23 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
     assert f"{path}: " in child.stdout
     found: dict[str, list[Any]] = {}
     with path.open("rb") as file:
-        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            assert schema is not None
-            content = json.loads(message.data)
-            jsonschema.validate(content, json.loads(schema.data))
-            found.setdefault(channel.topic, []).append(content)
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            if (kind := DRAWN.get(channel.topic)) is None:
+                found.setdefault(channel.topic, []).append(json.loads(message.data))
+            else:
+                found.setdefault(channel.topic, []).append(decode(kind, message.data))
+        file.seek(0)
+        (about,) = make_reader(file).iter_metadata()
     expected = [json.loads(record.model_dump_json()) for record in heard.all]
     in_file = found[FRAME]
     assert in_file == expected[expected.index(in_file[0]) :][: len(in_file)]
     assert json.loads(newest.model_dump_json()) in in_file
     assert found[STATE]
     assert [event["reason"] for event in found[EVENT] if event["kind"] == "command_rejected"] == ["servo_stopped"]
-    assert len(found["/tf"][-1]["transforms"]) == 24
-    assert len(found["/joint_states"][-1]["joints"]) == 18
-    assert found["/log"]
+    assert len(found[FRAMES][-1].transforms) == 24
+    assert len(found[JOINT_STATES][-1].name) == 18
+    assert found[LOG]
+    assert json.loads(about.metadata["watchdog"])["timeout_ms"] == 2000, "whose recording it is"
 
     again = gateway.run("record", str(path))
     assert again.returncode == 2

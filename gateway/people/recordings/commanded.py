@@ -17,10 +17,13 @@ class CommandedJoints:
         self._angles = UserAngles()
         self.rad: dict[int, float] = {}
         """By their servos; one that was never commanded is not among them, one that was stopped is as it was."""
+        self.moved_rad: dict[int, float] = {}
+        """Those that the report moved which was taken last: a frame's."""
 
     def take(self, topic: str, report: Mapping[str, Any]) -> bool:
         """Take notice of a report (as its JSON, on a key of ours); whether it shows where joints are."""
         self._angles.take(topic, report)
+        self.moved_rad = {}
         if topic == STATE:
             for leg in report["legs"]:
                 for servo in leg["servos"]:
@@ -37,8 +40,9 @@ class CommandedJoints:
         except (FrameError, ValueError):  # of a later protocol
             return
         for servo_id, command in frame.servos:
-            if command.op is not Op.STOP:
+            if command.op is not Op.STOP and servo_id in self._geometry.servos:
                 self._commanded(servo_id, command.angle_cdeg / 100)
+                self.moved_rad[servo_id] = self.rad[servo_id]
 
     def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
         if angle_deg is not None and servo_id in self._geometry.servos:

@@ -1,9 +1,10 @@
 """This robot in ROS 2's messages: what it publishes of itself."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
+from gateway.geometry.kinematics import Transform as Step
 from gateway.people.ros2.messages import (
     DiagnosticArray,
     DiagnosticStatus,
@@ -46,6 +47,11 @@ def joint_state(joints_rad: Mapping[int, float], time_ns: int) -> JointState:
 def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int) -> TFMessage:
     """Where each part of each leg is, in its parent's frame. A joint that is not known is drawn at 90° of its servo."""
     at_rad = {each: geometry.joint_rad(each, UNKNOWN_DEG) for each in SERVO_IDS} | dict(joints_rad)
+    return transform_message(transforms(geometry, at_rad), time_ns)
+
+
+def transform_message(steps: Iterable[Step], time_ns: int) -> TFMessage:
+    """These frames, each in its parent's."""
     header_stamp = stamp(time_ns)
     return TFMessage(
         tuple(
@@ -54,7 +60,7 @@ def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int) ->
                 step.child,
                 Transform(Vector3(*step.translation_m), Quaternion(*step.rotation)),
             )
-            for step in transforms(geometry, at_rad)
+            for step in steps
         )
     )
 

@@ -12,9 +12,11 @@ from pydantic import TypeAdapter
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.geometry import load
 from gateway.people.client.live import Order, ReportQueue, Starts
-from gateway.people.recordings.drawing import DESCRIPTION, DRAWN_SCHEMAS, LOG, Drawing, warning
+from gateway.people.recordings.drawing import DESCRIPTION, DRAWN, LOG, Drawing, warning
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
-from gateway.people.recordings.writing import REPORTS
+from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_ENCODING
+from gateway.people.ros2.cdr import Message, encode
+from gateway.people.ros2.definition import definition
 from gateway.people.terminal import hint, say
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.signals import on_end_signals
@@ -57,11 +59,13 @@ class _Server(ServerListener):
         self._starts = Starts()
         self._silent = False
         self._context = foxglove.Context()  # kept, since its channels end with it
-        schemas = dict(DRAWN_SCHEMAS)
-        schemas |= {key: plain_schema(TypeAdapter(model), model.__name__) for key, model in REPORTS.items()}
         self._channels = {
-            topic: foxglove.Channel(topic, schema=schema, context=self._context) for topic, schema in schemas.items()
+            key: self._channel(key, plain_schema(TypeAdapter(model), model.__name__), "json")
+            for key, model in REPORTS.items()
         }
+        for topic, kind in DRAWN.items():
+            schema = foxglove.Schema(name=kind.TYPE, encoding=ROS_SCHEMA_ENCODING, data=definition(kind).encode())
+            self._channels[topic] = self._channel(topic, schema, ROS_ENCODING)
         try:
             # No capabilities: what a viewer publishes, calls or sets is answered with an error and goes nowhere.
             self._server = foxglove.start_server(
@@ -74,6 +78,9 @@ class _Server(ServerListener):
             )
         except RuntimeError as error:
             raise AddressTakenError(f"port {port} is taken; name another with --port") from error
+
+    def _channel(self, topic: str, schema: "dict[str, Any] | foxglove.Schema", encoding: str) -> "foxglove.Channel":
+        return foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
 
     @property
     def port(self) -> int:
@@ -92,13 +99,13 @@ class _Server(ServerListener):
                 return
             key, report, time_ns = received
             if key == DESCRIPTION:
-                self._log(*self._drawing.description(), time_ns)
+                self._draw(*self._drawing.description(), time_ns)
                 continue
             if key == STATE:
                 self._is_there(report, time_ns)
             self._log(key, report, time_ns)
             for topic, message in self._drawing.take(key, report, time_ns):
-                self._log(topic, message, time_ns)
+                self._draw(topic, message, time_ns)
 
     def close(self) -> None:
         """It listens no more."""
@@ -123,7 +130,7 @@ class _Server(ServerListener):
 
     def _warn(self, sentence: str, time_ns: int) -> None:
         hint(sentence)
-        self._log(LOG, warning(sentence, time_ns), time_ns)
+        self._draw(LOG, warning(sentence, time_ns), time_ns)
 
     def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
         """The server's: who opens the 3D panel is sent the robot's description, which comes only once."""
@@ -134,3 +141,6 @@ class _Server(ServerListener):
     def _log(self, topic: str, message: dict[str, Any], time_ns: int) -> None:
         data = json.dumps(without_nulls(message), separators=(",", ":"), ensure_ascii=False).encode()
         self._channels[topic].log(data, log_time=time_ns)
+
+    def _draw(self, topic: str, message: Message, time_ns: int) -> None:
+        self._channels[topic].log(encode(message), log_time=time_ns)

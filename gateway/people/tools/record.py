@@ -49,6 +49,7 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
             recording = Recording(path, shape, overwrite=overwrite, time_ns=time.time_ns())
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
+        recording.describe(state)
         reports = ReportQueue(REPORTS, MOST_WAITING, state.physics)
         if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
             reports.put(CALIBRATION, client.calibration().model_dump_json().encode())

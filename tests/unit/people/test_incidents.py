@@ -17,7 +17,9 @@ from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
 from gateway.people.incidents.story import _WORSE, story, what
 from gateway.people.recordings import read
+from gateway.people.recordings.drawing import DRAWN, JOINT_STATES
 from gateway.people.recordings.user_angles import UserAngles
+from gateway.people.ros2.cdr import decode as decode_cdr
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
@@ -31,6 +33,7 @@ from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.robot import WALL_NS, Robot, leg, servo
 from tests.unit.people.test_recorder import recorded
+from tests.unit.people.test_recordings import drawn_in, positions
 
 LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna")
@@ -221,9 +224,8 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     assert angles.known, "it can be replayed"
     started = next(frame for frame in frames if not frame.is_stop)
     assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
-    joints = [each.content["joints"] for each in told if each.topic == "/joint_states"]
-    positions = {joint["name"]: joint["position"] for joint in joints[-1]}
-    assert positions["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
+    joints = positions(drawn_in(path, JOINT_STATES)[-1])
+    assert joints["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
     revisions = [each.content["revision"] for each in told if each.topic == keys.CALIBRATION]
     assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
 
@@ -325,10 +327,17 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     ((incident,), content) = incidents(folder)
     path = archive.keep(folder / place.INCIDENTS, incident, content.records)
     with path.open("rb") as file:
+        attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
+        suffix = ".schema.json"
+        schemas = {each.removesuffix(suffix): json.loads(attached[each]) for each in attached if each.endswith(suffix)}
+        file.seek(0)
         seen: dict[str, int] = {}
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            assert schema is not None
-            jsonschema.validate(json.loads(message.data), json.loads(schema.data))
+            if channel.topic in DRAWN:
+                assert schema is not None
+                decode_cdr(DRAWN[channel.topic], message.data)
+            else:
+                jsonschema.validate(json.loads(message.data), schemas[channel.topic])
             seen[channel.topic] = seen.get(channel.topic, 0) + 1
         file.seek(0)
         summary = make_reader(file).get_summary()

@@ -9,7 +9,7 @@ from typing import Final
 import pytest
 
 from gateway.people.recordings import REPORTS
-from gateway.people.recordings.drawing import DRAWN_SCHEMAS
+from gateway.people.recordings.drawing import DRAWN
 from tests.unit.people.test_recordings import recorded
 
 PAGE: Final = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text()
@@ -32,4 +32,4 @@ def test_the_pages_program_reads_a_recording(
 
 def test_the_pages_table_has_every_channel() -> None:
     named = re.findall(r"`(/?[a-z_/]+)`", "".join(re.findall(r"^\| (`.*?) \|", PAGE, re.MULTILINE)))
-    assert sorted(named) == sorted([*REPORTS, *DRAWN_SCHEMAS])
+    assert sorted(named) == sorted([*REPORTS, *DRAWN])
