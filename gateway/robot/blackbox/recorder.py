@@ -18,9 +18,8 @@ from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.core.calibration import Calibration, report_of
-from gateway.robot.core.events import Transmit
+from gateway.robot.core.events import Transmit, value
 from gateway.robot.core.targets import Targets
-from gateway.robot.core.value import value
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode

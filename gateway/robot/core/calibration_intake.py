@@ -5,8 +5,8 @@ from typing import Final
 from pydantic import ValidationError
 
 from gateway.robot.core.calibration import Change, ServoChange
+from gateway.robot.core.events import value
 from gateway.robot.core.intake import Rejection, explain, given_twice, name_given_twice, too_many_fields
-from gateway.robot.core.value import value
 from gateway.robot.protocol.frames import centidegrees
 from schemas.calibration import CalibrationCommand
 from schemas.robot import SERVO_IDS

@@ -8,9 +8,9 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import from_json
 
+from gateway.robot.core.events import value
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import TARGETS, Intent, Row, stops_of
-from gateway.robot.core.value import value
 from gateway.robot.protocol.frames import STOP
 from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 
 from pydantic import BaseModel
 
-from gateway.robot.core.value import value
+from gateway.robot.core.events import value
 from schemas.keys import CommandKey
 
 Reply = Callable[[bytes], None]

@@ -7,7 +7,7 @@ A new key needs its row here, and nothing else in the robot's wing decides by ta
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from gateway.robot.core.value import value
+from gateway.robot.core.events import value
 from gateway.robot.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, Move, ResetCommand, Stop

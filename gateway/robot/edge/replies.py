@@ -1,4 +1,4 @@
-"""ReplySender to queries, sent by a thread of its own: a laptop that asks and does not read must not hold the loop.
+"""Replies to queries are sent by a thread of their own: a laptop that asks and does not read must not hold the loop.
 
 An answer, and the end of a query, wait while the asker's link is full, until Zenoh closes that link
 (`wait_before_close`, see zenoh_setup). On the loop that was 5 s without a watchdog, measured with one laptop that asked
