@@ -20,6 +20,7 @@ help:
 	@echo "              (RUN=yes: runs the tests that it needs first)"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption; a picture"
+	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table and a picture"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi edge\": only files whose name has one of these in it)"
@@ -65,6 +66,9 @@ bench: $(VENV)/dev debian-packages
 
 walk: $(VENV)/dev
 	$(BIN)/python -m tests.walking
+
+falls: $(VENV)/dev
+	$(BIN)/python -m tests.falls
 
 soak: $(VENV)/dev
 	$(BIN)/python -m tests.benchmarks.soak

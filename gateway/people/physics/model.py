@@ -13,12 +13,13 @@ from gateway.errors import ConfigError
 from gateway.geometry import Geometry, joint_name, urdf
 from gateway.geometry.kinematics import BASE, about
 from gateway.geometry.masses import MASSES
-from gateway.people.physics.assumed import Assumed, Terrain
+from gateway.people.physics.assumed import TORQUE_NM, Assumed, Terrain
 from schemas.robot import SERVO_IDS
 
 TIMESTEP_S: Final = 0.002
 _STIFFNESS_NM_RAD: Final = 50.0
-"""It gives way by 2.3 degrees under its full load."""
+"""The usual servo gives way by 2.3 degrees under its full load. A stronger one is as much stiffer; a weaker one is no
+softer, and gives up sooner."""
 _DAMPING_NMS_RAD: Final = 1.0
 _ARMATURE_KGM2: Final = 0.01
 _JOINT_DAMPING: Final = 0.02
@@ -44,7 +45,7 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
         model = spec.compile()
     except ValueError as error:
         raise ConfigError(f"MuJoCo cannot simulate {geometry.name}: {' '.join(str(error).split())}") from error
-    _set_up_servos(model, geometry)
+    _set_up_servos(model, geometry, max(1.0, assumed.torque_nm / TORQUE_NM))
     model.opt.timestep = TIMESTEP_S
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what explodes is reported first
@@ -70,18 +71,19 @@ def _lay_ground(spec: Any, terrain: Terrain, friction: list[float]) -> None:
         spec.worldbody.add_geom(name="bumps", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="bumps", **ground)
 
 
-def _set_up_servos(model: Any, geometry: Geometry) -> None:
+def _set_up_servos(model: Any, geometry: Geometry, stiffer: float) -> None:
     model.dof_damping[6:] = _JOINT_DAMPING
     model.dof_armature[6:] = _ARMATURE_KGM2
     for servo_id in SERVO_IDS:  # a horn ends at its stops
         ends_rad = sorted(geometry.joint_rad(servo_id, end_deg) for end_deg in (0.0, 180.0))
         model.joint(joint_name(servo_id)).range[:] = ends_rad
     model.jnt_limited[1:] = 1
+    model.jnt_actfrclimited[:] = 0  # MuJoCo takes the URDF's effort for the joint's limit, whatever the servo is
     model.actuator_gaintype[:] = mujoco.mjtGain.mjGAIN_FIXED
     model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
     model.actuator_gainprm[:] = 0
     model.actuator_biasprm[:] = 0
-    model.actuator_gainprm[:, 0] = _STIFFNESS_NM_RAD
-    model.actuator_biasprm[:, 1] = -_STIFFNESS_NM_RAD
-    model.actuator_biasprm[:, 2] = -_DAMPING_NMS_RAD
+    model.actuator_gainprm[:, 0] = _STIFFNESS_NM_RAD * stiffer
+    model.actuator_biasprm[:, 1] = -_STIFFNESS_NM_RAD * stiffer
+    model.actuator_biasprm[:, 2] = -_DAMPING_NMS_RAD * stiffer
     model.actuator_forcelimited[:] = 1

@@ -25,9 +25,12 @@ _DROP_M: Final = 0.02
 """Slack legs, a little above the ground."""
 _FREE: Final = 7
 """Of the positions, the first belong to the body: x, y, z and a quaternion (w first)."""
+_WHOLE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 _ABSURD: Final = 1000.0
 """m/s or rad/s. A servo turns at 6 rad/s, and a robot that falls off a table hits the floor at 4 m/s."""
 _DEEP_M: Final = 0.002
+_END_M: Final = 0.03
+"""Of a leg: what touches the ground so near to its tip is the foot."""
 
 
 mujoco.set_mju_user_warning(lambda _: None)  # `fault` says it; MuJoCo would write a file where it was started
@@ -50,6 +53,14 @@ class Body(NamedTuple):
     def upright(self) -> bool:
         """Whether it has not fallen over."""
         return self.tilt_deg <= FALLEN_DEG
+
+
+class Saved(NamedTuple):
+    """A world at one moment."""
+
+    state: Any
+    wanted_rad: Any
+    forces_nm: Any
 
 
 class World:
@@ -93,6 +104,19 @@ class World:
         self.data.ctrl += np.clip(self._wanted_rad - self.data.ctrl, -_STEP_RAD, _STEP_RAD)
         mujoco.mj_step(self.model, self.data)
 
+    def saved(self) -> Saved:
+        """Everything that `restore` needs to go on from here."""
+        state = np.zeros(mujoco.mj_stateSize(self.model, _WHOLE))
+        mujoco.mj_getState(self.model, self.data, state, _WHOLE)
+        return Saved(state, self._wanted_rad.copy(), self.model.actuator_forcerange.copy())
+
+    def restore(self, saved: Saved) -> None:
+        """Be as it was when it was saved."""
+        mujoco.mj_setState(self.model, self.data, saved.state, _WHOLE)
+        self._wanted_rad[:] = saved.wanted_rad
+        self.model.actuator_forcerange[:] = saved.forces_nm
+        mujoco.mj_forward(self.model, self.data)
+
     def lie_down(self, joints_rad: Mapping[int, float]) -> None:
         """Upright and at rest where it began, a little above the ground, slack, with its joints at these angles."""
         time_s = self.time_s
@@ -112,9 +136,8 @@ class World:
         data = self.data
         w, *turned = map(float, data.qpos[3:_FREE])
         rotation = turned[0], turned[1], turned[2], w
+        touching = self._touching()
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
-        geoms = {geom for number in range(data.ncon) for geom in data.contact[number].geom}
-        touching = {self.feet[geom] for geom in geoms & self.feet.keys()}
         return Body(
             position_m=_vector(data.qpos[:3]),
             rotation=rotation,
@@ -159,6 +182,14 @@ class World:
         lowest_m = min(float(np.dot(data.geom_xpos[geom], self._up)) - self._half_m(geom) for geom in self._robot)
         data.qpos[2] += (self._bumps_m + _DROP_M - lowest_m) / self._up[2]
         mujoco.mj_forward(self.model, data)
+
+    def _touching(self) -> set[int]:
+        """The legs whose lower ends touch the ground: the box of a tibia that leans is lower than its tip."""
+        contacts = [self.data.contact[number] for number in range(self.data.ncon)]
+        tips_m = {leg: self.data.geom_xpos[geom] for geom, leg in self.feet.items()}
+        return {
+            leg for leg, at_m in tips_m.items() if any(np.linalg.norm(each.pos - at_m) < _END_M for each in contacts)
+        }
 
     def _depths(self) -> Iterator[tuple[float, str]]:
         """How deep which part is in another one, or in the ground; parts of one leg may be."""

@@ -211,6 +211,12 @@ class Engine:
         """Where the lost legs were last commanded to."""
         return {leg: self._state.pose[leg] for leg in self.lost}
 
+    def copy(self) -> "Engine":
+        """Another one that goes on by itself from here."""
+        new = copy(self)
+        new._state, new._wanted = self._state.copy(), self._wanted.copy()
+        return new
+
     # ---- what it is doing
 
     @property

@@ -130,10 +130,12 @@ def test_the_walk_and_the_landing_pose_are_within_the_limits(calibration: Calibr
         assert calibration.why_not(int(name), centidegrees(deg)) is None
 
 
-def test_it_lands_where_the_walk_sits_with_its_belly_on_the_ground() -> None:
+def test_it_lands_a_little_lower_than_the_walk_sits() -> None:
+    """Servos give way under load, so that the belly is on the ground before they go slack (tests/falls)."""
     posture, sitting = walked()[-1][0], servos_deg(walked()[-1][1])
     assert posture in (Posture.MOVING, Posture.SITTING)
-    assert {int(name): deg for name, deg in SETTINGS.watchdog.landing.items()} == pytest.approx(sitting, abs=0.5)
+    lower = {servo_id: deg + (6.0 if servo_id % 10 == 2 else 0.0) for servo_id, deg in sitting.items()}
+    assert {int(name): deg for name, deg in SETTINGS.watchdog.landing.items()} == pytest.approx(lower, abs=0.5)
 
 
 def test_the_comment_on_the_limits_has_the_walks_own_numbers() -> None:

@@ -69,6 +69,27 @@ def test_a_heavy_robot_with_weak_servos_does_not_get_up() -> None:
     assert world.body().position_m[2] < 0.1
 
 
+def test_strong_servos_carry_a_heavy_robot() -> None:
+    """Each with more than the newton-metre that the URDF names, which MuJoCo would take for the joint's limit."""
+    world = World(GEOMETRY, Assumed(mass_kg=9, torque_nm=4))
+    engine = stood_up(world)
+    assert world.body().position_m[2] == pytest.approx(engine.body.height_m, abs=0.01)
+    assert max(map(abs, world.body().torques_nm.values())) > 1
+
+
+def test_what_was_saved_goes_on_as_before() -> None:
+    world = World(GEOMETRY)
+    stood_up(world)
+    saved = world.saved()
+    ends = []
+    for _ in range(2):
+        world.restore(saved)
+        stop(world)
+        simulate(world, 0.5)
+        ends.append(world.body())
+    assert ends[0] == ends[1]
+
+
 def test_the_weight_is_the_one_that_is_named() -> None:
     assert World(GEOMETRY, Assumed(mass_kg=7)).weight_n == pytest.approx(7 * 9.81, rel=0.01)
 

@@ -1,0 +1,133 @@
+"""What stops do to a robot: the short form of `make falls`, and that a real gateway writes what is computed for it."""
+
+import os
+from functools import reduce
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.geometry import load
+from gateway.people.physics.assumed import Assumed
+from gateway.people.physics.world import World
+from gateway.robot.protocol.frames import Op, decode
+from gateway.robot.settings import Settings
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, FrameRecord
+from tests.falls.__main__ import LANDING, MOST_SPEED_M_S, MOST_TILT_DEG, WORLDS
+from tests.falls.fall import Fall, fall, looked_at
+from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, Angles, drive, moments
+from tests.falls.ways import SLACK, WAYS, Sent, landed
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import frames
+
+
+def worst(stance: str, name: str, assumed: Assumed, settings: Settings = SETTINGS) -> Fall:
+    world, found = moments(stance, assumed, phases=6)
+    way = next(way for way in WAYS if way.name == name)
+    return reduce(Fall.worse, (fall(world, moment, way, settings) for moment in found))
+
+
+@pytest.mark.parametrize("stance", STANCES)
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_landing_from_any_phase_is_gentle(stance: str, world: str) -> None:
+    found = worst(stance, LANDING, WORLDS[world])
+    assert found.speed_m_s < MOST_SPEED_M_S
+    assert found.tilt_deg < MOST_TILT_DEG
+    assert found.drop_m > 0.08, "it stood"
+
+
+@pytest.mark.parametrize("change", [{"landing_ms": 300}, {"landing": {}}])
+def test_another_pose_or_less_time_is_not(change: dict[str, Any]) -> None:
+    watchdog = SETTINGS.watchdog.model_copy(update=change)
+    found = worst("tripod", LANDING, Assumed(), SETTINGS.model_copy(update={"watchdog": watchdog}))
+    assert found.speed_m_s >= MOST_SPEED_M_S
+
+
+def test_an_emergency_stop_lets_it_fall_and_not_over() -> None:
+    found = worst("tripod", "emergency stop", Assumed())
+    assert found.speed_m_s > MOST_SPEED_M_S
+    assert found.drop_m > 0.08
+    assert not found.fell_over
+
+
+def test_one_slack_leg_leaves_it_standing() -> None:
+    found = worst("tripod", "leg watchdog", Assumed())
+    assert found.drop_m < 0.03
+    assert not found.fell_over
+
+
+# ---- what a real gateway writes
+
+SILENT: Final[dict[str, dict[str, Any]]] = {
+    "telemetry": {"frames": True},
+    "limits": {"leg_rate_hz": 60},
+    "watchdog": {"timeout_ms": 1000},  # it outlasts a moment in which this machine is busy
+}
+DOWN_DEG: Final = {1: 90.0, 2: 162.0, 3: 108.0}
+
+
+def landing_settings() -> dict[str, dict[str, Any]]:
+    """The Elkapod's landing, as the default geometry counts."""
+    elkapod, geometry = load(ELKAPOD / "geometry.json"), load()
+    pose = {
+        str(10 * leg + joint): geometry.servos[10 * leg + joint].servo_deg(elkapod.joint_rad(10 * leg + joint, deg))
+        for leg in LEGS
+        for joint, deg in DOWN_DEG.items()
+    }
+    return {**SILENT, "watchdog": {**SILENT["watchdog"], "landing_ms": 1500}, "watchdog.landing": pose}
+
+
+def sent_by(records: list[FrameRecord], since_ns: int) -> list[Sent]:
+    """What the frames say, in seconds since then."""
+    found: list[Sent] = []
+    for record in records:
+        servos = decode(bytes.fromhex(record.bytes)).servos
+        angles = {servo_id: None if op.op is Op.STOP else op.angle_cdeg / 100 for servo_id, op in servos}
+        found.append(((record.monotonic_ns - since_ns) / 1e9, angles))
+    return found
+
+
+@pytest.mark.parametrize("lands", [False, True], ids=["watchdog", "landing"])
+def test_a_real_gateways_frames_let_it_fall_as_computed(tmp_path: Path, lands: bool) -> None:
+    """A walking program is killed: what is computed for its silence, and what the gateway wrote."""
+    settings = landing_settings() if lands else SILENT
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+        heard = frames(client)
+        walk = [*COMMAND, "walk", "--forward", "0.08", "--seconds", "60", "--connect", gateway.endpoint]
+        walker = Child(walk, os.environ)
+        heard.wait(lambda frame: frame.cause == Cause.COMMAND, count=6 * 250, timeout_s=40)
+        walker.kill()
+        last = heard.wait(lambda frame: is_stop(frame) and frame.cause == Cause.WATCHDOG, count=6)
+        walker.close()
+        written = [record for record in heard.all if record.monotonic_ns <= last.monotonic_ns]
+    commands = [record for record in written if record.cause == Cause.COMMAND]
+    begun_ns, silent_ns = commands[0].monotonic_ns, commands[-1].monotonic_ns
+    geometry, world = load(), World(load())
+    commanded: Angles = {}
+    for at_s, angles in sent_by(commands, begun_ns):
+        while world.time_s < at_s:
+            world.step()
+        drive(world, angles, geometry)
+        commanded |= {servo_id: deg for servo_id, deg in angles.items() if deg is not None}
+    saved = world.saved()
+    after = [record for record in written if record.monotonic_ns > silent_ns]
+    real = looked_at(world, sent_by(after, silent_ns), geometry)
+    world.restore(saved)
+    rules = Settings.model_validate(nested(settings))
+    computed = looked_at(world, landed(commanded, rules) if lands else [(1.0, SLACK)], geometry)
+    assert real.drop_m == pytest.approx(computed.drop_m, abs=0.005)
+    assert real.speed_m_s == pytest.approx(computed.speed_m_s, abs=0.05)
+    assert real.tilt_deg == pytest.approx(computed.tilt_deg, abs=2.0)
+    assert (real.speed_m_s < MOST_SPEED_M_S) is lands
+
+
+def is_stop(record: FrameRecord) -> bool:
+    return decode(bytes.fromhex(record.bytes)).is_stop
+
+
+def nested(settings: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """As TOML reads `[watchdog.landing]`."""
+    watchdog = {**settings["watchdog"], "landing": settings.get("watchdog.landing", {})}
+    return {"limits": settings["limits"], "watchdog": watchdog}
