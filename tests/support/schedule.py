@@ -6,7 +6,20 @@ from typing import Final
 
 import pytest
 
-ORDER: Final = ("box", "console", "hil", "attack", "zenoh", "ros2", "net", "walking", "falls", "mutants", "unit", "fuzz")
+ORDER: Final = (
+    "box",
+    "console",
+    "hil",
+    "attack",
+    "zenoh",
+    "ros2",
+    "net",
+    "walking",
+    "falls",
+    "mutants",
+    "unit",
+    "fuzz",
+)
 """Longest chains first; last what is short, and what waits for the searches."""
 ALONE: Final = (
     "net",

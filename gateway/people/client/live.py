@@ -22,7 +22,7 @@ from pydantic import BaseModel, ValidationError
 from gateway.errors import GatewayError
 from gateway.people.client.sim_body import is_of_physics
 from schemas import keys
-from schemas.telemetry import Event, GatewayState
+from schemas.telemetry import BodyReport, Event, GatewayState
 
 if TYPE_CHECKING:
     from gateway.people.client.blocking import Client
@@ -217,6 +217,9 @@ class Receiver(Protocol):
     def received_event(self, event: Event, left_out: int = 0) -> None:
         """An event; before it so many were left out."""
 
+    def received_body(self, body: BodyReport) -> None:
+        """Where a robot is that is simulated with physics."""
+
     def received_token(self, alive: bool) -> None:
         """The gateway is there, or has ended, or the link to it has: within milliseconds where its process ends."""
 
@@ -245,6 +248,7 @@ class Live:
         self._silent_since_ns: int | None = None
         """When the newest state came, or the session was opened; None: it is being opened for the first time."""
         self._has_state = False
+        self._physics: str | None = None
         self._subscribers: list[Any] = []
 
     def start(self) -> None:
@@ -280,6 +284,11 @@ class Live:
         self._listen(session.declare_subscriber(keys.STATE, ring(2)), reports(GatewayState, self._take_state))
         events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
         self._listen(events, reports(Event, self._receiver.received_event))
+        body = reports(BodyReport, self._receiver.received_body)
+        self._listen(
+            session.declare_subscriber(keys.SIM_BODY, ring(2)),
+            lambda sample: body(sample) if is_of_physics(sample, self._physics) else None,
+        )
         alive = session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
         self._listen(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
 
@@ -297,6 +306,7 @@ class Live:
 
     def _take_state(self, state: GatewayState) -> None:
         received_ns = time.monotonic_ns()
+        self._physics = state.physics
         self._silent_since_ns, self._has_state = received_ns, True
         self._receiver.received_state(state, received_ns)
 
@@ -345,6 +355,7 @@ class OnLoop:
         self._events: deque[Event] = deque()
         self._left_out = 0
         self._alive: bool | None = None
+        self._body: BodyReport | None = None
 
     def opened(self) -> None:
         """See `Receiver`."""
@@ -376,6 +387,11 @@ class OnLoop:
                 self._events.popleft()
                 self._left_out += 1
 
+    def received_body(self, body: BodyReport) -> None:
+        """See `Receiver`."""
+        with self._noted():
+            self._body = body
+
     def received_token(self, alive: bool) -> None:
         """See `Receiver`."""
         with self._noted():
@@ -392,12 +408,16 @@ class OnLoop:
     def _deliver(self) -> None:
         with self._lock:
             state, events, left_out, alive = self._state, list(self._events), self._left_out, self._alive
+            body = self._body
             self._announced, self._state, self._left_out, self._alive = False, None, 0, None
+            self._body = None
             self._events.clear()
         if alive:
             self._receiver.received_token(alive)
         if state is not None:
             self._receiver.received_state(*state)
+        if body is not None:
+            self._receiver.received_body(body)
         for event in events:
             self._receiver.received_event(event, left_out)
             left_out = 0

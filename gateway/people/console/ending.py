@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from gateway.people.console.link import Listener
 from gateway.people.console.messages import LinkMessage
-from schemas.telemetry import Event, GatewayState, Kind
+from schemas.telemetry import BodyReport, Event, GatewayState, Kind
 
 _WORDS = re.compile(r"[^\s,:]+")
 
@@ -31,6 +31,10 @@ class EndsWithCertificate:
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         """As Listener."""
         self._listener.received_state(state, received_ns)
+
+    def received_body(self, body: BodyReport) -> None:
+        """As Listener."""
+        self._listener.received_body(body)
 
     def received_event(self, event: Event, left_out: int) -> None:
         """As Listener."""

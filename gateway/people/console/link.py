@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, Protocol
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.live import SILENT_MS, Live, OnLoop
+from gateway.people.client.sim_body import set_upright
 from gateway.people.console.driving import Requests
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.stops import AT_ONCE
@@ -21,7 +22,7 @@ from gateway.people.console.threads import Threads
 from gateway.people.tools import why
 from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.host.descriptors import Spare
-from schemas.telemetry import Ack, Event, GatewayState
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
 LOOK_S: Final = 0.1
 """How often the age of the newest state is looked at."""
@@ -36,6 +37,9 @@ class Listener(Protocol):
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         """The newest state, and when it came, by this machine's monotonic clock."""
+
+    def received_body(self, body: BodyReport) -> None:
+        """Where a robot is that is simulated with physics."""
 
     def received_event(self, event: Event, left_out: int) -> None:
         """An event; before it so many were left out."""
@@ -94,6 +98,10 @@ class GatewayLink:
     async def calibration(self) -> Calibration:
         """What is in force. Raises GatewayError."""
         return calibration_of(await asyncio.to_thread(self._session().calibration))
+
+    async def set_upright(self) -> Ack:
+        """Put a robot that is simulated with physics on its feet. Raises GatewayError."""
+        return await asyncio.to_thread(partial(set_upright, self._session()))
 
     async def state(self) -> GatewayState:
         """How the robot is now. Raises GatewayError."""
@@ -162,6 +170,10 @@ class GatewayLink:
         self._listener.received_state(state, received_ns)
         if not self._ended:
             self._note("connected")
+
+    def received_body(self, body: BodyReport) -> None:
+        """See `Receiver`."""
+        self._listener.received_body(body)
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         """See `Receiver`."""

@@ -16,7 +16,7 @@ from gateway.people.walking import GAITS, Posture
 from schemas import keys
 from schemas.calibration import ServoCalibration
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
-from schemas.telemetry import Ack, Event, GatewayState, Report
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Report
 
 MAX_BYTES: Final = 8192
 """Of a message from a page: a payload that the gateway takes (4096), and what is around it."""
@@ -193,7 +193,14 @@ class LinkFor(Closed):
     id: Id
 
 
-FromPage = Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor
+class Upright(Closed):
+    """Put a robot that is simulated with physics on its feet; answered by `AckMessage`."""
+
+    type: Literal["upright"]
+    id: Id
+
+
+FromPage = Upright | Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor
 FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
 
 
@@ -232,6 +239,13 @@ class LinkMessage(Report):
     type: Literal["link"] = "link"
     status: Literal["connected", "silent", "gone"]
     detail: str = ""
+
+
+class BodyMessage(Report):
+    """Where a robot really is that is simulated with physics; older ones may have been left out."""
+
+    type: Literal["body"] = "body"
+    body: BodyReport
 
 
 class EventMessage(Report):

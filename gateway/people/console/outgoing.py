@@ -10,6 +10,7 @@ from typing import Final
 
 from gateway.people.console.messages import (
     AckMessage,
+    BodyMessage,
     CalibrationMessage,
     EventMessage,
     LeaseMessage,
@@ -31,6 +32,7 @@ Message = (
     | Stopping
     | WalkMessage
     | LinkForMessage
+    | BodyMessage
 )
 
 
@@ -44,6 +46,7 @@ class Outgoing:
         self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage] = deque(maxlen=KEPT)
         self._link: LinkMessage | None = None
         self._walk: WalkMessage | None = None
+        self._body: BodyMessage | None = None
         self._state: Callable[[], str] | None = None
         self._events: deque[EventMessage] = deque(maxlen=KEPT)
         self._events_lost = 0
@@ -63,6 +66,8 @@ class Outgoing:
                 self._link = message
             case WalkMessage():
                 self._walk = message
+            case BodyMessage():
+                self._body = message
             case EventMessage():
                 if len(self._events) == KEPT:
                     self._events_lost += 1 + self._events[0].left_out
@@ -83,6 +88,8 @@ class Outgoing:
             messages.append(self._link)
         if self._walk is not None:
             messages.append(self._walk)
+        if self._body is not None:
+            messages.append(self._body)
         texts = [message.model_dump_json() for message in messages]
         if self._state is not None:
             texts.append(self._state())
@@ -96,5 +103,5 @@ class Outgoing:
         self._acks.clear()
         self._answers.clear()
         self._events.clear()
-        self._link = self._walk = self._state = None
+        self._link = self._walk = self._body = self._state = None
         return texts

@@ -8,7 +8,7 @@ or in this process, is rejected here or by the gateway.
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -26,6 +26,7 @@ from gateway.people.console.messages import (
     FROM_PAGE,
     AckMessage,
     Alive,
+    BodyMessage,
     Calibrate,
     Command,
     EventMessage,
@@ -36,6 +37,7 @@ from gateway.people.console.messages import (
     Role,
     StopAll,
     Stopping,
+    Upright,
     WalkWish,
 )
 from gateway.people.console.outgoing import Outgoing
@@ -43,7 +45,7 @@ from gateway.people.console.stops import Stops
 from gateway.people.console.walking import Walking
 from gateway.robot.core.staleness import Staleness
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, Reason
 
 MAX_AGE_MS: Final = 500.0
 """The gateway's default (`limits.max_age_ms`). It cannot know how long a page's first command took; its pings tell."""
@@ -97,6 +99,11 @@ class Pages:
         self._state = partial(_state_text, state.model_dump_json(), received_ns)
         for page in self._pages:
             page.outgoing.put_state(self._state)
+
+    def received_body(self, body: BodyReport) -> None:
+        """See `gateway.people.console.link.Listener`."""
+        for page in self._pages:
+            page.outgoing.put(BodyMessage(body=body))
 
     def received_event(self, event: Event, left_out: int) -> None:
         """See `gateway.people.console.link.Listener`."""
@@ -169,7 +176,7 @@ class Page:
         self._walking.leave(self._driving.close)
         self._stops.leave(self)
 
-    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor) -> None:
+    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor | Upright) -> None:
         match message:
             case StopAll():
                 self._stops.press(self, message.id)
@@ -186,6 +193,8 @@ class Page:
             case WalkWish():
                 if self._is_late(message.sent_ms, self._wishes) is None:
                     self._walking.take(message, self._driving.token if self._driving.mine else None)
+            case Upright():
+                self._begin(message.id, self._link.set_upright)
             case LinkFor():
                 self._inviting.ask(message.id)
             case Calibrate():
@@ -234,9 +243,12 @@ class Page:
             self.outgoing.put(EventMessage(event=_rejection(self.source, key, detail)))
 
     def _ask(self, message_id: int | None, key: str, payload: dict[str, Any]) -> None:
+        self._begin(message_id, partial(self._link.ask, key, payload, again=False))
+
+    def _begin(self, message_id: int | None, ask: Callable[[], Awaitable[Ack]]) -> None:
         if len(self._questions) >= MAX_QUESTIONS:
             raise EndError(f"{MAX_QUESTIONS} commands of this page wait for their acknowledgement")
-        question = asyncio.create_task(self._answer(message_id, key, payload, again=False))
+        question = asyncio.create_task(self._answer(message_id, ask))
         self._questions.add(question)
         question.add_done_callback(self._questions.discard)
 
@@ -246,7 +258,9 @@ class Page:
         older = self._leg_stops.get(kind)
         if older is None and len(self._leg_stops) >= MAX_STOPS:
             raise EndError(f"{MAX_STOPS} Stops of this page wait for their acknowledgement")
-        question = asyncio.create_task(self._answer(message.id, message.key, payload, again=True))
+        question = asyncio.create_task(
+            self._answer(message.id, partial(self._link.ask, message.key, payload, again=True))
+        )
         self._leg_stops[kind] = question
         question.add_done_callback(partial(self._stop_ended, kind))
         if older is not None:
@@ -256,11 +270,11 @@ class Page:
         if self._leg_stops.get(kind) is question:
             del self._leg_stops[kind]
 
-    async def _answer(self, message_id: int | None, key: str, payload: dict[str, Any], *, again: bool) -> None:
+    async def _answer(self, message_id: int | None, ask: Callable[[], Awaitable[Ack]]) -> None:
         began_s = time.monotonic()
         ack, error = None, None
         try:
-            ack = await self._link.ask(key, payload, again=again)
+            ack = await ask()
             self._driving.judge(ack)
         except asyncio.CancelledError:
             error = "a newer one of this page has taken its place"

@@ -12,7 +12,7 @@ from gateway.client import Client
 from gateway.people.client.live import KEPT_EVENTS, OnLoop, Order, ReportQueue, Starts
 from gateway.people.client.stops import AT_ONCE, UntilConfirmed
 from schemas.keys import EVENT, STATE
-from schemas.telemetry import Ack, Event, GatewayState, Kind
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind
 from tests.support.watch_reports import WALL, event, state
 
 MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
@@ -96,6 +96,9 @@ class OnThisLoop:
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         self.calls.append((state.uptime_s, received_ns))
+
+    def received_body(self, body: BodyReport) -> None:
+        self.calls.append((body.upright,))
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         self.calls.append((event.detail, left_out))

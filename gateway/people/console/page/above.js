@@ -53,7 +53,7 @@ export class Above {
     for (const [leg, pose] of poses) {
       const parts = this.legs.get(leg);
       if (!parts) continue;
-      const points = legPoints(this.geometry, leg, pose.degrees);
+      const points = legPoints(this.geometry, leg, pose.trueDegrees ?? pose.degrees);
       parts.group.setAttribute("class", `leg ${pose.status}${pose.selected ? " selected" : ""}`);
       parts.line.setAttribute("points", points.map(flat).join(" "));
       parts.dots.forEach((dot, index) => {
@@ -70,7 +70,7 @@ export class Above {
   labelAt(leg) {
     const pose = this.poses.get(leg);
     if (!pose) return [0, 0];
-    const points = legPoints(this.geometry, leg, pose.degrees);
+    const points = legPoints(this.geometry, leg, pose.trueDegrees ?? pose.degrees);
     const [mount, foot] = [points[0], points[4]];
     const length = Math.hypot(foot[0] - mount[0], foot[1] - mount[1]) || 1;
     const beyond = [0.08, 0.15]; // a label is wider than high

@@ -15,6 +15,7 @@ import { Picture } from "./picture.js";
 import { Plots } from "./plots.js";
 import { StopAll } from "./stop.js";
 import { Targets } from "./targets.js";
+import { Upright } from "./upright.js";
 import { Walk } from "./walk.js";
 
 const REFRESH_MS = 100;
@@ -64,7 +65,8 @@ const walk = new Walk(link, model, {
 const drive = new Drive(model, targets, hold, { say, select });
 const pad = new Pad(hold, targets, walk, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });
 const numbers = new Numbers(model, select);
-const picture = new Picture(model, select, say);
+const upright = new Upright(link, model, say);
+const picture = new Picture(model, select, say, upright);
 const plots = new Plots(model);
 const device = new Device(link, say);
 
@@ -114,7 +116,11 @@ function heard(message) {
       model.takeEvent(message.event);
       hold.heardEvent(message.event);
       break;
+    case "body":
+      model.takeBody(message.body, performance.now());
+      break;
     case "ack":
+      upright.heardAck(message);
       hold.heardAck(message);
       calibrate.heardAck(message);
       stop.heardAck(message);

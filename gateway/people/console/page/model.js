@@ -10,6 +10,8 @@ import { NEUTRAL_DEG } from "./kinematics.js";
  * @typedef {{atMs: number, degrees: (number | null)[], ages: (number | null)[]}} Moment
  */
 
+/** A simulated body that is older than this is not shown. */
+const BODY_MS = 1000;
 export const HISTORY_MS = 60_000;
 /** Older than this, what the page shows is the past. */
 export const SILENT_MS = 1000;
@@ -84,6 +86,20 @@ export class Model {
     /** The last angle that each servo was commanded to, also while it rests. @type {Map<number, number>} */
     this.lastDeg = new Map();
     this.selectedLeg = 1;
+    /** Where a robot is that is simulated with physics. @type {import("./types.js").Body | null} */
+    this.newestBody = null;
+    this.bodyAtMs = -Infinity;
+  }
+
+  /** @param {import("./types.js").Body} body @param {number} nowMs */
+  takeBody(body, nowMs) {
+    this.newestBody = body;
+    this.bodyAtMs = nowMs;
+  }
+
+  /** @param {number} nowMs */
+  body(nowMs) {
+    return this.state?.physics && nowMs - this.bodyAtMs < BODY_MS ? this.newestBody : null;
   }
 
   /** Age of the newest state. @param {number} nowMs */

@@ -44,6 +44,14 @@ export class Odometry {
     this.turned += angle;
   }
 
+  /** Where a simulated body is: nothing has to be reckoned. @param {import("./types.js").Body} body */
+  see({ position_m: [x, y], orientation_xyzw: [i, j, k, w] }) {
+    this.before = new Map();
+    const heading = Math.atan2(2 * (i * j + w * k), 1 - 2 * (j * j + k * k));
+    const [c, s] = [Math.cos(heading), Math.sin(heading)];
+    [this.x, this.y, this.turned] = [-(c * x + s * y), s * x - c * y, -heading];
+  }
+
   /** Where the nearest crossing of a grid with this mesh is. @param {number} mesh @returns {[number, number]} */
   crossing(mesh) {
     const [c, s] = [Math.cos(this.turned), Math.sin(this.turned)];

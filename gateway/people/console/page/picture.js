@@ -13,9 +13,10 @@ const SLOW_MS = 60;
 const MOST_SLOW = 2;
 
 export class Picture {
-  /** @param {import("./model.js").Model} model @param {(leg: number) => void} select @param {(line: string) => void} say */
-  constructor(model, select, say) {
+  /** @param {import("./model.js").Model} model @param {(leg: number) => void} select @param {(line: string) => void} say @param {import("./upright.js").Upright} fallen */
+  constructor(model, select, say, fallen) {
     this.model = model;
+    this.fallen = fallen;
     this.say = say;
     this.odometry = new Odometry();
     this.slow = 0;
@@ -51,6 +52,8 @@ export class Picture {
     }
     const live = model.live(nowMs);
     attribute(this.place, "data-live", live ? "yes" : "no");
+    const body = model.body(nowMs);
+    this.fallen.refresh(body);
     const poses = new Map(
       LEGS.map((number) => {
         const leg = model.leg(number);
@@ -63,15 +66,16 @@ export class Picture {
           attribute(label, "data-status", status.key);
           attribute(label, "aria-pressed", String(model.selectedLeg === number));
         }
-        return [number, { degrees: model.degrees(number), status: status.key, selected: model.selectedLeg === number }];
+        return [number, { degrees: model.degrees(number), trueDegrees: trueDegrees(body, number), status: status.key, selected: model.selectedLeg === number }];
       }),
     );
-    const now = JSON.stringify([...poses]);
+    const now = JSON.stringify([[...poses], body?.position_m, body?.orientation_xyzw]);
     if (now === this.drawn || !this.view) return;
     this.drawn = now;
-    this.odometry.update(this.#feet(this.geometry));
+    if (body) this.odometry.see(body);
+    else this.odometry.update(this.#feet(this.geometry));
     const beganMs = performance.now();
-    this.view.update(poses, this.odometry);
+    this.view.update(poses, this.odometry, body);
     this.#describe();
     this.#draw();
     this.#judge(performance.now() - beganMs);
@@ -143,4 +147,9 @@ export class Picture {
     /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
     show(byId("no-webgl"), true);
   }
+}
+
+/** Of a leg that is simulated with physics. @param {import("./types.js").Body | null} body @param {number} leg */
+function trueDegrees(body, leg) {
+  return body ? [1, 2, 3].map((joint) => body.servos[`${leg * 10 + joint}`].angle_deg) : null;
 }

@@ -6,7 +6,7 @@ import * as three from "./vendor/three/three.module.js";
 import { JOINTS, LEGS, jointRad, legPoints } from "./kinematics.js";
 
 /** @typedef {import("./types.js").Geometry} Geometry @typedef {import("./types.js").Vector} Vector */
-/** @typedef {{degrees: number[], status: string, selected: boolean}} LegPose */
+/** @typedef {{degrees: number[], trueDegrees: number[] | null, status: string, selected: boolean}} LegPose */
 
 const NEAREST_M = 0.5;
 const FARTHEST_M = 2.5;
@@ -70,6 +70,12 @@ export class Scene {
     this.mesh = mesh(this.meshMaterial);
     this.ground.add(this.mesh, shadow);
     this.scene.add(this.ground);
+    /** All of the robot: turned as the body is, above a ground that stays level. */
+    this.robot = new three.Group();
+    this.scene.add(this.robot);
+    this.ghostMaterial = new three.LineBasicMaterial();
+    this.ghost = new three.LineSegments(new three.BufferGeometry(), this.ghostMaterial);
+    this.robot.add(this.ghost);
 
     this.bodyMaterial = new three.MeshStandardMaterial({ roughness: 0.7, metalness: 0.1 });
     this.servoMaterial = new three.MeshStandardMaterial({ roughness: 0.5, metalness: 0.2 });
@@ -91,27 +97,54 @@ export class Scene {
     this.#recolour();
   }
 
-  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry */
-  update(poses, odometry) {
+  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry @param {import("./types.js").Body | null} body */
+  update(poses, odometry, body) {
     this.poses = poses;
     this.mesh.position.set(...odometry.crossing(MESH_M), 0);
     this.mesh.rotation.z = odometry.turned;
+    this.#turn(body);
+    this.#drawGhost(body ? poses : new Map());
     let lowest = 0;
     for (const [leg, pose] of poses) {
       const parts = this.legs.get(leg);
       if (!parts) continue;
       parts.joints.forEach((joint, index) => {
-        joint.setRotationFromAxisAngle(parts.axes[index], jointRad(this.geometry, leg * 10 + index + 1, pose.degrees[index]));
+        joint.setRotationFromAxisAngle(parts.axes[index], jointRad(this.geometry, leg * 10 + index + 1, (pose.trueDegrees ?? pose.degrees)[index]));
       });
       this.#look(parts.material, pose.status);
-      parts.ring.visible = pose.selected;
+      parts.ring.visible = pose.selected && !body;
       const foot = legPoints(this.geometry, leg, pose.degrees)[4];
       parts.ring.position.set(foot[0], foot[1], 0.001);
       lowest = Math.min(lowest, foot[2]);
     }
-    this.ground.position.z = lowest - 0.012;
+    this.ground.position.z = body ? -body.position_m[2] : lowest - 0.012;
     for (const parts of this.legs.values()) parts.ring.position.z = this.ground.position.z + 0.002;
     this.draw();
+  }
+
+  /** As the body leans, seen from behind it: which way it heads shows in the floor. @param {import("./types.js").Body | null} body */
+  #turn(body) {
+    const turned = new three.Quaternion();
+    if (body) {
+      turned.set(...body.orientation_xyzw);
+      const ahead = new three.Vector3(1, 0, 0).applyQuaternion(turned);
+      const heading = new three.Quaternion().setFromAxisAngle(new three.Vector3(0, 0, 1), Math.atan2(ahead.y, ahead.x));
+      turned.premultiply(heading.invert());
+      this.ground.rotation.y = -slopeRad(body.terrain);
+    }
+    this.robot.quaternion.copy(turned);
+  }
+
+  /** Legs that run, as they are commanded, beside where they are. @param {Map<number, LegPose>} poses */
+  #drawGhost(poses) {
+    const points = [];
+    for (const [leg, pose] of poses) {
+      if (pose.status !== "runs") continue;
+      const line = legPoints(this.geometry, leg, pose.degrees).map((point) => new three.Vector3(...point));
+      for (let part = 1; part < line.length; part += 1) points.push(line[part - 1], line[part]);
+    }
+    this.ghost.geometry.setFromPoints(points);
+    this.ghost.visible = points.length > 0;
   }
 
   draw() {
@@ -139,11 +172,11 @@ export class Scene {
   labelAt(leg) {
     const pose = this.poses.get(leg);
     if (!pose) return [0, 0];
-    const points = legPoints(this.geometry, leg, pose.degrees);
+    const points = legPoints(this.geometry, leg, pose.trueDegrees ?? pose.degrees);
     const [mount, foot] = [points[0], points[4]];
     const length = Math.hypot(foot[0] - mount[0], foot[1] - mount[1]) || 1;
     const out = (/** @type {0 | 1} */ i) => foot[i] + (LABEL_M * (foot[i] - mount[i])) / length;
-    const at = new three.Vector3(out(0), out(1), foot[2]).project(this.camera);
+    const at = new three.Vector3(out(0), out(1), foot[2]).applyQuaternion(this.robot.quaternion).project(this.camera);
     return [((at.x + 1) / 2) * this.place.clientWidth, ((1 - at.y) / 2) * this.place.clientHeight];
   }
 
@@ -168,7 +201,7 @@ export class Scene {
       const mesh = new three.Mesh(plate, this.bodyMaterial);
       mesh.position.z = z;
       mesh.castShadow = mesh.receiveShadow = true;
-      this.scene.add(mesh);
+      this.robot.add(mesh);
     }
     const foremost = Math.max(...mounts.map((mount) => mount[0]));
     const arrow = new three.Shape();
@@ -178,7 +211,7 @@ export class Scene {
     arrow.closePath();
     const front = new three.Mesh(new three.ExtrudeGeometry(arrow, { depth: 0.004, bevelEnabled: false }), this.frontMaterial);
     front.position.z = height + GAP_M + 2 * PLATE_M + 0.003;
-    this.scene.add(front);
+    this.robot.add(front);
   }
 
   /** @param {number} leg */
@@ -188,7 +221,7 @@ export class Scene {
     const mount = new three.Group();
     mount.position.set(...mounts[leg].xyz_m);
     mount.rotation.z = mounts[leg].yaw_rad;
-    this.scene.add(mount);
+    this.robot.add(mount);
     /** @type {three.Object3D} */
     let parent = mount;
     const joints = [];
@@ -241,6 +274,7 @@ export class Scene {
     this.servoMaterial.color.set(colour("--servo"));
     this.frontMaterial.color.set(colour("--accent"));
     this.meshMaterial.color.set(colour("--faint"));
+    this.ghostMaterial.color.set(colour("--accent"));
     for (const parts of this.legs.values()) {
       /** @type {three.LineBasicMaterial} */ (parts.ring.material).color.set(colour("--accent"));
       const { status } = parts.material.userData;
@@ -314,6 +348,11 @@ function circle(radius, material) {
     return new three.Vector3(radius * Math.cos(angle), radius * Math.sin(angle), 0);
   });
   return new three.Line(new three.BufferGeometry().setFromPoints(points), material);
+}
+
+/** @param {string} terrain as `run --terrain` names it */
+function slopeRad(terrain) {
+  return terrain.startsWith("slope:") ? (Number(terrain.slice(6)) * Math.PI) / 180 : 0;
 }
 
 /** @param {string} variable of the style sheet */

@@ -5,7 +5,7 @@
  * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg
  * @typedef {{holder: string | null, asked_by: string | null, verified: boolean, held_s: number | null}} LeaseState
  * @typedef {{
- *   mode: string, time: string, uptime_s: number, version: string, simulated: boolean, estop: number, estop_source: string | null,
+ *   mode: string, time: string, uptime_s: number, version: string, simulated: boolean, physics?: string | null, estop: number, estop_source: string | null,
  *   legs: Leg[], commands: {accepted: number, rejected: number, coalesced: number},
  *   spi: {device: string, framing: string, frames: number, errors: number},
  *   watchdog: {timeout_ms: number, expirations: number,
@@ -38,6 +38,8 @@
  *            landing: Record<number, number>, servo: number | null, shown_deg: number | null,
  *            command_deg: number | null, error: string | null, said: string | null}} CalibrationMessage
  *
+ * @typedef {{position_m: Vector, orientation_xyzw: [number, number, number, number], upright: boolean, terrain: string,
+ *            real_time_factor: number, servos: Record<string, {angle_deg: number, torque_nm: number}>}} Body
  * @typedef {[number, number, number]} Vector
  * @typedef {{xyz_m: Vector, yaw_rad: number}} Mount
  * @typedef {{origin_xyz_m: Vector, origin_rpy_rad?: Vector, axis?: Vector}} Link

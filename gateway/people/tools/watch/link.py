@@ -18,7 +18,7 @@ from gateway.people.terminal import visible
 from gateway.people.tools.watch.lease_keys import LeaseKeys
 from gateway.people.tools.watch.model import Model, Presence
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
 OTHERS_S: Final = 0.2
 """How long others that answer besides the gateway are waited for."""
@@ -123,6 +123,9 @@ class Link:
         del left_out  # none: the model takes them as they come
         with self._changes():
             self._model.received_event(event, time.monotonic_ns(), _wall())
+
+    def received_body(self, body: BodyReport) -> None:
+        """See `Receiver`; this view shows what was commanded."""
 
     def received_token(self, alive: bool) -> None:
         """See `Receiver`."""

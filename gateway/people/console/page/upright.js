@@ -1,0 +1,49 @@
+// @ts-check
+/** A robot that is simulated with physics: where it really is, in words, and how somebody picks it up. */
+
+import { byId, show, text } from "./dom.js";
+
+const SLOW = 0.95;
+
+/**
+ * How it lies or stands, in one line.
+ * @param {import("./types.js").Body} body
+ */
+export function inWords(body) {
+  const [x, y] = body.orientation_xyzw;
+  const up = 1 - 2 * (x * x + y * y);
+  const tilt = Math.round((Math.acos(Math.max(-1, Math.min(1, up))) * 180) / Math.PI);
+  const how = body.upright ? `${Math.round(body.position_m[2] * 100)} cm high, leaning by ${tilt}°` : up < -0.5 ? "It lies on its back" : `It has fallen: it leans by ${tilt}°`;
+  const slow = body.real_time_factor < SLOW ? `; this machine simulates ${body.real_time_factor.toFixed(2)} s of each second` : "";
+  return `${how}${slow}.`;
+}
+
+export class Upright {
+  /** @param {import("./link.js").Link} link @param {import("./model.js").Model} model @param {(line: string) => void} say */
+  constructor(link, model, say) {
+    this.model = model;
+    this.say = say;
+    /** @type {number | null} */
+    this.askedId = null;
+    byId("set-upright").addEventListener("click", () => {
+      this.askedId = link.nextId();
+      link.sendNow({ type: "upright", id: this.askedId });
+    });
+  }
+
+  /** @param {import("./types.js").Body | null} body */
+  refresh(body) {
+    text(byId("see-title"), body ? "Where it is" : "As commanded");
+    show(byId("sim-body"), body !== null);
+    show(byId("see-hint"), body === null);
+    show(byId("set-upright"), body !== null && this.model.hello?.role !== "observer");
+    if (body) text(byId("sim-known"), inWords(body));
+  }
+
+  /** @param {import("./types.js").AckMessage} message */
+  heardAck(message) {
+    if (message.id !== this.askedId) return;
+    this.askedId = null;
+    this.say(message.ack?.accepted ? "It stands on its feet again." : `Not set upright: ${message.ack?.detail ?? message.error}`);
+  }
+}

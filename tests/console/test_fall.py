@@ -1,0 +1,70 @@
+"""The page of a robot that is simulated with physics: where its body is, and how somebody sets it upright."""
+
+import re
+from pathlib import Path
+from typing import Final
+
+from playwright.sync_api import Browser, expect
+
+from gateway.client import Client
+from tests.console.browser import Visitor
+from tests.support.console_process import Console
+from tests.support.gateway_process import Gateway
+
+PATIENT: Final = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
+"""A browser that draws on the processor leaves little of it to others."""
+STEEP = ("--sim=physics", "--terrain", "slope:45", "--friction", "3", "--mass-kg", "1", "--servo-torque-nm", "20")
+
+
+def both_sides(client: Client, legs: tuple[int, ...], second_deg: float, third_deg: float, verb: str) -> None:
+    """The same for left and right legs, whose servos are mirrored."""
+    angles = {leg: (90, second_deg, third_deg) if leg % 2 else (90, 180 - second_deg, 180 - third_deg) for leg in legs}
+    assert getattr(client, verb)(angles).accepted
+
+
+def test_a_robot_that_walks_and_sinks_is_shown_where_it_is(browser: Browser, tmp_path: Path) -> None:
+    with (
+        Gateway(tmp_path, PATIENT, options=("--sim=physics",)) as gateway,
+        Console(tmp_path, "--connect", gateway.endpoint) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+        gateway.client() as client,
+    ):
+        page = visitor.open(webgl=True)
+        page.insist_on_three_dimensions()
+        expect(page["see-title"]).to_have_text("Where it is")
+        expect(page["sim-known"]).to_have_text(re.compile("^[56] cm high"))
+        with client.walk() as walk:
+            walk.stand()
+            expect(page["sim-known"]).to_have_text(re.compile("^1[56] cm high, leaning by 0°"))
+            page.page.screenshot(path=tmp_path / "stands.png")
+            stopped = client.estop()
+            expect(page["sim-known"]).to_have_text(re.compile("^[5-7] cm high"))
+            client.reset(stopped.estop)
+            walk.start_again()
+
+
+def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None:
+    """Its front legs push it over backwards, on a slope of 45 degrees."""
+    with (
+        Gateway(tmp_path, PATIENT, options=STEEP) as gateway,
+        Console(tmp_path, "--connect", gateway.endpoint) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+        gateway.client() as client,
+    ):
+        page = visitor.open(webgl=True)
+        page.insist_on_three_dimensions()
+        expect(page["see-title"]).to_have_text("Where it is")
+        both_sides(client, (1, 2, 3, 4, 5, 6), 150, 110, "start_legs")
+        both_sides(client, (1, 2), 0, 20, "set_legs")
+        expect(page["sim-known"]).to_have_text(re.compile("fallen|on its back"))
+        page.page.screenshot(path=tmp_path / "fallen.png")
+        assert client.stop().accepted
+        page["set-upright"].click()
+        expect(page["said"]).to_have_text("It stands on its feet again.")
+
+
+def test_without_physics_there_is_nobody_to_set_upright(visitor: Visitor) -> None:
+    page = visitor.open()
+    expect(page["mode"]).to_have_text("idle")
+    expect(page["see-title"]).to_have_text("As commanded")
+    expect(page["set-upright"]).to_be_hidden()
