@@ -117,7 +117,7 @@ export class Scene {
       parts.ring.position.set(foot[0], foot[1], 0.001);
       lowest = Math.min(lowest, foot[2]);
     }
-    this.ground.position.z = body ? -body.position_m[2] : lowest - 0.012;
+    this.ground.position.z = body ? -heightAbove(body) : lowest - 0.012;
     for (const parts of this.legs.values()) parts.ring.position.z = this.ground.position.z + 0.002;
     this.draw();
   }
@@ -348,6 +348,11 @@ function circle(radius, material) {
     return new three.Vector3(radius * Math.cos(angle), radius * Math.sin(angle), 0);
   });
   return new three.Line(new three.BufferGeometry().setFromPoints(points), material);
+}
+
+/** Of a body above the ground below it. @param {import("./types.js").Body} body */
+function heightAbove({ position_m: [x, , z], terrain }) {
+  return z - x * Math.tan(slopeRad(terrain));
 }
 
 /** @param {string} terrain as `run --terrain` names it */
