@@ -1,6 +1,8 @@
 """The bridge between a real gateway and a ROS router, with peers that we did not write (zenoh-ros2-sdk)."""
 
 import signal
+import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +174,29 @@ def test_any_peer_stops_it_always(peer: Peer, bridge: Bridge, watcher: Client) -
     assert watcher.state().mode == Mode.IDLE
 
 
+def test_a_flood_keeps_no_emergency_stop_waiting(bridge: Bridge, peer: Peer, watcher: Client) -> None:
+    """Valid commands as fast as a process can put them: the bridge reads the newest, and answers beside it."""
+    publisher = bridge.publisher("joint_commands", JointState)
+    ended = threading.Event()
+
+    def flood() -> None:
+        message = resting()
+        while not ended.is_set():
+            publisher.publish(message)
+
+    flooding = threading.Thread(target=flood)
+    with rejected(bridge, "nobody has called drive"):
+        flooding.start()
+    first = watcher.state().estop
+    try:
+        for number in (1, 2, 3):
+            assert peer.call("/hexapod/estop")[0]
+            assert watcher.state().estop == first + number
+    finally:
+        ended.set()
+        flooding.join()
+
+
 def test_after_an_emergency_stop_and_a_reset_nothing_goes_on_by_itself(driven: Bridge, watcher: Client) -> None:
     publisher = driven.publisher("joint_commands", JointState)
     keeps(lambda: publisher.publish(resting()), lambda: len(running(watcher)) == 6)
@@ -247,6 +272,14 @@ def test_a_gateway_that_was_away_is_driven_again_only_after_another_word(tmp_pat
             assert client.state().lease.holder is None
             assert peer.call("/hexapod/drive") == (True, "drives as ros2")
             assert client.state().lease.holder == "ros2"
+
+
+def test_without_its_extra_it_names_what_to_install() -> None:
+    program = "import sys; sys.modules['xxhash'] = None; from gateway.cli import main; sys.argv[1:] = ['ros2']; main()"
+    child = Child([sys.executable, "-c", program], clean())
+    assert child.wait(20) == 2
+    child.close()
+    assert "pip install 'hexapod-gateway[ros2]'" in child.stderr
 
 
 def test_what_it_cannot_begin_with(gateway: Gateway) -> None:

@@ -1,7 +1,7 @@
-"""Whether the bridge drives, and what of it moves the robot. Nothing is taken before somebody has said `drive`.
+"""Whether the bridge drives, and what of it moves the robot. Nothing is taken before somebody calls `drive`.
 
 `drive` acquires the lease; `release` sits down and gives it back. What ends a motion by a fault ends the driving, too:
-a Stop of anybody's, an emergency stop, the watchdog, a lost lease or link. After that a person says `drive` again.
+a Stop of anybody's, an emergency stop, the watchdog, a lost lease or link. After that `drive` must be called again.
 """
 
 import threading
@@ -30,19 +30,20 @@ class NotTakenError(Exception):
 class Driving:
     """For any thread: one of them acts at a time."""
 
-    def __init__(self, client: Client, name: str, geometry: Geometry, say: Callable[[str], None]) -> None:
-        """`name` is who we are to the lease, where no certificate says it; `say` shows a line to a person."""
+    def __init__(self, client: Client, name: str, geometry: Geometry, show: Callable[[str], None]) -> None:
+        """`name` is who we are to the lease, where no certificate says it; `show` takes lines for a person."""
         self._client = client
         self._name = name
         self._geometry = geometry
-        self._say = say
+        self._show = show
         self._lock = threading.RLock()
         self._lease: Lease | None = None
         self._motion: Motion | None = None
         self._estop = 0
         """The latest when it began to drive."""
-        self._heard: GatewayState | None = None
+        self._received: GatewayState | None = None
         self._gait = "tripod"
+        self._closed = False
         self._why_not = NOBODY_DRIVES
 
     @property
@@ -65,13 +66,15 @@ class Driving:
         with self._lock:
             if self._lease is not None:
                 return "it drives already"
+            if self._closed:
+                raise RejectedError(Reason.STOPPING, "the bridge ends")
             state = self._client.state()
             if state.mode == Mode.ESTOPPED:
                 raise RejectedError(Reason.ESTOPPED, "the emergency stop is engaged; reset leaves it")
             lease = self._client.lease(source=self._name, on_lost=self._lost, on_asked=self._asked)
             lease.acquire()
             self._lease, self._estop, self._gait = lease, state.estop, "tripod"
-            self._say(f"drives as {lease.holder}")
+            self._show(f"drives as {lease.holder}")
             return f"drives as {lease.holder}"
 
     def release(self, *, sits: bool = True) -> str:
@@ -84,6 +87,12 @@ class Driving:
             finally:
                 self._give_back(NOBODY_DRIVES)
             return "released"
+
+    def close(self) -> None:
+        """Stop what runs by it at once, and take nothing any more, not even `drive`. Raises GatewayError."""
+        with self._lock:
+            self._closed = True
+            self.release(sits=False)
 
     # ---- topics; each raises NotTakenError
 
@@ -99,7 +108,7 @@ class Driving:
                 raise NotTakenError(str(error)) from error
 
     def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
-        """A trajectory; `is_there` says whether its sender still is."""
+        """A trajectory; `is_there` is asked whether its sender still is."""
         with self._taking():
             self._using(Following, lambda: Following(self._client, self._geometry)).follow(plan, is_there)
 
@@ -134,15 +143,15 @@ class Driving:
             try:
                 if self._motion is not None and not self._motion.check(time.monotonic()):
                     self._end_motion(sits=False)
-                state, self._heard = self._heard, None
+                state, self._received = self._received, None
                 if self._motion is None and self._lease is not None and state is not None:
                     self._check_estop(state)
             except GatewayError as error:
                 self._fail(error)
 
-    def hear(self, state: GatewayState) -> None:
+    def receive(self, state: GatewayState) -> None:
         """A state that the gateway has published; waits for nothing."""
-        self._heard = state
+        self._received = state
 
     # ---- inside, with the lock
 
@@ -184,7 +193,7 @@ class Driving:
             motion.end(sits=sits)
 
     def _fail(self, error: GatewayError) -> None:
-        self._say(f"{error}: call drive to go on")
+        self._show(f"{error}: call drive to go on")
         with suppress(GatewayError):  # what cannot be stopped from here is stopped by the gateway's watchdog
             self._end_motion(sits=False)
         self._give_back(f"{error}; after that {NOBODY_DRIVES}")
@@ -201,4 +210,4 @@ class Driving:
                 self._fail(error)
 
     def _asked(self, who: str) -> None:
-        self._say(f"{who} asks for the lease: the service release gives it up")
+        self._show(f"{who} asks for the lease: the service release gives it up")

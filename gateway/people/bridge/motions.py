@@ -60,7 +60,7 @@ class JointCommands:
         self._silent_s = client.state().watchdog.stops_after_ms / 1000 + MARGIN_S
         self._stream.open()
         self._started: frozenset[int] = frozenset()
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
 
     def command(self, at_rad: dict[int, float]) -> None:
         """Servo → radians, of whole legs. Raises as a stream's `set`."""
@@ -68,7 +68,7 @@ class JointCommands:
         sent = next_start(legs, self._started)
         self._stream.send(self._stream.read(sent))
         self._started |= sent.keys()
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
 
     def over(self) -> bool:
         """Whether an error has ended it, and no message goes on."""
@@ -80,7 +80,7 @@ class JointCommands:
 
     def check(self, now_s: float) -> bool:
         """See Motion."""
-        if now_s - self._heard_s > self._silent_s:
+        if now_s - self._received_s > self._silent_s:
             raise StoppedError(f"{self.title} fell silent, and the gateway has stopped its legs", self._started)
         return True
 
@@ -117,7 +117,7 @@ class Following:
         self._thread.start()
 
     def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
-        """From now on; `is_there` says whether its sender still is."""
+        """From now on; `is_there` is asked whether its sender still is."""
         with self._changed:
             if self._error is not None:
                 raise self._error.with_traceback(None)
@@ -221,14 +221,14 @@ class Walking:
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
         self._body: tuple[float | None, float, float] = (None, 0.0, 0.0)
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
 
     def go(self, velocity: Velocity) -> None:
         """For `HOLD_S` from now on. Raises WalkError, and what has ended the walk."""
         if not velocity.moves and self._walk.state.posture in _DOWN:  # it would start the servos
             return
         self._walk.go(*velocity, wait=False)
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
 
     def stand(
         self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
@@ -246,7 +246,7 @@ class Walking:
             at_m = self._walk.state.height_m if body[0] is None else body[0]
             self._walk.stand(at_m, body[1], body[2], wait=False)
             self._body = body
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
 
     def walk_as(self, gait: str) -> None:
         """Another gait; a walk pauses for it."""
@@ -257,7 +257,7 @@ class Walking:
         """See Motion."""
         if self._walk.error is not None:
             raise self._walk.error.with_traceback(None)
-        silent_s = now_s - self._heard_s
+        silent_s = now_s - self._received_s
         return silent_s <= REST_S + MARGIN_S or self._walk.state.posture not in _DOWN
 
     def end(self, *, sits: bool) -> None:

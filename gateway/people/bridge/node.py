@@ -112,12 +112,12 @@ class Node:
         return Publisher(found, gid_of(token))
 
     def subscribe(self, topic: str, kind: type[Message], take: Callable[[zenoh.Sample], None]) -> None:
-        """A topic that we hear, whichever type its publishers take it for: `take` gets the newest, on a thread."""
+        """A topic that comes in, whichever type its publishers take it for: `take` gets the newest, on a thread."""
         self._show(SUBSCRIBES, topic, kind.TYPE, kind.HASH, QOS)
         self._listen(self.names.any_type(topic), topic, take)
 
     def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
-        """A std_srvs/Trigger; `call` says what it did, or raises GatewayError, on a thread.
+        """A std_srvs/Trigger; `call` returns what it did, or raises GatewayError, on a thread.
 
         `always`: any call is taken, whatever its type and hash and without an attachment, and any message on a topic of
         that name, too.
@@ -165,7 +165,7 @@ class Senders:
         )
 
     def watch(self, gid: bytes) -> Callable[[], bool]:
-        """What says whether this sender is still there; of one that shows no token of its own, whether all are."""
+        """Tells whether this sender is still there; of one that shows no token of its own, whether all are."""
         if gid in self._tokens.values():
             return lambda: gid in self._tokens.values()
         present = self._tokens.keys()

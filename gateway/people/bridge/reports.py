@@ -5,19 +5,16 @@ Only what the gateway publishes: while it is silent, there are no joint states, 
 
 import json
 import time
-from contextlib import suppress
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Any, Final, TypeVar
 
-import zenoh
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from zenoh.handlers import RingChannel
 
-from gateway.errors import UnansweredError
 from gateway.geometry import Geometry
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.node import Node
 from gateway.people.bridge.topics import Topics
-from gateway.people.client.blocking import Client
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
 from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, status
@@ -32,43 +29,56 @@ SILENT_S: Final = 1.0
 DIAGNOSTICS_S: Final = 1.0
 CHANGED_S: Final = 0.1
 """Where the mode has changed, or what the bridge does: sooner."""
-_FRAMES: Final = 256
-"""Of six legs at 50 Hz, those of 0.8 s."""
+CHANNELS: Final[dict[str, Any]] = {
+    keys.CALIBRATION: RingChannel(1),
+    keys.STATE: RingChannel(1),
+    keys.FRAME: RingChannel(256),  # of six legs at 50 Hz, those of 0.8 s
+}
+"""What it reads of the gateway's keys; the newest is enough."""
+
+R = TypeVar("R", bound=BaseModel)
 
 
 class Reports:
     """For one thread."""
 
     def __init__(
-        self, client: Client, node: Node, geometry: Geometry, driving: Driving, topics: Topics, *, with_tf: bool
+        self,
+        received: Mapping[str, Any],
+        node: Node,
+        geometry: Geometry,
+        driving: Driving,
+        topics: Topics,
+        *,
+        with_tf: bool,
     ) -> None:
+        """`received`: the rings of `CHANNELS`, by their keys."""
+        self._received = received
         self._geometry = geometry
         self._driving = driving
         self._topics = topics
         self._joints = CommandedJoints(geometry)
-        session = client.session
-        self._calibrations: Any = session.declare_subscriber(keys.CALIBRATION, RingChannel(1))
-        self._states: Any = session.declare_subscriber(keys.STATE, RingChannel(1))
-        self._frames: Any = session.declare_subscriber(keys.FRAME, RingChannel(_FRAMES))
-        with suppress(UnansweredError):  # an older gateway has none
-            self._joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
         self._state: GatewayState | None = None
-        self._heard_s = self._diagnosed_s = 0.0
+        self._received_s = self._diagnosed_s = 0.0
         self._diagnosed: object = None
         self._joint_states = node.publisher("joint_states", JointState)
         self._diagnostics = node.publisher("diagnostics", DiagnosticArray)
         self._tf = node.publisher("/tf", TFMessage) if with_tf else None
         node.publisher("robot_description", String, latched=True).publish(description(geometry))
 
+    def begin(self, calibration: Calibration) -> None:
+        """The calibration that is in force; changes of it are published."""
+        self._joints.take(keys.CALIBRATION, calibration.model_dump(mode="json"))
+
     def tick(self, now_s: float) -> None:
         """Publish what has come since the last time."""
-        self._take(self._calibrations, keys.CALIBRATION, Calibration)
-        heard = self._take(self._states, keys.STATE, GatewayState)
-        moved = heard is not None
-        if isinstance(heard, GatewayState):
-            self._state, self._heard_s = heard, now_s
-            self._driving.hear(heard)
-        while self._take(self._frames, keys.FRAME, FrameRecord) is not None:
+        self._take(keys.CALIBRATION, Calibration)
+        state = self._take(keys.STATE, GatewayState)
+        moved = state is not None
+        if state is not None:
+            self._state, self._received_s = state, now_s
+            self._driving.receive(state)
+        while self._take(keys.FRAME, FrameRecord) is not None:
             moved = True
         time_ns = time.time_ns()
         if moved:
@@ -80,28 +90,21 @@ class Reports:
             self._diagnosed_s, self._diagnosed = now_s, sign
             self._diagnostics.publish(diagnostic_array((*self._gateway(now_s), self._bridge()), time_ns))
 
-    def close(self) -> None:
-        """Hear no more."""
-        for each in (self._states, self._frames, self._calibrations):
-            with suppress(zenoh.ZError):
-                each.undeclare()
-
-    def _take(
-        self, subscriber: Any, key: str, kind: type[Calibration | GatewayState | FrameRecord]
-    ) -> Calibration | GatewayState | FrameRecord | None:
-        sample = subscriber.handler.try_recv()
+    def _take(self, key: str, kind: type[R]) -> R | None:
+        """The next report on a key, if it is one: without access control, anybody may publish there."""
+        sample = self._received[key].handler.try_recv()
         if sample is None:
             return None
         payload = sample.payload.to_bytes()
         try:
             report = kind.model_validate_json(payload)
-        except ValidationError:  # without access control, anybody may publish there
+        except ValidationError:
             return None
         self._joints.take(key, json.loads(payload))
         return report
 
     def _gateway(self, now_s: float) -> tuple[DiagnosticStatus, ...]:
-        if self._state is None or now_s - self._heard_s > SILENT_S:
+        if self._state is None or now_s - self._received_s > SILENT_S:
             return (status("gateway", DiagnosticStatus.STALE, "nothing is received from the gateway"),)
         return diagnostics(self._state)
 

@@ -2,14 +2,15 @@
 
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError, GatewayError, RejectedError
+from gateway.errors import ConfigError, GatewayError, RejectedError, UnansweredError
 from gateway.geometry import load
 from gateway.people.bridge.driving import Driving
 from gateway.people.client.blocking import Client
+from gateway.people.client.live import subscribed
 from gateway.people.ros2.messages import DISTRIBUTIONS
 from gateway.people.terminal import hint, say, visible
 from gateway.people.tools.reach import Connection
@@ -17,7 +18,7 @@ from gateway.people.tools.signals import on_end_signals
 
 try:
     from gateway.people.bridge.node import Node, Senders, open_router
-    from gateway.people.bridge.reports import PERIOD_S, Reports
+    from gateway.people.bridge.reports import CHANNELS, PERIOD_S, Reports
     from gateway.people.bridge.topics import Topics
     from gateway.people.ros2.wire import Names, WireError
 except ImportError as error:
@@ -52,16 +53,17 @@ def serve(
     with connect() as client:
         client.state()
         with open_router(router) as session, on_end_signals(ended.set), ExitStack() as at_the_end:
-            driving = Driving(client, NAME, shape, _say)
-            at_the_end.callback(driving.release, sits=False)
+            driving = Driving(client, NAME, shape, _show)
             senders = Senders(session, names, "joint_trajectory")
             at_the_end.callback(senders.close)
-            topics = Topics(driving, shape, names, senders, _say)
+            topics = Topics(driving, shape, names, senders, _show)
             node = Node(session, names)
             at_the_end.callback(node.close)
             node.serve("estop", lambda: _estop(client), always=True)
-            reports = Reports(client, node, shape, driving, topics, with_tf=with_tf)
-            at_the_end.callback(reports.close)
+            received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
+            reports = Reports(dict(zip(CHANNELS, received, strict=True)), node, shape, driving, topics, with_tf=with_tf)
+            with suppress(UnansweredError):  # an older gateway has none
+                reports.begin(client.calibration())
             for topic, (kind, take) in topics.table().items():
                 node.subscribe(topic, kind, take)
             node.serve("reset", lambda: _reset(client))
@@ -71,6 +73,7 @@ def serve(
             watch.start()
             at_the_end.callback(watch.join)
             at_the_end.callback(ended.set)
+            at_the_end.callback(driving.close)  # first: what it moves is stopped before anything is waited for
             if drives:
                 _drive(driving)
             say(f"{names.full(NODE)} is in ROS 2's graph of {router}, domain {domain}, as {distribution}; Ctrl-C ends")
@@ -104,7 +107,7 @@ def _reset(client: Client) -> str:
     return "the emergency stop is left; nothing moves until it is started again"
 
 
-def _say(text: str) -> None:
+def _show(text: str) -> None:
     hint(visible(text))
 
 

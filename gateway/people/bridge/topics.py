@@ -34,17 +34,17 @@ class Topics:
     """The topics that come in, and how many of their messages were taken, or were not."""
 
     def __init__(
-        self, driving: Driving, geometry: Geometry, names: Names, senders: Senders, say: Callable[[str], None]
+        self, driving: Driving, geometry: Geometry, names: Names, senders: Senders, show: Callable[[str], None]
     ) -> None:
-        """`senders`: of trajectories. `say` shows a line to a person; each reason once."""
+        """`senders`: of trajectories. `show` takes lines for a person, each reason once."""
         self._driving = driving
         self._geometry = geometry
         self._names = names
         self._senders = senders
-        self._say = say
+        self._show = show
         self._lock = threading.Lock()
         self._ages = Staleness(MAX_AGE_MS)
-        self._said: set[str] = set()
+        self._shown: set[str] = set()
         self.taken: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.latest_rejection = ""
@@ -141,11 +141,11 @@ class Topics:
         self.rejected[topic] += 1
         self.latest_rejection = f"{topic}: {why}"
         sign = f"{topic}: {why.translate(_WITHOUT_DIGITS)}"
-        if sign not in self._said and len(self._said) < _MOST_SAID:
-            self._said.add(sign)
-            self._say(f"not taken: {topic}: {why}")
+        if sign not in self._shown and len(self._shown) < _MOST_SHOWN:
+            self._shown.add(sign)
+            self._show(f"not taken: {topic}: {why}")
 
 
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
-_MOST_SAID: Final = 200
+_MOST_SHOWN: Final = 200
 """Reasons that have a line: strangers choose the names in some of them."""

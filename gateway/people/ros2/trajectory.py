@@ -27,7 +27,7 @@ class Point(NamedTuple):
 
 
 class Trajectory:
-    """One trajectory; `at` says where the joints are to be."""
+    """One trajectory; `at` returns where the joints are to be."""
 
     def __init__(self, points: tuple[Point, ...], begins_s: float) -> None:
         """`begins_s`: the time from which its points count, by the clock of `at`."""

@@ -1,0 +1,69 @@
+"""What the robot publishes of itself in ROS 2, from every state that a gateway has ever published."""
+
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway.geometry import foot_m, load
+from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
+from gateway.people.ros2.cdr import decode, encode
+from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState
+from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, status
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import GatewayState, Mode
+
+WIRE: Final = Path(__file__).parents[2] / "data/wire"
+STATES: Final = {
+    line: GatewayState.model_validate_json(line)
+    for file in sorted(WIRE.glob("*/state.jsonl"))
+    for line in file.read_text().splitlines()
+}
+GEOMETRY: Final = load()
+NOW_NS: Final = 1_700_000_000_123_456_789
+
+
+@pytest.mark.parametrize("state", STATES.values(), ids=range(len(STATES)))
+def test_every_state_has_diagnostics(state: GatewayState) -> None:
+    found = diagnostic_array(diagnostics(state), NOW_NS)
+    assert decode(DiagnosticArray, encode(found)) == found
+    gateway = found.status[0]
+    assert gateway.message == state.mode
+    assert (gateway.level == DiagnosticStatus.OK) == (state.mode in (Mode.IDLE, Mode.ACTIVE))
+    assert (gateway.level == DiagnosticStatus.ERROR) == (state.mode in (Mode.ESTOPPED, Mode.BUS_FAULT))
+
+
+def test_a_mode_of_a_later_gateway_is_a_warning() -> None:
+    (state, *_) = STATES.values()
+    (gateway, *_) = diagnostics(state.model_copy(update={"mode": "dancing"}))
+    assert (gateway.level, gateway.message) == (DiagnosticStatus.WARN, "dancing")
+
+
+def test_a_strangers_name_breaks_no_message() -> None:
+    found = status("lease", 0, "a\0b drives", holder="a\0b", verified=None)
+    assert [value.key for value in found.values] == ["holder"]
+    assert decode(DiagnosticStatus, encode(found)) == found
+
+
+def test_joint_states_are_in_the_order_of_the_urdf_and_leave_out_what_is_not_known() -> None:
+    found = joint_state({63: 0.5, 11: 0.25}, NOW_NS)
+    assert (found.name, found.position) == (("joint_11", "joint_63"), (0.25, 0.5))
+    assert (found.header.stamp.sec, found.header.stamp.nanosec) == divmod(NOW_NS, 10**9)
+    text = description(GEOMETRY).data
+    places = [text.index(f'<joint name="joint_{servo_id}"') for servo_id in SERVO_IDS]
+    assert places == sorted(places)
+    assert joint_state({}, NOW_NS) == JointState(found.header)
+
+
+def test_frames_lead_to_the_feet() -> None:
+    joints_rad = {servo_id: (servo_id - 36) / 100 for servo_id in SERVO_IDS}
+    steps = {step.child_frame_id: step for step in frames(GEOMETRY, joints_rad, NOW_NS).transforms}
+    for leg in range(1, 7):
+        at_m: Vector = (0.0, 0.0, 0.0)
+        turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        for link in ("coxa", "femur", "tibia", "foot"):
+            move = steps[f"leg_{leg}_{link}"].transform
+            to, by = move.translation, move.rotation
+            at_m = plus(at_m, rotated(turned, (to.x, to.y, to.z)))
+            turned = times(turned, (by.x, by.y, by.z, by.w))
+        assert at_m == pytest.approx(foot_m(GEOMETRY, leg, joints_rad))
