@@ -231,13 +231,20 @@ def test_whoever_waits_is_next_although_the_owner_takes_it_again_at_once() -> No
     assert owners == ["greedy", "patient", *["greedy"] * 19]
 
 
+def timer_on(loop: SteppedLoop, call: Callable[[], None]) -> OwnersTimer:
+    """One that nobody has set."""
+    timer = OwnersTimer(cast(asyncio.AbstractEventLoop, loop), Ownership(), call)
+    assert not timer.armed
+    return timer
+
+
 def called_s(*due_s: float | None, elsewhere: bool) -> tuple[list[float], int]:
     """When a timer calls back that is set to these times one after the other (None: cancelled), and the wakeups."""
     stage = Stage(lambda names: names[0])
     stage.over = True  # nobody interferes
     loop = SteppedLoop(stage)
     found: list[float] = []
-    timer = OwnersTimer(cast(asyncio.AbstractEventLoop, loop), Ownership(), lambda: found.append(loop.now_s))
+    timer = timer_on(loop, lambda: found.append(loop.now_s))
 
     def set_it() -> None:
         for each_s in due_s:
@@ -279,6 +286,21 @@ def test_a_timer_calls_back_at_its_latest_time_and_wakes_the_loop_for_earlier_on
     assert called_s(*due_s, elsewhere=elsewhere) == (called, wakeups if elsewhere else 0)
 
 
+def test_a_time_that_is_set_once_the_loop_has_woken_up_early_for_a_later_one_is_kept() -> None:
+    stage = Stage(lambda names: names[0])
+    stage.over = True
+    loop = SteppedLoop(stage)
+    found: list[float] = []
+    timer = timer_on(loop, lambda: found.append(loop.now_s))
+    timer.set(2)
+    timer.set(9)
+    assert loop.step()  # at 2 it is not due
+    timer.set(5)
+    while loop.step():
+        pass
+    assert found == [5]
+
+
 def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
     stage = Stage(lambda names: names[0])
     stage.over = True
@@ -290,7 +312,7 @@ def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
         if len(found) < 3:
             timer.set(loop.now_s + 1)
 
-    timer = OwnersTimer(cast(asyncio.AbstractEventLoop, loop), Ownership(), call)
+    timer = timer_on(loop, call)
     timer.set(2)
     while loop.step():
         pass
