@@ -104,4 +104,4 @@ def test_a_recording_is_the_same_however_busy_the_machine_is(tmp_path: Path, rec
 
 def test_the_judge_notices_a_robot_that_slips(recordings: dict[str, Recording]) -> None:
     """On ice it does not go where it was sent; so the figures are those of the world, not of the walker."""
-    assert judge(recordings["tripod"], Assumed(friction=0.05)).faults
+    assert judge(recordings["tripod"], Assumed(friction=0.01)).faults
