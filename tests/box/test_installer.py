@@ -193,7 +193,7 @@ def other_wheels(machine: Machine, name: str, change: str) -> str:
     folder = f"/opt/{name}"
     machine.box.run("cp", "-r", machine.wheels, folder)
     program = (
-        "import pathlib, sys, zipfile\n"
+        "import hashlib, pathlib, re, sys, zipfile\n"
         "(wheel,) = pathlib.Path(sys.argv[1]).glob('hexapod_gateway-*.whl')\n"
         "with zipfile.ZipFile(wheel) as old:\n"
         "    files = {info.filename: old.read(info) for info in old.infolist()}\n"
@@ -202,6 +202,9 @@ def other_wheels(machine: Machine, name: str, change: str) -> str:
         "with zipfile.ZipFile(wheel, 'w') as new:\n"
         "    for name, data in files.items():\n"
         "        new.writestr(name, data)\n"
+        "named = wheel.with_name('requirements.txt')\n"
+        "digest = hashlib.sha256(wheel.read_bytes()).hexdigest()\n"
+        "named.write_text(re.sub(r'(?m)^(hexapod_gateway==.*sha256:).*', r'\\g<1>' + digest, named.read_text()))\n"
     )
     machine.box.run("python3", "-c", program, folder, change)
     return folder

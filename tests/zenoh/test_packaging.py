@@ -101,3 +101,37 @@ def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) ->
     )
     said = subprocess.run([python, "-I", "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
     assert said.stdout == "[]\n"
+
+
+OWN_WHEEL = """
+import sys
+from pathlib import Path
+from gateway.people.tools.install_service import own_wheel
+print(own_wheel(Path(sys.argv[1])))
+"""
+
+
+def test_the_installer_is_in_it_and_installs_what_is_installed(python: Path, tmp_path: Path) -> None:
+    """`install-service` without a repository: a wheel of the installed files, which is what the service then runs."""
+    program = python.with_name("hexapod-gateway")
+    shown = subprocess.run([program, "install-service", "--help"], capture_output=True, text=True, check=True)
+    assert "--bundle FILE" in shown.stdout
+    made = subprocess.run(
+        [python, "-c", OWN_WHEEL, tmp_path], cwd=tmp_path, capture_output=True, text=True, check=True
+    )  # where no gateway is but the installed one
+    target = tmp_path / "target"
+    options = ("--quiet", "--no-deps", "--no-index", "--target", target)
+    subprocess.run([python, "-m", "pip", "install", *options, made.stdout.strip()], check=True)
+    installed = next(python.parents[1].glob("lib/python*/site-packages"))
+    for package in ("gateway", "schemas"):
+        files = {path.relative_to(installed) for path in (installed / package).rglob("*") if path.is_file()}
+        files = {path for path in files if "__pycache__" not in path.parts}
+        assert files == {
+            path.relative_to(target)
+            for path in (target / package).rglob("*")
+            if path.is_file() and "__pycache__" not in path.parts
+        }
+        assert all((installed / path).read_bytes() == (target / path).read_bytes() for path in files)
+    assert Path("gateway/deploy/lock/requirements.txt") in {
+        path.relative_to(target) for path in (target / "gateway" / "deploy").rglob("*")
+    }
