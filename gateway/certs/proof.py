@@ -28,10 +28,12 @@ class Purpose(NamedTuple):
 
     roles: tuple[str, ...]
     signed: Callable[[str, str, str], bytes]
+    own_names: bool = False
+    """Whether a person may have several, each with a name of its own: `anna/phone`."""
 
 
 DRIVING: Final = Purpose((OPERATOR,), lease.signed_text)
-WATCHING: Final = Purpose((OPERATOR, BUTTON), button.signed_text)
+WATCHING: Final = Purpose((OPERATOR, BUTTON), button.signed_text, own_names=True)
 """Whoever may drive may also be a button."""
 
 
@@ -68,7 +70,7 @@ class ProofChecker:
             return wrong_clock
         try:
             certificate = x509.load_pem_x509_certificates(proof.certificate.encode())[0]
-            fault = self._certificate_fault(certificate, source, now, purpose.roles)
+            fault = self._certificate_fault(certificate, source, now, purpose.roles, own_names=purpose.own_names)
             if fault is None and not _signed(certificate, proof.signature, purpose.signed(do, source, proof.nonce)):
                 fault = "proof.signature is not made with the certificate's key, for this do, source and nonce"
         except (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion, x509.DuplicateExtension):
@@ -76,7 +78,7 @@ class ProofChecker:
         return fault
 
     def _certificate_fault(
-        self, certificate: x509.Certificate, source: str, now: dt.datetime, roles: Sequence[str]
+        self, certificate: x509.Certificate, source: str, now: dt.datetime, roles: Sequence[str], *, own_names: bool
     ) -> str | None:
         common_name, person = common_name_and_name(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
@@ -87,7 +89,7 @@ class ProofChecker:
         if now > end:
             return f"proof.certificate expired at {end:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
         fault = self._holders_fault(certificate, common_name, roles)
-        if fault is None and person != source:
+        if fault is None and person != source and not (own_names and source.startswith(f"{person}/")):
             fault = "source is not the person of proof.certificate"
         return fault
 

@@ -31,8 +31,14 @@ class ButtonRequests:
         self._name = name
 
     def person(self, name: str | None = None) -> str:
-        """By which name we register: our certificate's person, else `name`, else the client's. Raises ConfigError."""
-        return (name or self._name) if self._identity is None else self._identity.person()
+        """By which name we register: our certificate's person (also `PERSON/…`), else `name`, else the client's.
+
+        Raises ConfigError.
+        """
+        if self._identity is None:
+            return name or self._name
+        person = self._identity.person()
+        return name if name is not None and name.startswith(f"{person}/") else person
 
     def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
         """Become a button, proved where we have a certificate. Raises ConfigError for a key that cannot.

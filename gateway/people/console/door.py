@@ -59,6 +59,9 @@ class SignedIn:
     role: Role
 
 
+_PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
+
+
 @dataclass(frozen=True)
 class Answer:
     """What to send. `is_for_session`: to somebody who is signed in."""
@@ -129,7 +132,7 @@ class Door:
             return SignedIn(entry, role)
         if path == "/session":
             return Answer(_response(HTTPStatus.OK, json.dumps({"role": role, "person": self._person}).encode(), "json"))
-        return self._file("/index.html" if path == "/" else path, request)
+        return self._file(_PAGES.get(path, path), request)
 
     def _enter(self, token: str) -> Answer:
         found = self._register.exchange(token)

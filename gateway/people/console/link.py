@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, Protocol
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
+from gateway.people.client.button import ButtonRequests
 from gateway.people.client.live import SILENT_MS, Live, OnLoop
 from gateway.people.client.sim_body import set_upright
 from gateway.people.console.driving import Requests
@@ -94,6 +95,10 @@ class GatewayLink:
     def lease_requests(self) -> Requests:
         """Questions about the lease. Raises ZenohError."""
         return self._session().lease_requests
+
+    def button_requests(self) -> ButtonRequests:
+        """Questions about a stop button. Raises ZenohError."""
+        return self._session().button_requests
 
     async def calibration(self) -> Calibration:
         """What is in force. Raises GatewayError."""

@@ -33,6 +33,7 @@ Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; t
 Role = Literal["operator", "observer"]
 ROLES: Final[tuple[Role, ...]] = get_args(Role)
 LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
+ButtonVerb = Literal["register", "alive", "leave"]
 CalibrateVerb = Literal[
     "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
     "undo", "write", "landing", "accept_default",
@@ -186,6 +187,18 @@ class WalkWish(Closed):
     sits: bool = False
 
 
+class StopButton(Closed):
+    """This page is a stop button (`hexapod/button/cmd`), for this WebSocket; answered by `StopButtonMessage`.
+
+    Each check-in comes from the page's own timer: the console adds the token, and sends none by itself.
+    """
+
+    type: Literal["button"]
+    id: Id
+    do: ButtonVerb
+    sent_ms: SentMs
+
+
 class LinkFor(Closed):
     """A link for a second device, such as a phone; answered by `LinkForMessage`."""
 
@@ -200,7 +213,7 @@ class Upright(Closed):
     id: Id
 
 
-FromPage = Upright | Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor
+FromPage = Upright | Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | StopButton | LinkFor
 FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
 
 
@@ -320,6 +333,21 @@ class WalkMessage(Report):
     lost: list[int] = Field(default_factory=list)
     waits: bool = True
     detail: str = ""
+
+
+class StopButtonMessage(Report):
+    """The answer to `StopButton`. `accepted` null: no gateway answered, and `detail` states why."""
+
+    type: Literal["button"] = "button"
+    id: int
+    do: str
+    accepted: bool | None = None
+    reason: str | None = None
+    detail: str | None = None
+    name: str | None = None
+    timeout_ms: float | None = None
+    alive: int | None = None
+    required: int | None = None
 
 
 class LinkForMessage(Report):

@@ -16,6 +16,7 @@ from gateway.people.console.messages import (
     LeaseMessage,
     LinkForMessage,
     LinkMessage,
+    StopButtonMessage,
     Stopping,
     WalkMessage,
 )
@@ -33,6 +34,7 @@ Message = (
     | WalkMessage
     | LinkForMessage
     | BodyMessage
+    | StopButtonMessage
 )
 
 
@@ -43,7 +45,9 @@ class Outgoing:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
         self._acks: deque[AckMessage] = deque(maxlen=KEPT)
-        self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage] = deque(maxlen=KEPT)
+        self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage | StopButtonMessage] = deque(
+            maxlen=KEPT
+        )
         self._link: LinkMessage | None = None
         self._walk: WalkMessage | None = None
         self._body: BodyMessage | None = None
@@ -60,7 +64,7 @@ class Outgoing:
                     del self._stops[next(iter(self._stops))]
             case AckMessage():
                 self._acks.append(message)
-            case LeaseMessage() | CalibrationMessage() | LinkForMessage():
+            case LeaseMessage() | CalibrationMessage() | LinkForMessage() | StopButtonMessage():
                 self._answers.append(message)
             case LinkMessage():
                 self._link = message

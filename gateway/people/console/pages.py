@@ -36,11 +36,13 @@ from gateway.people.console.messages import (
     Reset,
     Role,
     StopAll,
+    StopButton,
     Stopping,
     Upright,
     WalkWish,
 )
 from gateway.people.console.outgoing import Outgoing
+from gateway.people.console.pressing import Pressing
 from gateway.people.console.stops import Stops
 from gateway.people.console.walking import Walking
 from gateway.robot.core.staleness import Staleness
@@ -147,6 +149,7 @@ class Page:
         self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
         self._walking = Walking(link.client, f"{self.source} walks", geometry, self.outgoing.put)
         self._inviting = Inviting(new_link, self.outgoing.put)
+        self._button = Pressing(link.button_requests, f"{person[:40]}/page {number}", self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._wishes = Staleness(WISH_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
@@ -176,7 +179,9 @@ class Page:
         self._walking.leave(self._driving.close)
         self._stops.leave(self)
 
-    def _do(self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | LinkFor | Upright) -> None:
+    def _do(
+        self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | StopButton | LinkFor | Upright
+    ) -> None:
         match message:
             case StopAll():
                 self._stops.press(self, message.id)
@@ -191,16 +196,21 @@ class Page:
             case Lease():
                 self._lease(message)
             case WalkWish():
-                if self._is_late(message.sent_ms, self._wishes) is None:
-                    self._walking.take(message, self._driving.token if self._driving.mine else None)
+                self._wish(message)
             case Upright():
                 self._begin(message.id, self._link.set_upright)
+            case StopButton():
+                self._button.take(message)
             case LinkFor():
                 self._inviting.ask(message.id)
             case Calibrate():
                 if self._calibrating.is_full:
                     raise EndError("too many steps of the calibration wait for their answers")
                 self._calibrating.ask(message, mine=self._driving.mine)
+
+    def _wish(self, message: WalkWish) -> None:
+        if self._is_late(message.sent_ms, self._wishes) is None:
+            self._walking.take(message, self._driving.token if self._driving.mine else None)
 
     def _lease(self, message: Lease) -> None:
         if self._driving.is_full:

@@ -1,0 +1,188 @@
+// @ts-check
+/**
+ * This page is a stop button: a tap anywhere stops the robot, and so does this page's silence.
+ *
+ * It checks in from a timer of its own, and only while a person can see it. A page that is hidden, or whose timer comes
+ * late (frozen, or throttled to once a second in the background), checks in no more: that is a stop, and no flutter.
+ */
+
+import { attribute, byId, text } from "./dom.js";
+import { Link } from "./link.js";
+
+/** Check-ins within the time that one of them counts. */
+const SHARE = 4;
+const REFRESH_MS = 100;
+const BUZZ_MS = [200, 100, 200];
+const BUZZ_EVERY_MS = 1500;
+
+/**
+ * @typedef {{id: number, do: string, accepted: boolean | null, reason: string | null, detail: string | null,
+ *            name: string | null, timeout_ms: number | null, alive: number | null, required: number | null}} Answer
+ */
+
+/**
+ * Whether a tick of the timer may check in: the page is seen, and the tick before it was in time.
+ * @param {{visible: boolean, sinceTickMs: number, timeoutMs: number}} now
+ */
+export function mayCheckIn({ visible, sinceTickMs, timeoutMs }) {
+  return visible && sinceTickMs < timeoutMs / 2;
+}
+
+export class StopButton {
+  constructor() {
+    this.link = new Link({ opened: () => this.#opened(), closed: (why) => this.#closed(why), heard: (message) => this.#heard(message) });
+    this.watches = false;
+    this.registered = false;
+    this.timeoutMs = 1000;
+    this.confirmedMs = -Infinity;
+    this.lastTickMs = performance.now();
+    this.trouble = "";
+    this.name = "";
+    this.count = "";
+    this.mode = "unknown";
+    this.stopLine = "";
+    /** @type {number | null} */
+    this.stopId = null;
+    /** @type {{id: number, sentMs: number} | null} what is under way */
+    this.asked = null;
+    this.buzzedMs = -Infinity;
+    /** @type {WakeLockSentinel | null} */
+    this.wake = null;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.timer = undefined;
+    byId("button").addEventListener("pointerdown", (event) => this.#tap(event));
+    byId("button").addEventListener("click", (event) => event.detail === 0 && this.#tap(event)); // of a keyboard
+    window.addEventListener("contextmenu", (event) => event.preventDefault());
+    window.addEventListener("pagehide", () => this.#leave());
+    byId("leave").addEventListener("click", () => this.#leave());
+    document.addEventListener("visibilitychange", () => this.#seen());
+    setInterval(() => this.#refresh(), REFRESH_MS);
+    this.#tick();
+  }
+
+  /** The gateway counts this button, as far as it has answered. */
+  get heard() {
+    return this.registered && performance.now() - this.confirmedMs < this.timeoutMs;
+  }
+
+  /** @param {Event} event */
+  #tap(event) {
+    event.preventDefault();
+    if (!this.watches) {
+      this.watches = true;
+      void document.documentElement.requestFullscreen?.().catch(() => {});
+      this.#seen();
+      this.#register();
+      return;
+    }
+    navigator.vibrate?.(60);
+    this.stopId ??= this.link.nextId();
+    this.stopLine = "STOPPING …";
+    this.link.sendStop({ type: "stop_all", id: this.stopId });
+    this.#refresh();
+  }
+
+  #register() {
+    this.registered = false;
+    this.#ask("register");
+  }
+
+  /** @param {string} verb */
+  #ask(verb) {
+    const now = performance.now();
+    if (this.asked && now - this.asked.sentMs < this.timeoutMs) return;
+    const asked = { id: this.link.nextId(), sentMs: now };
+    this.asked = this.link.sendNow({ type: "button", id: asked.id, do: verb, sent_ms: now }) ? asked : null;
+  }
+
+  #tick() {
+    const now = performance.now();
+    const inTime = mayCheckIn({
+      visible: document.visibilityState === "visible",
+      sinceTickMs: now - this.lastTickMs,
+      timeoutMs: this.timeoutMs,
+    });
+    this.lastTickMs = now;
+    if (this.watches && inTime) {
+      if (this.registered) this.#ask("alive");
+      else this.#register();
+    }
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.#tick(), this.timeoutMs / SHARE);
+  }
+
+  #opened() {
+    this.asked = null;
+    if (this.stopId !== null) this.link.sendStop({ type: "stop_all", id: this.stopId });
+    if (this.watches) this.#register(); // the token belongs to the connection before
+  }
+
+  /** @param {string} why */
+  #closed(why) {
+    this.registered = false;
+    this.asked = null;
+    this.trouble = why || "the connection to the console is lost";
+  }
+
+  /** @param {any} message of the console */
+  #heard(message) {
+    if (message.type === "state") {
+      this.mode = message.state.mode;
+      if (this.mode !== "estopped" && this.stopId === null) this.stopLine = "";
+    } else if (message.type === "stop" && message.id === this.stopId) {
+      if (message.answered) this.stopId = null;
+      this.stopLine = message.answered ? `STOPPED: ${message.stop_frames} Stops written` : `NOT STOPPED: ${message.error ?? "no answer yet"}`;
+    } else if (message.type === "button") this.#answered(message);
+    this.#refresh();
+  }
+
+  /** @param {Answer} answer */
+  #answered(answer) {
+    const asked = this.asked;
+    if (!asked || answer.id !== asked.id) return;
+    this.asked = null;
+    if (answer.accepted) {
+      this.trouble = "";
+      this.name = answer.name ?? this.name;
+      this.timeoutMs = answer.timeout_ms ?? this.timeoutMs;
+      this.count = `${answer.alive ?? 0} alive, ${answer.required ?? 0} required`;
+      if (answer.do === "register") {
+        this.registered = true;
+        this.#ask("alive");
+      } else this.confirmedMs = asked.sentMs;
+      return;
+    }
+    this.trouble = answer.detail ?? answer.reason ?? "no answer";
+    // The gateway was started anew, or this device has slept: its clock stood still meanwhile.
+    if (answer.accepted === false && (answer.reason === "unknown_button" || answer.reason === "stale")) this.registered = false;
+  }
+
+  #leave() {
+    if (this.watches) this.link.sendNow({ type: "button", id: this.link.nextId(), do: "leave", sent_ms: performance.now() });
+    this.watches = this.registered = false;
+  }
+
+  /** The screen stays on while it watches; a browser lets go of that when the page is hidden. */
+  #seen() {
+    if (!this.watches || document.visibilityState !== "visible") return;
+    void navigator.wakeLock?.request("screen").then((wake) => (this.wake = wake)).catch(() => {});
+  }
+
+  #refresh() {
+    const { heard } = this;
+    const tone = !this.watches ? "off" : !heard ? "unheard" : this.mode === "estopped" ? "stopped" : "watches";
+    attribute(document.body, "data-tone", tone);
+    const words = { off: "TAP TO WATCH", unheard: "NOT HEARD", stopped: "STOPPED", watches: "STOP" };
+    text(byId("word"), words[tone]);
+    const unheard = `the gateway does not hear this button: use the switch. ${this.trouble}`;
+    text(byId("known"), this.stopLine || (tone === "unheard" ? unheard : tone === "off" ? "then a tap anywhere stops the robot" : ""));
+    text(byId("count"), this.watches ? `${this.name} · ${this.count}` : "");
+    const now = performance.now();
+    if (tone === "unheard" && now - this.buzzedMs > BUZZ_EVERY_MS) {
+      this.buzzedMs = now;
+      navigator.vibrate?.(BUZZ_MS);
+    }
+  }
+}
+
+new StopButton();

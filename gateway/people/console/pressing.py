@@ -1,0 +1,78 @@
+"""One page that is a stop button: its token stays here, and each check-in is the page's own.
+
+Nothing here checks in by itself: a page that is frozen, hidden or gone is silent, and the gateway stops the robot.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+from gateway.errors import GatewayError
+from gateway.people.client.button import ButtonRequests
+from gateway.people.console.messages import StopButton, StopButtonMessage
+from schemas.button import ButtonAck
+
+ANSWER_S: Final = 1.0
+"""For a check-in; a newer one takes the place of one that waits for its turn."""
+
+
+class Pressing:
+    """On the event loop; what waits runs on threads."""
+
+    def __init__(
+        self, requests: Callable[[], ButtonRequests], name: str, send: Callable[[StopButtonMessage], None]
+    ) -> None:
+        """`requests` raises GatewayError while there is no session. `name` is the page's."""
+        self._requests = requests
+        self._name = name
+        self._send = send
+        self._token: str | None = None
+        self._count = 0
+        self._next: StopButton | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def take(self, message: StopButton) -> None:
+        """Do what the page asks for, and answer. Of several that wait, the newest is as good as all."""
+        self._next = message
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._run())
+
+    async def _run(self) -> None:
+        while (message := self._next) is not None:
+            self._next = None
+            answer = StopButtonMessage(id=message.id, do=message.do)
+            try:
+                ack = await asyncio.to_thread(self._ask, message)
+            except (GatewayError, RuntimeError) as error:  # RuntimeError: no thread is to be had
+                answer = answer.model_copy(update={"detail": str(error)})
+            else:
+                answer = self._answered(answer, ack)
+            self._send(answer)
+        self._task = None
+
+    def _ask(self, message: StopButton) -> ButtonAck:
+        """On a thread."""
+        requests = self._requests()
+        if message.do == "register":
+            return requests.register(self._name, message.sent_ms)
+        token = self._token or "0" * 32  # of no button: the gateway says so
+        if message.do == "leave":
+            self._token = None
+            return requests.leave(token, ANSWER_S)
+        self._count += 1
+        return requests.alive(token, self._count, message.sent_ms, ANSWER_S)
+
+    def _answered(self, answer: StopButtonMessage, ack: ButtonAck) -> StopButtonMessage:
+        if ack.accepted and ack.button is not None:
+            self._token, self._count = ack.button, 0
+        return answer.model_copy(
+            update={
+                "accepted": ack.accepted,
+                "reason": None if ack.reason is None else str(ack.reason),
+                "detail": ack.detail,
+                "name": self._name,
+                "timeout_ms": ack.timeout_ms,
+                "alive": ack.alive,
+                "required": ack.required,
+            }
+        )

@@ -1,0 +1,103 @@
+"""The console's /button: a page that is a stop button."""
+
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import expect
+
+from gateway.client import Client
+from schemas.telemetry import GatewayState, Kind, Mode
+from tests.console.browser import HIDE, Opened, Visitor
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, states
+
+pytestmark = pytest.mark.browser
+
+SHOW = """
+Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
+document.dispatchEvent(new Event("visibilitychange"));
+"""
+THROTTLED = """
+window.ticks = 0;
+const later = window.setTimeout;
+window.setTimeout = (what, ms) => later(() => { window.ticks += 1; what(); }, window.throttled ? 1000 : ms);
+"""
+"""What browsers do to a page in the background: its timers come once a second."""
+FOUR_TICKS = """
+new Promise((done) => {
+  const look = setInterval(() => window.ticks >= 4 && (clearInterval(look), done()), 50);
+})
+"""
+
+
+@pytest.fixture
+def watcher(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client(source="watcher") as client:
+        yield client
+
+
+def alive(watcher: Client, count: int) -> GatewayState:
+    return states(watcher).wait(lambda state: state.buttons.alive == count, timeout_s=30)
+
+
+def watching(visitor: Visitor, watcher: Client, script: str = "") -> Opened:
+    """A page that checks in."""
+    page = visitor.open(script=script)
+    page.page.goto(f"{page.page.url.rstrip('/')}/button")
+    expect(page["word"]).to_have_text("TAP TO WATCH")
+    page["button"].click()
+    expect(page["word"]).to_have_text("STOP")
+    assert "/page " in alive(watcher, 1).buttons.names[0]
+    return page
+
+
+def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
+    page = watching(visitor, watcher)
+    page["button"].click()
+    expect(page["known"]).to_have_text("STOPPED: 6 Stops written")
+    expect(page["word"]).to_have_text("STOPPED")
+    assert watcher.state().mode == Mode.ESTOPPED
+    assert watcher.reset().accepted
+    expect(page["word"]).to_have_text("STOP")
+    page["leave"].click()
+    alive(watcher, 0)
+
+
+def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(visitor: Visitor, watcher: Client) -> None:
+    """A phone that is locked, and unlocked."""
+    heard = events(watcher)
+    page = watching(visitor, watcher)
+    page.page.evaluate(HIDE)
+    heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
+    expect(page["word"]).to_have_text("NOT HEARD")
+    page.page.evaluate(SHOW)
+    heard.wait(lambda event: event.kind == Kind.BUTTON_RETURNED)
+    expect(page["word"]).to_have_text("STOP")
+
+
+def test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter(
+    visitor: Visitor, watcher: Client
+) -> None:
+    heard = events(watcher)
+    page = watching(visitor, watcher, THROTTLED)
+    page.page.evaluate("window.throttled = true; window.ticks = 0")
+    heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
+    page.page.evaluate(FOUR_TICKS)
+    assert watcher.state().buttons.alive == 0
+    assert not [event for event in heard.all if event.kind == Kind.BUTTON_RETURNED]
+
+
+def test_a_page_that_is_frozen_is_silent_and_the_console_says_nothing_for_it(visitor: Visitor, watcher: Client) -> None:
+    page = watching(visitor, watcher)
+    renderers = visitor.renderers()
+    for pid in renderers:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        alive(watcher, 0)
+    finally:
+        for pid in renderers:
+            os.kill(pid, signal.SIGCONT)
+    alive(watcher, 1)
+    expect(page["word"]).to_have_text("STOP")
