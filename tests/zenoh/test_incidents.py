@@ -54,6 +54,16 @@ def test_a_stop_is_reported_at_once_and_a_killed_gateways_story_is_still_there(
     assert "ended without a word" in incidents(gateway, "show", name)[1][-1]
     file = tmp_path / "stop.mcap"
     assert incidents(gateway, "export", "last", str(file)) == (0, [f"{name} is in {file}"])
+    told = incidents(gateway, "show", name)[1]
+    assert incidents(gateway, "show", str(file)) == (0, told), "a file that was mailed"
+    assert json.loads("\n".join(incidents(gateway, "show", name, "--json")[1])) == {"id": name, "story": told}
+    (listed,) = json.loads("\n".join(incidents(gateway, "list", "--json")[1]))
+    assert listed["id"] == name
+    page = tmp_path / "stop.html"
+    assert incidents(gateway, "report", "last", str(page)) == (0, [f"{name} is in {page}"])
+    assert "Stop written to all six legs (estop)" in page.read_text()
+    assert page.read_text().count("<polyline") == 3, "leg 3 was set"
+    assert incidents(gateway, "report", "last", str(page))[0] == 2, "a file that exists stays"
     frames = [message.content for message in read(file) if message.topic == keys.FRAME]
     assert [frame["cause"] for frame in frames if frame["cause"] != "repeat"] == [
         *["startup"] * 6, "command", *["estop"] * 6,

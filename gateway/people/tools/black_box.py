@@ -1,5 +1,6 @@
 """What `hexapod-gateway incidents` does: what the black box kept, and the story of each."""
 
+import json
 import logging
 import os
 import signal
@@ -7,12 +8,13 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find, is_id, time_of
 from gateway.people.incidents.messages import messages
+from gateway.people.incidents.page import as_page
 from gateway.people.incidents.story import NoStoryError, headline, story, what
 from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
@@ -32,14 +34,25 @@ class _Found(NamedTuple):
     content: ring_reader.Content | None
 
 
-def list_all(settings: Settings) -> int:
+def list_all(settings: Settings, *, as_json: bool = False) -> int:
     """Print the incidents, newest first. Exit code 0, also where there are none."""
     folder = _folder(settings)
     found, said = _find(folder), archive.headlines(folder / place.INCIDENTS)
-    for each in reversed(found):
-        when = time_of(each.name)
-        size = f"{each.path.stat().st_size / 1000:.0f} kB" if each.path is not None else "in the ring"
-        print(f"{each.name:<32}  {when:%Y-%m-%d %H:%M:%S} UTC  {size:>12}  {_headline(each, said)}")  # noqa: T201
+    rows: list[dict[str, Any]] = [
+        {
+            "id": each.name,
+            "time": time_of(each.name).isoformat(),
+            "bytes": None if each.path is None else each.path.stat().st_size,
+            "what": _headline(each, said),
+        }
+        for each in reversed(found)
+    ]
+    if as_json:
+        print(json.dumps(rows, indent=1))  # noqa: T201
+        return 0
+    for row in rows:
+        size = "in the ring" if row["bytes"] is None else f"{row['bytes'] / 1000:.0f} kB"
+        print(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {size:>12}  {row['what']}")  # noqa: T201
     if not found:
         print(f"No incidents in {folder}.")  # noqa: T201
     return 0
@@ -55,20 +68,45 @@ def _headline(found: _Found, headlines: dict[str, str]) -> str:
         return what(found.name)
 
 
-def show(settings: Settings, name: str) -> int:
-    """Print the story of an incident."""
+def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
+    """Print the story of an incident, or of a file of one."""
     found = _one(settings, name)
+    _, lines = _told(found)
+    if as_json:
+        print(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))  # noqa: T201
+        return 0
+    for line in lines:
+        print(line)  # noqa: T201
+    return 0
+
+
+def report(settings: Settings, name: str, file: Path) -> int:
+    """Write one page with the story, the joints and the Stops."""
+    found = _one(settings, name)
+    reported, lines = _told(found)
+    try:
+        with file.open("x", encoding="utf-8") as page:
+            page.write(as_page(found.name, reported, lines))
+    except FileExistsError as error:
+        raise ConfigError(f"{file} exists; name another file") from error
+    except OSError as error:
+        raise ConfigError(f"{file}: {error.strerror}") from error
+    print(f"{found.name} is in {file}")  # noqa: T201
+    return 0
+
+
+def _told(found: _Found) -> tuple[list[Message], list[str]]:
+    """What is in it, and its story."""
     losses = Losses()
     try:
-        lines = story(_messages(found, losses))
+        reported = _messages(found, losses)
+        lines = story(reported)
     except (NoStoryError, KeyError, TypeError, AttributeError) as error:  # of a later version, or changed by hand
         lost = f" ({losses})" if losses else ""
         raise ConfigError(f"{found.path or found.name}: is no incident that this version can tell{lost}") from error
     if losses:
         hint(f"{found.path}: {losses}; the story lacks them")
-    for line in lines:
-        print(line)  # noqa: T201
-    return 0
+    return reported, lines
 
 
 def export(settings: Settings, name: str, file: Path) -> int:
@@ -144,6 +182,10 @@ def _find(folder: Path) -> list[_Found]:
 
 
 def _one(settings: Settings, name: str) -> _Found:
+    """The incident of that id, or the one in a file that somebody was sent."""
+    if name.endswith(archive.SUFFIX):
+        path = Path(name)
+        return _Found(path.stem, path, None, None)
     folder = _folder(settings)
     found = _find(folder)
     if name == LAST and found:

@@ -21,8 +21,12 @@ app = typer.Typer(
 )
 
 IncidentArgument = Annotated[
-    str, typer.Argument(metavar="ID", help="An id that `list` shows and events name, or `last` for the newest.")
+    str,
+    typer.Argument(
+        metavar="ID", help="An id that `list` shows and events name, `last` for the newest, or an exported FILE.mcap."
+    ),
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="For programs.")]
 
 
 @app.callback()
@@ -40,25 +44,44 @@ def _settings(context: typer.Context, config: Path | None) -> "Settings":
 
 
 @app.command("list")
-def list_incidents(context: typer.Context, config: ConfigOption = None) -> None:
+def list_incidents(context: typer.Context, config: ConfigOption = None, as_json: JsonOption = False) -> None:
     """List them, newest first.
 
     Exit codes: 0 listed, 2 the black box is off, or may not be read.
     """
     from gateway.people.tools import black_box
 
-    sys.exit(black_box.list_all(_settings(context, config)))
+    sys.exit(black_box.list_all(_settings(context, config), as_json=as_json))
 
 
 @app.command()
-def show(context: typer.Context, incident: IncidentArgument, config: ConfigOption = None) -> None:
+def show(
+    context: typer.Context, incident: IncidentArgument, config: ConfigOption = None, as_json: JsonOption = False
+) -> None:
     """Tell what happened: commands, decisions and frames, with times relative to the stop.
 
     Exit codes: 0 told, 1 no such incident, 2 the black box is off, or may not be read.
     """
     from gateway.people.tools import black_box
 
-    sys.exit(black_box.show(_settings(context, config), incident))
+    sys.exit(black_box.show(_settings(context, config), incident, as_json=as_json))
+
+
+@app.command()
+def report(
+    context: typer.Context,
+    incident: IncidentArgument,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The page to make, such as stop.html")],
+    config: ConfigOption = None,
+) -> None:
+    """Write one page to mail: the story, the joints as they were commanded, and the Stops over time.
+
+    Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
+    be written.
+    """
+    from gateway.people.tools import black_box
+
+    sys.exit(black_box.report(_settings(context, config), incident, file))
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """The command line of recordings and viewers: `record`, `replay` and `foxglove`."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -48,6 +49,47 @@ def record(
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
     connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record")
     sys.exit(record(connection, file, geometry=geometry, overwrite=force, seconds=seconds))
+
+
+files = typer.Typer(help="What is in a recording, and pieces of one.", no_args_is_help=True)
+app.add_typer(files, name="recordings")
+
+
+@files.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or an incident that was exported")],
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Say when it was recorded, with which versions and settings, and how many messages it has of what.
+
+    Exit codes: 0 said, 2 it is no such file or cannot be read.
+    """
+    from gateway.people.recordings.contents import contents
+
+    found = contents(file)
+    typer.echo(json.dumps(found.as_json(), indent=1, ensure_ascii=False) if as_json else "\n".join(found.lines()))
+
+
+@files.command()
+def cut(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording")],
+    into: Annotated[Path, typer.Argument(metavar="INTO", help="The file to make")],
+    from_s: Annotated[float, typer.Option("--from", metavar="S", min=0, help="Seconds after its first message.")] = 0.0,
+    to_s: Annotated[float, typer.Option("--to", metavar="S", min=0, help="The same.")] = 1e9,
+) -> None:
+    """Make a file of a piece of it; the robot's description and the calibration come along.
+
+    Exit codes: 0 made, 2 nothing is there, or a file cannot be read or written, or exists.
+    """
+    from gateway.people.recordings.contents import cut
+
+    try:
+        count = cut(file, into, from_s=from_s, to_s=to_s)
+    except FileExistsError as error:
+        raise ConfigError(f"{into} exists; name another file") from error
+    except OSError as error:
+        raise ConfigError(f"{into}: cannot be written ({error.strerror})") from error
+    typer.echo(f"{into}: {count} messages")
 
 
 @app.command()

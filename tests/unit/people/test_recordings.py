@@ -16,18 +16,27 @@ from pydantic import BaseModel, TypeAdapter
 from gateway.errors import ConfigError
 from gateway.geometry import load, urdf
 from gateway.people.recordings import REPORTS, Drawing, Recording, is_cut_off, read, repair
-from gateway.people.recordings.drawing import DRAWN, FRAMES, JOINT_COMMANDS, JOINT_STATES, LOG, SIM_JOINT_STATES
+from gateway.people.recordings.contents import contents, cut
+from gateway.people.recordings.drawing import (
+    DESCRIPTION,
+    DRAWN,
+    FRAMES,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    LOG,
+    SIM_JOINT_STATES,
+)
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.reading import records
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.definition import definition
-from gateway.people.ros2.messages import JointState, TFMessage, TransformStamped
+from gateway.people.ros2.messages import JointState, String, TFMessage, TransformStamped
 from gateway.people.tools.record import repair_file
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack
+from schemas.telemetry import Ack, GatewayState
 
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
 START_NS: Final = 1_700_000_000_000_000_000
@@ -226,6 +235,36 @@ def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> No
     its_own_110 = {"bytes": OneServo(32, ServoOp(Op.SET, 110_00)).to_bytes().hex()}
     drawn = dict(drawing.take(keys.FRAME, its_own_110, START_NS + 3 * 10**9))
     assert positions(drawn[JOINT_STATES])["joint_32"] == load().joint_rad(32, 100.0)
+
+
+# ---- what is in it, and a piece of it
+
+
+def test_its_contents_are_said_for_people_and_programs(path: Path) -> None:
+    with recorded(path) as recording:
+        recording.describe(GatewayState.model_validate(next(report for topic, report, _ in reports(1))))
+    found = contents(path)
+    assert found.messages[keys.FRAME] == sum(topic == keys.FRAME for topic, _, _ in reports(600))
+    assert found.end_s - found.begin_s == pytest.approx(599 * PERIOD_NS / 1e9, abs=1e-3)
+    assert found.about["watchdog"]["timeout_ms"] > 0
+    assert found.as_json()["messages"] == found.messages
+    assert any("hexapod/frame" in line for line in found.lines())
+
+
+def test_a_piece_has_its_seconds_and_what_holds_for_all_of_it(path: Path) -> None:
+    recorded(path, 1800).close()
+    piece = path.with_name("piece.mcap")
+    count = cut(path, piece, from_s=2.0, to_s=3.0)
+    found, whole = contents(piece), contents(path)
+    assert count + 2 == sum(found.messages.values())
+    assert found.begin_s == pytest.approx(whole.begin_s + 2.0, abs=1e-3)
+    assert found.end_s == pytest.approx(whole.begin_s + 3.0, abs=0.01)
+    assert drawn_in(piece, DESCRIPTION) == [String(urdf(load()))]
+    with pytest.raises(FileExistsError):
+        cut(path, piece, from_s=0, to_s=1)
+    with pytest.raises(ConfigError, match="no message from 100 to 200 s"):
+        cut(path, path.with_name("none.mcap"), from_s=100, to_s=200)
+    assert not path.with_name("none.mcap").exists()
 
 
 # ---- cut off

@@ -1,0 +1,138 @@
+"""What is in a recording: whose it is, when, how many messages of what; and a piece of it as a file of its own."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from gateway.errors import ConfigError
+from gateway.people.recordings.pieces import Losses
+from gateway.people.recordings.reading import records
+from gateway.people.recordings.writing import CHUNK_BYTES, LIBRARY, METADATA
+
+
+class Contents(NamedTuple):
+    """What a look through the whole file finds. Times are seconds since 1970."""
+
+    recorded_with: str
+    begin_s: float
+    end_s: float
+    messages: dict[str, int]
+    """Channel → how many."""
+    about: dict[str, Any]
+    """Versions and settings, where the file has them."""
+    losses: Losses
+
+    def as_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "recorded_with": self.recorded_with,
+            "begin": _time(self.begin_s).isoformat(),
+            "duration_s": round(self.end_s - self.begin_s, 3),
+            "messages": self.messages,
+            "about": self.about,
+            "damaged_places": self.losses.places,
+            "missing": self.losses.missing,
+            "cut_off": self.losses.cut_off,
+        }
+
+    def lines(self) -> list[str]:
+        """For people."""
+        found = [
+            f"{_time(self.begin_s):%Y-%m-%d %H:%M:%S} UTC, {self.end_s - self.begin_s:.1f} s, {self.recorded_with}",
+            *(f"{count:>9}  {topic}" for topic, count in sorted(self.messages.items())),
+            *(f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in self.about.items()),
+        ]
+        return [*found, str(self.losses)] if self.losses else found
+
+
+def contents(path: Path) -> Contents:
+    """Raises ConfigError where it is no MCAP file or cannot be read."""
+    losses, library = Losses(), ""
+    topics: dict[int, str] = {}
+    messages: dict[str, int] = {}
+    about: dict[str, Any] = {}
+    begin_ns, end_ns = 2**64, 0
+    for record in records(path, losses):
+        if isinstance(record, Header):
+            library = record.library
+        elif isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and record.channel_id in topics:
+            topic = topics[record.channel_id]
+            messages[topic] = messages.get(topic, 0) + 1
+            begin_ns, end_ns = min(begin_ns, record.log_time), max(end_ns, record.log_time)
+        elif isinstance(record, Metadata) and record.name == METADATA:
+            about = {name: _value(text) for name, text in record.metadata.items()}
+    if not messages:
+        raise ConfigError(f"{path}: no message in it can be read")
+    return Contents(library, begin_ns / 1e9, end_ns / 1e9, messages, about, losses)
+
+
+def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
+    """Write what was recorded from one second to another (counted from its first message) to a file of its own.
+
+    What holds for all of it (the robot's description, the calibration in force) is taken along. Returns the number of
+    messages. Raises ConfigError, FileExistsError, OSError.
+    """
+    begin_s = contents(path).begin_s
+    from_ns, to_ns = round((begin_s + from_s) * 1e9), round((begin_s + to_s) * 1e9)
+    count = 0
+    with into.open("xb") as file:
+        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        schemas: dict[int, int] = {0: 0}
+        channels: dict[int, int] = {}
+        topics: dict[int, str] = {}
+        numbers: dict[int, int] = {}
+        standing: dict[str, Message] = {}
+
+        def add(message: Message, time_ns: int) -> None:
+            number = numbers[message.channel_id] = numbers.get(message.channel_id, 0) + 1
+            writer.add_message(channels[message.channel_id], time_ns, message.data, message.publish_time, number)
+
+        for record in records(path):
+            if isinstance(record, Header):
+                writer.start(profile=record.profile, library=record.library or LIBRARY)
+            elif isinstance(record, Schema) and record.id not in schemas:
+                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            elif isinstance(record, Channel) and record.id not in channels:
+                topics[record.id] = record.topic
+                channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, schemas[record.schema_id]
+                )
+            elif isinstance(record, Attachment):
+                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+            elif isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+            elif isinstance(record, Message) and record.channel_id in channels:
+                if record.log_time < from_ns and topics[record.channel_id] in _STANDING:
+                    standing[topics[record.channel_id]] = record
+                elif from_ns <= record.log_time <= to_ns:
+                    for each in standing.values():
+                        add(each, from_ns)
+                    standing.clear()
+                    add(record, record.log_time)
+                    count += 1
+        writer.finish()
+    if not count:
+        into.unlink()
+        raise ConfigError(f"{path}: has no message from {from_s:g} to {to_s:g} s")
+    return count
+
+
+_STANDING = ("/robot_description", "hexapod/calibration")
+"""The last of each holds until there is another."""
+
+
+def _time(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
