@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.people.tools.watch.model import QUESTION_NS, Model, Tone
-from schemas.telemetry import LeaseReport, Mode
+from schemas.telemetry import ButtonsReport, LeaseReport, Mode
 from tests.support.watch_reports import WALL, screen, state
 
 ANNA = LeaseReport(holder="anna", verified=True, held_s=12.3, expires_in_ms=800)
@@ -28,6 +28,20 @@ def driven(lease: LeaseReport, mode: Mode = Mode.ACTIVE) -> Model:
 )
 def test_the_top_line_says_who_drives(lease: LeaseReport, shown: str) -> None:
     assert shown in screen(driven(lease)).splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("buttons", "shown"),
+    [
+        (ButtonsReport(), " ACTIVE   1 leg running  tcp/robot:7447"),
+        (ButtonsReport(required=1, alive=2, names=("kitchen", "door")), "1 leg running  buttons 2/1  tcp/robot:7447"),
+        (ButtonsReport(required=2, alive=1, names=("kitchen",)), "1 leg running  buttons 1/2  tcp/robot:7447"),
+    ],
+)
+def test_the_top_line_says_how_many_watch(buttons: ButtonsReport, shown: str) -> None:
+    model = Model()
+    model.received_state(state(mode=Mode.ACTIVE, running=True).model_copy(update={"buttons": buttons}), 0, WALL)
+    assert shown in screen(model).splitlines()[0]
 
 
 def test_to_take_it_is_asked_back_with_the_name_and_what_it_does() -> None:

@@ -12,7 +12,7 @@ from rich.text import Text
 from gateway.certs import expiry
 from gateway.people.terminal import visible
 from gateway.people.tools.watch.model import Model, Presence, Rates, Tone, top_rejected
-from schemas.telemetry import GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
+from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
     Mode.STARTING: "bold black on yellow",
@@ -75,6 +75,7 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
         legs = f"{running} leg{'' if running == 1 else 's'} running"
         line.append(f"  {legs}", "bold green" if running and presence is Presence.LIVE else "dim")
         line.append_text(_driver(state.lease))
+        line.append_text(_watchers(state.buttons))
         line.append(f"  {where}  up {dt.timedelta(seconds=int(state.uptime_s))}  {state.version}", "dim")
     return line
 
@@ -88,6 +89,14 @@ def _driver(lease: LeaseReport) -> Text:
     if lease.asked_by is not None:
         text.append(f", {_clipped(lease.asked_by, _SOURCE_COLUMNS)} asks", "bold yellow")
     return text
+
+
+def _watchers(buttons: ButtonsReport) -> Text:
+    """How many stop buttons are alive, of how many that must be; nothing where nobody uses any."""
+    if not (buttons.required or buttons.alive):
+        return Text()
+    enough = buttons.alive >= buttons.required
+    return Text(f"  buttons {buttons.alive}/{buttons.required}", "bold green" if enough else "bold red")
 
 
 def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
