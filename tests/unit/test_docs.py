@@ -26,7 +26,16 @@ def named(page: str) -> set[str]:
 
 
 MADE_ELSEWHERE = frozenset(
-    {"gateway.toml", "calibration.toml", "router.json5", "robot-1.json5", "anna.json5", "ros2.json5", "NAME.json5"}
+    {
+        "gateway.toml",
+        "calibration.toml",
+        "router.json5",
+        "robot-1.json5",
+        "anna.json5",
+        "ros2.json5",
+        "NAME.json5",
+        "build/falls.md",
+    }
 )
 """Files of the reader's own, which the pages tell how to make or fill."""
 
