@@ -10,18 +10,20 @@ NO_SUM='SHA256SUMS SHA256SUMS.sig'
 
 # Goes on with the installer that is in the bundle; fails, before anything is changed, with one sentence.
 open_bundle() {
-	local signer names name sum given known copy
+	local signer names kinds name sum given known copy
 	command -v ssh-keygen >/dev/null || fail "ssh-keygen is missing: sudo apt-get install openssh-client"
 	unpacked=$(mktemp -d /var/tmp/$NAME.XXXXXX)
 	copy=$unpacked/bundle # what is verified is what is unpacked, whoever can write to the original
 	cp "$bundle" "$copy"
 	names=$(tar -tf "$copy" 2>/dev/null) || fail "$bundle is no bundle of \`make dist\`, or was cut off; nothing was changed"
-	tar -tvf "$copy" | grep -qv '^-' && fail "$bundle has something else than files in it; nothing was changed"
-	if printf '%s\n' "$names" | grep -q / || [ -n "$(printf '%s\n' "$names" | sort | uniq -d)" ]; then
+	# Here-strings, no pipes: grep -q goes at the first match, and pipefail would take the writer's end for "none".
+	kinds=$(tar -tvf "$copy" | cut -c1)
+	! grep -qv '^-$' <<<"$kinds" || fail "$bundle has something else than files in it; nothing was changed"
+	if grep -q / <<<"$names" || [ -n "$(printf '%s\n' "$names" | sort | uniq -d)" ]; then
 		fail "$bundle has a file in a folder, or one twice, as no bundle of \`make dist\` has; nothing was changed"
 	fi
 	for name in $NO_SUM release.pub; do
-		if printf '%s\n' "$names" | grep -qx "$name"; then
+		if grep -qxF "$name" <<<"$names"; then
 			tar -xOf "$copy" "$name" >"$unpacked/$name"
 		elif [ "$name" = SHA256SUMS.sig ]; then
 			fail "$bundle is not signed; nothing was changed"
