@@ -192,9 +192,9 @@ def fuzz_export(data: bytes) -> str:
         path = archive.keep(Path(folder), told.incidents[-1], told.records)
         assert [each.name for each in archive.kept(Path(folder))] == [path.stem]
         with path.open("rb") as file:
-            of_mcap = [(channel.topic, json.loads(message.data)) for _, channel, message in _iterate(file)]
+            of_mcap = [channel.topic for _, channel, _ in _iterate(file)]
         again = [each for each in read(path) if each.topic in TOPICS]
-    assert sorted(topic for topic, _ in of_mcap if topic in TOPICS) == sorted(each.topic for each in again)
+    assert sorted(topic for topic in of_mcap if topic in TOPICS) == sorted(each.topic for each in again)
     assert story(again) == told.stories[-1]
     return "exported"
 

@@ -1,15 +1,12 @@
 """One incident of each kind, from the real service on the emulated device: kept, readable, and the same as the wire."""
 
 import errno
-import json
 import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import jsonschema
 import pytest
-from mcap.reader import make_reader
 
 from gateway.client import Client
 from gateway.people.incidents.archive import SUFFIX
@@ -19,6 +16,7 @@ from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, START_3
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
+from tests.support.mcap_file import checked
 
 pytestmark = pytest.mark.hil
 
@@ -122,12 +120,4 @@ def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client,
 
 def frames_in(path: Path) -> list[str]:
     """Its frames; each of its messages holds to the schema that the file carries."""
-    frames = []
-    with path.open("rb") as file:
-        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            assert schema is not None
-            content = json.loads(message.data)
-            jsonschema.validate(content, json.loads(schema.data))
-            if channel.topic == keys.FRAME:
-                frames.append(content["bytes"])
-    return frames
+    return [content["bytes"] for topic, content in checked(path) if topic == keys.FRAME]

@@ -17,13 +17,13 @@ from mcap.reader import make_reader
 
 from gateway.client import Client
 from gateway.people.recordings import is_cut_off, read
-from gateway.people.recordings.drawing import DRAWN, FRAMES, JOINT_STATES, LOG
-from gateway.people.ros2.cdr import decode
+from gateway.people.recordings.drawing import FRAMES, JOINT_STATES, LOG
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames, states
+from tests.support.mcap_file import checked
 
 KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
 """50 in the long form."""
@@ -126,13 +126,9 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
         assert child.wait() == 0, str(child)
     assert f"{path}: " in child.stdout
     found: dict[str, list[Any]] = {}
+    for topic, content in checked(path):
+        found.setdefault(topic, []).append(content)
     with path.open("rb") as file:
-        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            if (kind := DRAWN.get(channel.topic)) is None:
-                found.setdefault(channel.topic, []).append(json.loads(message.data))
-            else:
-                found.setdefault(channel.topic, []).append(decode(kind, message.data))
-        file.seek(0)
         (about,) = make_reader(file).iter_metadata()
     expected = [json.loads(record.model_dump_json()) for record in heard.all]
     in_file = found[FRAME]

@@ -29,9 +29,9 @@ _LEVELS: Final[dict[str, int]] = {Mode.IDLE: _OK, Mode.ACTIVE: _OK, Mode.ESTOPPE
 
 
 def stamp(time_ns: int) -> Time:
-    """A time since 1970."""
+    """A time since 1970; ROS 2's end in 2038, and whatever is later has that last second."""
     sec, nanosec = divmod(time_ns, 1_000_000_000)
-    return Time(sec, nanosec)
+    return Time(min(sec, 2**31 - 1), nanosec)
 
 
 def joint_state(joints_rad: Mapping[int, float], time_ns: int) -> JointState:

@@ -8,8 +8,8 @@ import pytest
 from gateway.geometry import foot_m, load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.people.ros2.cdr import decode, encode
-from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState
-from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, status
+from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, Time
+from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, stamp, status
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import GatewayState, Mode
 
@@ -67,3 +67,8 @@ def test_frames_lead_to_the_feet() -> None:
             at_m = plus(at_m, rotated(turned, (to.x, to.y, to.z)))
             turned = times(turned, (by.x, by.y, by.z, by.w))
         assert at_m == pytest.approx(foot_m(GEOMETRY, leg, joints_rad))
+
+
+def test_a_time_beyond_those_of_ros_2_is_its_last() -> None:
+    assert stamp(1_700_000_000_000_000_005) == Time(1_700_000_000, 5)
+    assert stamp(2**63) == Time(2**31 - 1, 2**63 % 10**9)

@@ -1,0 +1,34 @@
+"""A recording as mcap's own reader has it, each message held against the schema that the file carries."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+from mcap.reader import make_reader
+
+from gateway.people.recordings.drawing import DRAWN
+from gateway.people.ros2.cdr import decode
+
+_SUFFIX = ".schema.json"
+
+
+def checked(path: Path) -> Iterator[tuple[str, Any]]:
+    """Of each message its topic, and its JSON or its ROS 2 message."""
+    with path.open("rb") as file:
+        attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
+        schemas = {
+            name.removesuffix(_SUFFIX): json.loads(data) for name, data in attached.items() if name.endswith(_SUFFIX)
+        }
+        file.seek(0)
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            if (kind := DRAWN.get(channel.topic)) is not None:
+                assert schema is not None
+                assert (schema.name, schema.encoding, channel.message_encoding) == (kind.TYPE, "ros2msg", "cdr")
+                yield channel.topic, decode(kind, message.data)
+            else:
+                assert channel.message_encoding == "json"
+                content = json.loads(message.data)
+                jsonschema.validate(content, schemas[channel.topic])
+                yield channel.topic, content
