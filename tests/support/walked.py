@@ -12,6 +12,8 @@ from gateway.people.walking.stability import MARGIN_M, centre_of_mass, margin_m
 
 TICK_S: Final = 0.02
 _ROUNDING: Final = 1e-6
+_LOW_M: Final = 0.010
+"""Servos give way under load, so a foot may touch the ground from here on."""
 
 
 class Walked:
@@ -28,11 +30,16 @@ class Walked:
     def tick(self, velocity: Velocity = STILL, seconds: float = TICK_S) -> None:
         """One tick, and the checks."""
         before_feet, stood = dict(self.engine.feet), self.engine.standing
+        before_ground = {leg: self._on_the_floor(leg) for leg in before_feet}
         walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
         after = self.engine.step(velocity, seconds)
         self._check_servos(after, min(seconds, 0.1))
         if walked and self.engine.posture in (Posture.STANDING, Posture.WALKING):
             self._check_stance(before_feet, stood)
+            for leg, (_, _, height_m) in before_feet.items():
+                if self.engine.feet[leg][2] < height_m < _LOW_M:
+                    moved_m = math.dist(before_ground[leg], self._on_the_floor(leg))
+                    assert moved_m < 1e-9, "a foot that comes down moves over the ground"
             self._check_velocity(seconds)
         if self.checks_balance and self.engine.body.height_m > self.robot.lying_m + 0.001:
             self._check_balance()
@@ -56,6 +63,12 @@ class Walked:
         self.engine.stand()
         self.until(Posture.STANDING, 6.0)
         return self
+
+    def _on_the_floor(self, leg: int) -> tuple[float, float]:
+        """Where a foot is on a floor that does not move with the robot."""
+        at, (x, y, _) = self.engine.odometry, self.engine.feet[leg]
+        cosine, sine = math.cos(at.heading_rad), math.sin(at.heading_rad)
+        return at.x_m + cosine * x - sine * y, at.y_m + sine * x + cosine * y
 
     def _check_servos(self, after: Pose, seconds: float) -> None:
         for leg, angles in after.items():

@@ -376,14 +376,17 @@ class Engine:
         """From the line on which the ground carries the foot to the one on which it will land."""
         gait, velocity = self._gait, state.velocity
         left = carried(swing.left, velocity, seconds)
-        part = swing.part + seconds / gait.swing_s
-        landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
+        part = min(swing.part + seconds / gait.swing_s, 1.0)
+        if across(swing.part) == 1.0:  # whatever the velocity becomes, it comes down where it is
+            x, y, _ = carried(state.feet[leg], velocity, seconds)
+        else:
+            landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
+            lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
+            x, y, _ = between(left, lands, across(part))
         if part > 1.0 - _ALMOST:
-            state.feet[leg] = landing
+            state.feet[leg] = x, y, 0.0
             del state.swings[leg]
             return
-        lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
-        x, y, _ = between(left, lands, across(part))
         state.feet[leg] = x, y, LIFT_M * up(part)
         state.swings[leg] = Swing(left, part)
 
