@@ -1,7 +1,8 @@
 """Walking through a real gateway: what it sends, and how a walk ends."""
 
 import asyncio
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -9,11 +10,12 @@ from typing import Any, Final
 import pytest
 
 from gateway.client import AsyncClient, Client, Walk
-from gateway.errors import LeaseError, LeaseLostError, StoppedError, WalkError
+from gateway.errors import LeaseError, LeaseLostError, RejectedError, StoppedError, WalkError
+from gateway.people.client.walk import LONGEST_S
 from gateway.people.walking import STILL, Posture
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
-from schemas.telemetry import FrameRecord, GatewayState, Kind, Mode
+from schemas.telemetry import Ack, FrameRecord, GatewayState, Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
@@ -126,6 +128,25 @@ def test_an_error_of_the_program_stops_the_robot_at_once(robot: Client, watcher:
         program()
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
+
+
+def test_a_start_that_is_rejected_as_late_ends_the_walk(
+    robot: Client, watcher: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a busy machine. The stream sends nothing after it, so the walk must not count itself as standing."""
+    asked = robot.ask
+
+    def late(key: str, payload: Mapping[str, Any], **options: Any) -> Ack:
+        if any(servo["op"] == "start" for servo in payload.get("legs", {}).get("3", {}).get("servos", ())):
+            return Ack(accepted=False, reason=Reason.STALE, detail="published 300 ms ago")
+        return asked(key, payload, **options)
+
+    monkeypatch.setattr(robot, "ask", late)
+    begun_s = time.monotonic()
+    with pytest.raises(RejectedError, match="300 ms ago"), robot.walk() as walk:
+        walk.stand()
+    assert time.monotonic() - begun_s < LONGEST_S / 2
+    assert watcher.state().mode == Mode.IDLE
 
 
 def test_a_leg_that_somebody_stops_leaves_the_others_standing_until_a_person_says_so(

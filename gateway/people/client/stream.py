@@ -192,6 +192,11 @@ class Stream:
         if self._over is not None:
             raise self._over.with_traceback(None)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether each `set` raises the same error again, until `start_again`."""
+        return self._over is not None
+
     def due_s(self) -> float:
         """When (monotonic) the setpoint is to be sent; once for each."""
         return self._pace.next_s(time.monotonic())

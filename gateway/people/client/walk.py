@@ -294,7 +294,8 @@ class Walk:
             except StoppedError as error:
                 self._stopped(error)
             except RejectedError as error:
-                if error.reason != Reason.STALE or self._stream is None:  # one that was late; the next are not
+                # A setpoint that was late is left out. After a start that was late, the stream sends nothing more.
+                if error.reason != Reason.STALE or self._stream is None or self._stream.is_over:
                     self._fail(error)
             except (GatewayError, ValueError, RuntimeError) as error:
                 self._fail(error if isinstance(error, GatewayError) else WalkError(str(error)))
