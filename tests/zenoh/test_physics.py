@@ -20,11 +20,13 @@ from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import Heard, events
 
 PHYSICS: Final = ("--sim=physics",)
+PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
+"""A machine that is busy with other tests stops no walk."""
 
 
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("physics"), options=PHYSICS) as running:
+    with Gateway(tmp_path_factory.mktemp("physics"), PATIENT, options=PHYSICS) as running:
         yield running
 
 

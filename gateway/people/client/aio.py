@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from gateway.people.client.aio_walk import AsyncWalk
     from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
+    from schemas.revocation import RevocationAck
 
 T = TypeVar("T")
 
@@ -170,9 +171,9 @@ class AsyncClient:
             return await self._stop(self.client.servo, servo_id, op, angle_deg)
         return await self._ask(self.client.servo, servo_id, op, angle_deg)
 
-    async def estop(self) -> Ack:
+    async def estop(self, source: str | None = None) -> Ack:
         """See `Client.estop`."""
-        return await self._stop(self.client.estop)
+        return await self._stop(self.client.estop, source)
 
     async def reset(self, estop: int | None = None) -> Ack:
         """See `Client.reset`."""
@@ -181,6 +182,10 @@ class AsyncClient:
     async def calibration(self) -> "Calibration":
         """See `Client.calibration`."""
         return await self._ask(self.client.calibration)
+
+    async def revocation(self, revoked: str | None = None) -> "RevocationAck":
+        """See `Client.revocation`."""
+        return await self._ask(self.client.revocation, revoked)
 
     async def calibrate(
         self,
@@ -266,6 +271,11 @@ class AsyncStream:
     def missed(self) -> int:
         """See `Stream.missed`."""
         return self._stream.missed
+
+    @property
+    def is_over(self) -> bool:
+        """See `Stream.is_over`."""
+        return self._stream.is_over
 
     async def __aenter__(self) -> Self:
         await self._threads.run(self._stream.open, too_late=lambda _: self._stream.close())

@@ -3,7 +3,6 @@
 Without access control anybody may publish on the gateway's keys: what is no report is left out.
 """
 
-import asyncio
 import json
 import threading
 import time
@@ -25,6 +24,8 @@ from schemas import keys
 from schemas.telemetry import BodyReport, Event, GatewayState
 
 if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
+
     from gateway.people.client.blocking import Client
 
 R = TypeVar("R", bound=BaseModel)
@@ -346,7 +347,7 @@ class OnLoop:
     """Hands on to a receiver on an event loop: one state and at most 256 events wait, so neither a flood nor a busy
     loop takes memory."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, receiver: Receiver) -> None:
+    def __init__(self, loop: "AbstractEventLoop", receiver: Receiver) -> None:
         self._loop = loop
         self._receiver = receiver
         self._lock = threading.Lock()

@@ -347,7 +347,9 @@ class Walk:
 
     def _stopped(self, error: StoppedError) -> None:
         """By somebody else: the legs that are left stand still. With none left, or by a fault, it is over."""
-        walker, stream = self._using(), self._stream
+        if self._closing or self._walker is None:  # nobody waits for it any more, and the legs are being stopped
+            return
+        walker, stream = self._walker, self._stream
         left = frozenset(LEGS) - walker.engine.lost - frozenset(error.legs)
         if not left or stream is None:
             self._fail(error)
