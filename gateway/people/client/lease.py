@@ -94,6 +94,7 @@ class Lease:
         self._news = threading.Event()
         self._asked_by: str | None = None
         self._subscriber: Any = None
+        self._thread = threading.Thread(target=self._keep, name="renew the lease", daemon=True)
         self.holder = ""
         """By which name the gateway knows us: the certificate's person, else the client's own name."""
         self.verified = False
@@ -164,7 +165,7 @@ class Lease:
         with self._lock:
             self._token, self._holds = ack.lease, _Holds.YES
         self._client.carry(self)
-        threading.Thread(target=self._keep, name="renew the lease", daemon=True).start()
+        self._thread.start()
 
     def release(self) -> None:
         """Give it back, if it is held. What is not answered expires by itself."""
@@ -173,6 +174,8 @@ class Lease:
         if token is not None:
             with suppress(ZenohError):
                 self._client.lease_requests.release(token, timeout_s=RELEASE_S)
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(RELEASE_S)  # Python aborts if it returns from Zenoh while the program ends
 
     # ---- for the client and its streams
 
