@@ -177,7 +177,10 @@ def with_observer(certificates: Path, lease_ms: int) -> Path:
         ("lease: 1000", f"lease: {lease_ms}"),
         ("    subjects: [\n", "    subjects: [\n" + _ON_THE_ROBOT),
         ('subjects: ["operator"]', 'subjects: ["operator", "on the robot"]'),
-        ('subjects: ["operator", "observer"]', 'subjects: ["operator", "observer", "on the robot"]'),
+        (
+            'subjects: ["operator", "observer", "button"]',
+            'subjects: ["operator", "observer", "button", "on the robot"]',
+        ),
     ):
         assert text.count(ours) == 1, ours
         text = text.replace(ours, theirs)
