@@ -20,7 +20,7 @@ from schemas.telemetry import Cause, Event, FrameRecord
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames
+from tests.support.heard import events, frames, states
 
 PORT = 7447
 ANSWER_S = 20
@@ -76,7 +76,7 @@ class RobotHost(AbstractContextManager["RobotHost"]):
             self.client = opened.enter_context(Client(observer, source="observer", timeout_s=5))
             self.frames = frames(self.client)
             self.events = events(self.client)
-            self._before = self.client.state().spi.frames - len(self.frames.all)
+            self._states = states(self.client, kept=1)
             self.port = port
             self._close = opened.pop_all()
         self.forget()
@@ -114,9 +114,13 @@ class RobotHost(AbstractContextManager["RobotHost"]):
         return {leg.leg for leg in self.client.state().legs if any(servo.running for servo in leg.servos)}
 
     def seen(self, condition: Callable[[FrameRecord], bool]) -> list[FrameRecord]:
-        """Such frames, all that were written up to now."""
-        written = self.client.state().spi.frames - self._before
-        self.frames.wait(lambda _: True, count=written)
+        """Such frames of those that were written up to now.
+
+        A state that is published later comes behind their reports. They are not counted: under a flood, more frames are
+        written than anybody is sent.
+        """
+        written = self.client.state().spi.frames
+        self._states.wait(lambda state: state.spi.frames >= written)
         return [frame for frame in self.frames.all if self._is_new(frame) and condition(frame)]
 
     def wait_for_commands(self, *legs: int, count: int = 5) -> None:

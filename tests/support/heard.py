@@ -3,6 +3,7 @@
 import itertools
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, Generic, TypeVar
 
@@ -16,11 +17,11 @@ R = TypeVar("R", bound=BaseModel)
 
 
 class Heard(Generic[R]):
-    """All reports of one kind since it was made."""
+    """All reports of one kind since it was made, or the newest `kept` of them."""
 
-    def __init__(self, client: Client, key: str, report: type[R]) -> None:
+    def __init__(self, client: Client, key: str, report: type[R], kept: int | None = None) -> None:
         self._changed = threading.Condition()
-        self._reports: list[R] = []
+        self._reports: deque[R] = deque(maxlen=kept)
         self._subscriber: Any = client.session.declare_subscriber(
             key, lambda sample: self._take(report.model_validate_json(sample.payload.to_bytes()))
         )
@@ -50,7 +51,7 @@ class Heard(Generic[R]):
                 if len(found) >= count:
                     return found[count - 1]
                 if not self._changed.wait(deadline - time.monotonic()):
-                    raise TimeoutError(f"heard only {self._reports[-20:]}")
+                    raise TimeoutError(f"heard only {list(self._reports)[-20:]}")
 
 
 def events(client: Client) -> Heard[Event]:
@@ -61,5 +62,5 @@ def frames(client: Client) -> Heard[FrameRecord]:
     return Heard(client, keys.FRAME, FrameRecord)
 
 
-def states(client: Client) -> Heard[GatewayState]:
-    return Heard(client, keys.STATE, GatewayState)
+def states(client: Client, kept: int | None = None) -> Heard[GatewayState]:
+    return Heard(client, keys.STATE, GatewayState, kept)
