@@ -72,8 +72,8 @@ class Register:
         self.path = folder / f"console-{port}.json"
         """Where they are kept."""
         self._now_s = now_s
-        self._seen: tuple[int, int, int] | None = None
-        self._entries = _Entries()
+        self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
+        """What the file held, and which file that was: changed as one, since several threads read."""
 
     def begin(self, url: str, role: Role) -> None:
         """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError."""
@@ -136,23 +136,30 @@ class Register:
         return token, Entry(sha256=_sha256(token), role=role, created_s=self._now_s(), lives_s=lives_s)
 
     def _read(self) -> _Entries:
-        """The file as it is now; a missing or faulty one has no entries, so nobody is let in."""
+        """The file as it is now; a missing or faulty one has no entries, so nobody is let in.
+
+        A file that is there and cannot be opened (strangers have taken the last descriptor) holds what it held: who is
+        signed in must be able to press STOP ALL just then. It is looked at again each time.
+        """
+        seen, entries = self._known
         try:
             found = self.path.stat()
+            now = (found.st_ino, found.st_mtime_ns, found.st_size)
+            if now != seen:
+                self._known = now, (entries := self._load())
+        except FileNotFoundError:
+            self._known = None, (entries := _Entries())
         except OSError:
-            self._seen, self._entries = None, _Entries()
-            return self._entries
-        seen = (found.st_ino, found.st_mtime_ns, found.st_size)
-        if seen != self._seen:
-            self._entries = self._load()
-            self._seen = seen
-        return self._entries
+            pass
+        return entries
 
     def _load(self) -> _Entries:
+        """Raises OSError, also where there is no file."""
+        with self.path.open("rb") as file:
+            content = file.read(MAX_BYTES)
         try:
-            with self.path.open("rb") as file:
-                return _Entries.model_validate_json(file.read(MAX_BYTES))
-        except (OSError, ValidationError):
+            return _Entries.model_validate_json(content)
+        except ValidationError:
             return _Entries()
 
     @contextmanager
@@ -187,7 +194,8 @@ class _Change:
 
     def __call__(self, entries: _Entries | None = None) -> _Entries:
         if entries is None:
-            now_s, found = self._now_s(), self._load()
+            now_s = self._now_s()
+            found = self._load() if self._path.exists() else _Entries()
             links = tuple(link for link in found.links if link.is_valid(now_s))
             sessions = tuple(session for session in found.sessions if session.is_valid(now_s))
             return found.model_copy(update={"links": links, "sessions": sessions})

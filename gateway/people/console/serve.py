@@ -112,7 +112,7 @@ async def _run(
     gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, listener)
     stops = Stops(gateway.estop)
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
-    door = Door(site, Register(register.folder(), site.port), person=person, role=role)
+    door = Door(site, found, person=person, role=role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
     Front(listening, context, door, console.admit).start()
     watching = asyncio.create_task(gateway.run())

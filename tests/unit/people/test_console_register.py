@@ -1,6 +1,7 @@
 """Links that work once, and the sessions that follow from them."""
 
 import os
+import resource
 import stat
 from pathlib import Path
 
@@ -188,3 +189,25 @@ def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock)
     (tmp_path / "console-7.json").write_text("{}")
     (tmp_path / "console-x.json").write_text("{}")
     assert begun(tmp_path) == [(port, f"https://robot.local:{port}") for port in (8443, 9000, 8080)]
+
+
+def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(
+    register: Register, clock: Clock
+) -> None:
+    """Strangers can take the last one; the file of the sessions may have changed just before."""
+    before = new_session(register)
+    assert register.still_valid(before.entry)
+    register.new_link()
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            register.path.open()
+        assert register.still_valid(before.entry)
+        with pytest.raises(ConfigError, match="Too many open files"):
+            register.new_link()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert register.still_valid(before.entry)
+    revoke_all(register.path.parent, clock)
+    assert not register.still_valid(before.entry)
