@@ -11,12 +11,13 @@ from tests.hil.bed import SpiTestbed
 from tests.hil.wire import Replay, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings
 
+BUTTONS = {"required": 1, "timeout_ms": 600}
 pytestmark = pytest.mark.hil
 
 
 def test_it_passes_and_leaves_nothing_energised(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    with start(tmp_path, wire, telemetry={"frames": True}, watchdog={"timeout_ms": 400}) as gateway:
+    with start(tmp_path, wire, telemetry={"frames": True}, watchdog={"timeout_ms": 400}, buttons=BUTTONS) as gateway:
         config = write_settings(tmp_path / "stop.toml", settings_for(wire))
         options = ("--yes", "--late", "70", "--config", str(config), "--connect", gateway.endpoint)
         drill = wire.bed.spawn([*COMMAND, "drill", *options])

@@ -11,13 +11,13 @@ from typing import Any, Final
 
 from gateway import cli
 from gateway.robot import service
-from gateway.robot.core.events import Command, Effect, EmergencyStop, Reset, Transmit
+from gateway.robot.core.events import Announce, Command, Effect, EmergencyStop, Reset, Transmit
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp
-from schemas.telemetry import Cause, Reason
+from schemas.telemetry import Cause, Kind, Reason
 
 NS_PER_MS: Final = 1_000_000
 
@@ -132,6 +132,37 @@ def _turned(effect: Effect) -> Effect:
     return Transmit(wrong, effect.cause, effect.deadline_ns, effect.numbers)
 
 
+class ButtonIgnored(Supervisor):
+    """A button that falls silent stops nobody."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(replace(rules, buttons_timeout_ns=3_600_000 * NS_PER_MS))
+
+
+class ButtonLate(Supervisor):
+    """A button counts for 100 ms too long."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(replace(rules, buttons_timeout_ns=rules.buttons_timeout_ns + 100 * NS_PER_MS))
+
+
+class ButtonStopsFive(Supervisor):
+    """A button that falls silent stops all legs but one."""
+
+    def step(self, *arguments: Any) -> list[Effect]:
+        effects = super().step(*arguments)
+        fell = any(isinstance(each, Announce) and each.kind is Kind.BUTTON_SILENT for each in effects)
+        return effects[1:] if fell else effects
+
+
+class NobodyWatches(Supervisor):
+    """While too few buttons are alive, starts are taken as ever."""
+
+    def _rejection(self, command: Command) -> tuple[Reason, str] | None:
+        found = super()._rejection(command)
+        return None if found is not None and found[0] is Reason.NO_BUTTON else found
+
+
 def _old_is_fresh() -> None:
     """What was delayed on the way is taken."""
     Staleness.too_old = lambda *_: None  # type: ignore[method-assign]
@@ -163,6 +194,10 @@ MISTAKES: Final[dict[str, tuple[Callable[[], None], str]]] = {
     "a reset lets it move": (_supervisor(MovesAfterReset), "after-reset"),
     "old commands are taken": (_old_is_fresh, "cut-link"),
     "the lease is ignored": (_anybody_drives, "lease"),
+    "a silent button stops nobody": (_supervisor(ButtonIgnored), "button"),
+    "a button counts too long by 100 ms": (_supervisor(ButtonLate), "button"),
+    "a silent button stops five legs": (_supervisor(ButtonStopsFive), "button"),
+    "starts need no button": (_supervisor(NobodyWatches), "button"),
     "another angle is written": (_supervisor(WrongAngle), "command"),
     "nothing is written": (_supervisor(NothingWritten), "command"),
 }

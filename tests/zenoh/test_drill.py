@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -37,7 +38,7 @@ def test_it_passes_on_a_gateway_that_works_and_reports_it(gateway: Gateway, tmp_
     report = tmp_path / "drill.html"
     done = gateway.run("drill", "--late", str(LATE_MS), "--report", str(report), timeout_s=40)
     assert done.returncode == 0, str(done)
-    assert done.stdout.count("PASS ") == len(STEPS) - 2, "two need a device, or systemd"
+    assert done.stdout.count("PASS ") == len(STEPS) - 3, "three need a button, a device, or systemd"
     assert "all passed" in done.stdout
     text = report.read_text()
     assert "<h1>Drill: passed</h1>" in text
@@ -80,11 +81,42 @@ def test_where_the_robot_lands_its_stop_is_expected_at_the_end_of_the_landing(tm
         assert "stops it 100 ms after a command, once the robot has landed in 300 ms; " in sent.stderr
 
 
+@pytest.mark.parametrize("required", [1, 2])
+def test_it_is_a_stop_button_itself_where_one_more_is_required(tmp_path: Path, required: int) -> None:
+    """And where two more are, it says how many people have to watch, and moves nothing."""
+    with Gateway(tmp_path, {**FRAMES, "buttons": {"required": required, "timeout_ms": 300}}) as running:
+        done = running.run("drill", "--late", str(LATE_MS), "--only", "button", "--only", "command")
+        with running.client() as client:
+            assert client.state().buttons.alive == 0, "it has left"
+    if required == 2:
+        assert done.returncode == 2, str(done)
+        assert "0 of the 2 stop buttons that are required are alive" in done.stderr
+        assert "keep 1 alive meanwhile" in done.stderr
+        return
+    assert done.returncode == 0, str(done)
+    assert re.search(r"PASS    button: timeout_ms 300.0, check_in_to_sixth_stop_ms \d+", done.stdout)
+
+
+def test_where_enough_others_watch_its_own_silence_would_stop_nobody(tmp_path: Path) -> None:
+    settings = {**FRAMES, "buttons": {"required": 1, "timeout_ms": 10_000}}
+    with (
+        Gateway(tmp_path, settings) as running,
+        running.client() as client,
+        client.button("kitchen") as kitchen,
+    ):
+        kitchen.alive()
+        done = running.run("drill", "--late", str(LATE_MS), "--only", "button", "--only", "set-while-stopped")
+    assert done.returncode == 0, str(done)
+    assert "SKIPPED button: 1 stop buttons of other people are alive" in done.stdout
+    assert "PASS    set-while-stopped" in done.stdout
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path) -> None:
     step = MISTAKES[mistake][1]
     program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
-    with Gateway(tmp_path, FRAMES, program=program) as planted:
+    settings = {**FRAMES, "buttons": {"required": int(step == "button")}}
+    with Gateway(tmp_path, settings, program=program) as planted:
         found = drill(
             reach.connection(planted.endpoint, None, 5, source="a drill"),
             leg=1,
@@ -232,7 +264,7 @@ def test_a_laptop_skips_the_step_that_kills_the_service(
 
 
 def test_help_names_each_step() -> None:
-    assert STEP_NAMES.rstrip(".").split(", ") == [step.name for step in STEPS]
+    assert list(STEP_NAMES) == [step.name for step in STEPS]
 
 
 SYSTEMCTL = """#!/bin/sh

@@ -31,7 +31,8 @@ class CheckIns:
         """Why the latest was not accepted."""
         self.refused = ""
         """Why it is over."""
-        self._confirmed_s = time.monotonic()
+        self.confirmed_s = time.monotonic()
+        """When the latest that was accepted was sent, monotonic."""
         self._thread = threading.Thread(target=self._run, name="check in", daemon=True)
 
     def start(self) -> None:
@@ -41,24 +42,29 @@ class CheckIns:
     def end(self) -> None:
         """Check in no more, and leave."""
         self._ended.set()
-        self._thread.join(self._button.timeout_ms / 1000 or None)
+        self._thread.join(self.timeout_ms / 1000 or None)
         if not self._thread.is_alive():
             self._button.leave()
 
     @property
+    def timeout_ms(self) -> float:
+        """For so long one counts."""
+        return self._button.timeout_ms
+
+    @property
     def silent_ms(self) -> float:
         """Since the gateway last took a check-in."""
-        return (time.monotonic() - self._confirmed_s) * 1000
+        return (time.monotonic() - self.confirmed_s) * 1000
 
     @property
     def heard(self) -> bool:
         """Whether the gateway counts this button, as far as it has answered."""
-        return not self.refused and not self.trouble and self.silent_ms < self._button.timeout_ms
+        return not self.refused and not self.trouble and self.silent_ms < self.timeout_ms
 
     def _run(self) -> None:
         while not self._ended.is_set() and not self.refused:
             began_s = time.monotonic()
-            pause_s = self._button.timeout_ms / 1000 / SHARE
+            pause_s = self.timeout_ms / 1000 / SHARE
             if self._lives():
                 try:
                     self._check_in()
@@ -74,7 +80,7 @@ class CheckIns:
             self._register_anew(error)
             return
         self.count = ack.alive or 0, ack.required or 0
-        self._confirmed_s, self.trouble = began_s, ""
+        self.confirmed_s, self.trouble = began_s, ""
 
     def _register_anew(self, error: RejectedError) -> None:
         """After a restart of the gateway, or where this machine's clock stood still. Not against another of the name:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
@@ -15,6 +15,9 @@ from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, O
 from schemas import keys
 from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
+
+if TYPE_CHECKING:
+    from gateway.people.tools.drill.watching import Watching
 
 LATE_MS: Final = 20.0
 """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
@@ -48,6 +51,8 @@ class Seen(NamedTuple):
     at_ns: int
     frame: Frame
     cause: str
+    came_s: float
+    """When its report came here, by this machine's monotonic clock."""
 
     @property
     def leg(self) -> int:
@@ -87,6 +92,8 @@ class Bench:
     """How long the gateway takes to answer at rest."""
     estop: int = 0
     """The number of the drill's own emergency stop."""
+    watches: "Watching | None" = None
+    """The drill's own stop button, where the robot wants one."""
     lease: dict[str, str] = field(default_factory=dict)
     """What commands carry, where this user has acquired the lease beforehand."""
     frames: list[Seen] = field(default_factory=list)
@@ -208,8 +215,10 @@ class Bench:
             self.calibration = calibration_of(self.client.calibration())
 
     def _take_frame(self, record: FrameRecord) -> None:
+        came_s = time.monotonic()
         with suppress(FrameError, ValueError):
-            self.frames.append(Seen(record.monotonic_ns, decode(bytes.fromhex(record.bytes)), str(record.cause)))
+            frame = decode(bytes.fromhex(record.bytes))
+            self.frames.append(Seen(record.monotonic_ns, frame, str(record.cause), came_s))
 
 
 def caused(frames: Sequence[Seen], cause: Cause) -> list[Seen]:

@@ -12,7 +12,17 @@ from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConf
 app = typer.Typer()
 
 STEP_NAMES: Final = (
-    "command, set-while-stopped, silence, estop, until-reset, after-reset, cut-link, lease, stop-servos, restart."
+    "command",
+    "set-while-stopped",
+    "silence",
+    "estop",
+    "until-reset",
+    "after-reset",
+    "cut-link",
+    "lease",
+    "button",
+    "stop-servos",
+    "restart",
 )
 """Their names, without loading them for every other command; a test compares them."""
 
@@ -31,7 +41,9 @@ def drill(
     ] = False,
     only: Annotated[
         list[str] | None,
-        typer.Option("--only", metavar="STEP", help=f"Only this step; may be given several times. {STEP_NAMES}"),
+        typer.Option(
+            "--only", metavar="STEP", help=f"Only this step; may be given several times. {', '.join(STEP_NAMES)}."
+        ),
     ] = None,
     late: Annotated[float, typer.Option("--late", metavar="MS", min=1, help="How late a Stop may be.")] = 20.0,
     restart: Annotated[

@@ -15,6 +15,7 @@ from gateway.people.terminal.question import NOBODY, ask
 from gateway.people.tools import kept_lease
 from gateway.people.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
 from gateway.people.tools.drill.steps import STEPS, Step
+from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import check_at_rest
@@ -106,7 +107,7 @@ def drill(
                 config=() if config is None else ("--config", str(config)),
             )
             _agree(bench, state, agreed=agreed)
-            with bench.receives():
+            with bench.receives(), watching(bench, state):
                 bench.measure()  # stops and asks only: whoever may not command is told so, and nothing was moved
                 found = Drill(state, leg, bench.frames_published)
                 if not bench.frames_published:

@@ -25,6 +25,7 @@ from gateway.people.tools.drill.bench import (
 )
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.people.tools.drill.service import killed
+from gateway.people.tools.drill.watching import falls_silent
 from gateway.robot.protocol.frames import Frame, Op
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -376,6 +377,12 @@ STEPS: Final = (
         "somebody else starts {servos} (must be rejected) and stops it",
         lease_keeps_others_out,
         "one-driver",
+    ),
+    Step(
+        "button",
+        "its stop button falls silent while setpoints stream: all legs must stop, and stay so once it is back",
+        falls_silent,
+        "somebody-watches",
     ),
     Step("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos, "death-stops"),
     Step(
