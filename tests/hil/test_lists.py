@@ -4,12 +4,16 @@ import errno
 import itertools
 import json
 import sys
+from pathlib import Path
 
 import pytest
 
+from gateway.robot.protocol.frames import OneServo, Op, ServoOp
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for
 from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.hil
 
@@ -79,6 +83,33 @@ def test_a_driver_that_ignores_cs_change_makes_one_long_cycle_of_it(spi_testbed:
     spi_testbed.ignore_cs_change()
     assert write(child, [*FRAME, *FRAME]) == "written"
     assert data_of(spi_testbed.transfers) == ["".join(str(data) for data, _ in [*FRAME, *FRAME])]
+
+
+@pytest.mark.parametrize("batch", [True, False])
+def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set(
+    tmp_path: Path, spi_testbed: SpiTestbed, batch: bool
+) -> None:
+    """Whoever looks on sees what a controller does that takes one frame while chip select is held."""
+    wire = Wire(spi_testbed)
+    spi_testbed.ignore_cs_change()
+    with Gateway(tmp_path, settings_for(wire, spi={"batch": batch}), bed=spi_testbed) as gateway:
+        six_stops = b"".join(map(bytes.fromhex, STOPS))
+        started = spi_testbed.wait_for_count(1 if batch else 6)
+        assert (started[0].data == six_stops) is batch
+        child = spi_testbed.spawn([*COMMAND, "check", "--move", "--yes", "--connect", gateway.endpoint])
+        child.wait_for_output("All six legs were stopped at once", LATE_S)
+        seen = Replay(wire.framing, selects=True)
+        seen.play(spi_testbed.transfers)
+        loose = 61 not in seen.controller.energised
+        child.tell("yes")
+        child.tell("yes" if loose else "no")
+        assert child.wait(LATE_S) == (1 if batch else 0), str(child)
+        assert loose is not batch
+        assert ("set spi.batch = false" in child.stdout.lower()) is batch
+        left = Replay(wire.framing, selects=True)
+        left.play(spi_testbed.transfers)
+        assert left.controller.energised == frozenset(), "its last Stop is alone in its call"
+        assert spi_testbed.delivered[-1] == OneServo(61, ServoOp(Op.STOP)).to_bytes()
 
 
 @pytest.mark.parametrize("code", [errno.EINVAL, errno.EMSGSIZE])

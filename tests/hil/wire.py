@@ -93,10 +93,14 @@ def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
 
 
 class Replay:
-    """A simulated controller that is given recorded transfers at the times at which they came."""
+    """A simulated controller that is given recorded transfers at the times at which they came.
 
-    def __init__(self, framing: Framing) -> None:
+    `selects`: a controller of the document that takes one frame while chip select is held, and no more.
+    """
+
+    def __init__(self, framing: Framing, *, selects: bool = False) -> None:
         self.now_ns = 0
+        self._selects = selects
         self.controller = SimulatedController(framing, clock=lambda: self.now_ns)
 
     def play(self, transfers: Iterable[Transfer]) -> None:
@@ -108,7 +112,7 @@ class Replay:
     def give(self, data: bytes, now_ns: int) -> None:
         """One transfer."""
         self.now_ns = now_ns
-        self.controller.take(data)
+        self.controller.take(data[: data[0]] if self._selects else data)
 
     def energised_for_good(self) -> frozenset[int]:
         """The servos that are on now, or come on when a receive under way is given up (a second after it began)."""

@@ -63,8 +63,8 @@ def start_set_stop(servo_id: int, angle_deg: int, end_deg: int) -> list[OneServo
 @pytest.mark.parametrize(
     ("answers", "expected"),
     [
-        (("", "", "yes", "yes"), start_set_stop(11, 90, 95)),
-        (("32", "178", "yes", "yes"), start_set_stop(32, 178, 173)),
+        (("", "", "yes", "yes", "yes"), start_set_stop(61, 90, 95)),
+        (("32", "178", "yes", "yes", "yes"), start_set_stop(32, 178, 173)),
     ],
 )
 def test_one_servo_is_started_moved_and_stopped(
@@ -83,10 +83,16 @@ def test_a_no_leads_through_the_causes(gateway: Gateway, client: Client) -> None
     heard = frames(client)
     child = begin(gateway, "no", options=("--yes",))
     assert end(child) == 1, str(child)
-    assert servo_frames(heard) == start_set_stop(11, 90, 95), "and nothing by itself after that"
+    assert servo_frames(heard) == start_set_stop(61, 90, 95), "and nothing by itself after that"
     causes = [line.split()[1] for line in child.stdout.splitlines() if line[:1].isdigit()]
     assert causes == ["Supply:", "Framing:", "Reset:", "Wiring:", "Chip", "The"]
     assert "the gateway speaks plain" in child.stdout
+
+
+def test_a_servo_of_leg_1_says_nothing_of_the_other_stops_of_a_call(gateway: Gateway) -> None:
+    child = begin(gateway, "11", "", "yes", "yes", "yes")
+    assert end(child) == 0, str(child)
+    assert "do it once more with a servo of leg 6" in child.stdout
 
 
 @pytest.mark.parametrize(
@@ -113,18 +119,18 @@ def test_without_consent_nothing_moves(gateway: Gateway, client: Client, answers
 def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> None:
     heard = frames(client)
     child = begin(gateway, options=("--yes",))
-    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(11, ServoOp(after, 9000)))
+    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(after, 9000)))
     child.send_signal(signal.SIGINT)
     assert end(child) == 130, str(child)
-    assert servo_frames(heard)[-1] == OneServo(11, ServoOp(Op.STOP)), "by command, not by the watchdog"
-    assert "Servo 11 is stopped." in child.stdout
+    assert servo_frames(heard)[-1] == OneServo(61, ServoOp(Op.STOP)), "by command, not by the watchdog"
+    assert "Servo 61 is stopped." in child.stdout
     assert client.state().mode is Mode.IDLE
 
 
 def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gateway, client: Client) -> None:
     heard = frames(client)
     child = begin(gateway, options=("--yes",))
-    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(11, ServoOp(Op.SET, 9000)))
+    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(Op.SET, 9000)))
     assert client.stop().accepted
     assert end(child) == 1, str(child)
     assert "rejected: servo_stopped" in child.stdout
@@ -137,12 +143,12 @@ def test_a_laptop_that_is_late_is_informed_that_it_is_late(tmp_path: Path) -> No
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
         heard = frames(client)
         child = begin(gateway, options=("--yes",))
-        heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(11, ServoOp(Op.SET, 9000)))
+        heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(Op.SET, 9000)))
         child.send_signal(signal.SIGSTOP)
         heard.wait(lambda record: record.cause == Cause.WATCHDOG)
         child.send_signal(signal.SIGCONT)
         assert end(child) == 1, str(child)
-    assert "The watchdog stopped servo 11: this machine's commands came some " in child.stdout
+    assert "The watchdog stopped servo 61: this machine's commands came some " in child.stdout
     assert "300 ms of silence are allowed" in child.stdout
     assert "rejected:" not in child.stdout
 

@@ -2,6 +2,10 @@
 
 Only what somebody agreed to, and only while nothing else runs. Every way out of it stops the servo; if even that fails,
 the gateway's watchdog does.
+
+The servo is stopped as an emergency stop would do it: six Stops in one call. Some SPI drivers do not release chip
+select between the transfers of a call, and a controller that needs it then obeys the first of them alone. Nothing of
+that comes back to the gateway, so whoever looks on is asked whether the servo is loose.
 """
 
 import time
@@ -15,10 +19,11 @@ from gateway.people.terminal import hint, say, visible
 from gateway.people.terminal.question import ask
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.rest import check_at_rest
-from schemas.robot import SERVO_IDS
+from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
-DEFAULT_SERVO: Final = 11
+DEFAULT_SERVO: Final = 61
+"""Of the leg whose Stop is the last of six in a call."""
 DEFAULT_ANGLE_DEG: Final = 90.0
 STEP_DEG: Final = 5.0
 _MOST_DEG: Final = 180.0
@@ -26,6 +31,17 @@ _HOLD_S: Final = 1.5
 """At each angle: long enough to reach it from anywhere, and to be seen."""
 _PERIOD_S: Final = 0.05
 """A fifth of the default watchdog timeout."""
+
+_HOLDS: Final = (
+    "A Stop does not reach it together with others: the driver of this SPI bus does not release chip select between "
+    "the transfers of one call, and of six Stops the controller obeys the first. AN EMERGENCY STOP WOULD STOP ONE LEG. "
+    "Set spi.batch = false in the configuration, restart the gateway, and do this again. It was now stopped alone: if "
+    "it holds even so, switch its power off, for then the cause is another one."
+)
+_FIRST: Final = (
+    "Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once more with "
+    "a servo of leg 6."
+)
 
 
 def causes(state: GatewayState) -> tuple[str, ...]:
@@ -38,9 +54,7 @@ def causes(state: GatewayState) -> tuple[str, ...]:
         "Reset: has the controller ever heard the wrong framing? Then it hears nothing, whatever is set now: set the "
         "right one, restart the gateway, and reset the controller (its reset button, or power).",
         "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
-        f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1. "
-        "Where of several legs that are commanded at once only the first obeys, the driver does not release it between "
-        "the transfers of one call: set spi.batch = false.",
+        f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",
         "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one.",
     )
 
@@ -61,34 +75,41 @@ def move(connect: Connection, *, agreed: bool) -> int:
             return 1
         state = client.state()  # the questions took their time
         check_at_rest(state)
-        if not _moved(client, servo_id, (angle_deg, end_deg), state.watchdog.timeout_ms):
-            return 1
-        state = client.state()
-    if state.simulated:
-        say("A simulated controller took it: no servo is there to move.")
-    answer = ask("Did it move? yes or no: ")
-    if answer == "yes":
-        say(f"Then everything from here to servo {servo_id} works.")
-        return 0
-    if answer == "no":
+        with _stopped_after(client, servo_id):
+            moved = _moved(client, servo_id, (angle_deg, end_deg), state.watchdog.timeout_ms)
+            if not (moved and _accepted(client.stop())):
+                return 1
+            if state.simulated:
+                say("A simulated controller took it: no servo is there to move.")
+            say(f"All six legs were stopped at once, servo {servo_id} with them.")
+            seen = ask("Did it move? yes or no: ")
+            loose = ask("Turn its horn gently with a finger: is it loose now? yes or no: ") if seen == "yes" else ""
+    if seen == "no":
         say("The gateway wrote every frame, and SPI has no way back: one of these, the likeliest first.")
         for place, cause in enumerate(causes(state), 1):
             say(f"{place}. {cause}")
-    return 1
+    if loose == "no":
+        say(_HOLDS)
+    if loose != "yes":
+        return 1
+    say(f"Then everything from here to servo {servo_id} works.")
+    if servo_id // 10 == LEGS[0]:
+        say(_FIRST)
+    return 0
 
 
 def _moved(client: Client, servo_id: int, angles_deg: tuple[float, float], timeout_ms: float) -> bool:
-    """Whether all that was asked for was accepted. However it ends, the servo is stopped."""
-    with _stopped_after(client, servo_id):
-        if not _accepted(client.servo(servo_id, "start", angles_deg[0])):
-            return False
-        # Only `set` from here on: it is rejected for what somebody else has stopped.
-        period_s = min(_PERIOD_S, timeout_ms / 5000)
-        return all(_held(client, servo_id, angle_deg, period_s, timeout_ms) for angle_deg in angles_deg)
+    """Whether all that was asked for was accepted."""
+    if not _accepted(client.servo(servo_id, "start", angles_deg[0])):
+        return False
+    # Only `set` from here on: it is rejected for what somebody else has stopped.
+    period_s = min(_PERIOD_S, timeout_ms / 5000)
+    return all(_held(client, servo_id, angle_deg, period_s, timeout_ms) for angle_deg in angles_deg)
 
 
 @contextmanager
 def _stopped_after(client: Client, servo_id: int) -> Iterator[None]:
+    """However it ends, the servo is stopped, by a Stop that is alone in its call."""
     try:
         yield
     finally:
