@@ -12,8 +12,6 @@ True
 True
 """
 
-from typing import Final
-
 from gateway.errors import (
     DisconnectedError,
     GatewayError,
@@ -24,10 +22,7 @@ from gateway.errors import (
     WalkError,
     ZenohError,
 )
-from gateway.people.client.aio import AsyncClient, AsyncStream
-from gateway.people.client.aio_button import AsyncButton
-from gateway.people.client.aio_lease import AsyncLease
-from gateway.people.client.aio_walk import AsyncWalk
+from gateway.people.client.aio import AsyncButton, AsyncClient, AsyncLease, AsyncStream, AsyncWalk
 from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
 from gateway.people.client.button import Button
 from gateway.people.client.lease import Lease
@@ -61,12 +56,3 @@ __all__ = [
     "servo_payload",
     "several_answer",
 ]
-
-
-_LATER: Final = {
-    "AsyncClient": "gateway.people.client.aio",
-    "AsyncLease": "gateway.people.client.aio_lease",
-    "AsyncStream": "gateway.people.client.aio",
-    "AsyncWalk": "gateway.people.client.aio_walk",
-    "Walk": "gateway.people.client.walk",
-}

@@ -13,7 +13,7 @@ import zenoh
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
-from gateway.people.client import aio, aio_lease, blocking, lease, pace, payloads, stream
+from gateway.people.client import aio, blocking, lease, pace, payloads, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.support.gateway_process import Gateway, free_port
@@ -21,7 +21,7 @@ from tests.support.gateway_process import Gateway, free_port
 
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 4), (aio_lease, 4), (pace, 5), (payloads, 3)],
+    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10), (pace, 5), (payloads, 3)],
 )
 def test_the_examples_run(tmp_path: Path, module: ModuleType, examples: int) -> None:
     with Gateway(tmp_path) as gateway:

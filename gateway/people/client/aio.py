@@ -1,34 +1,37 @@
-"""The same for asyncio: each question waits on a thread of its own, and the loop waits for nobody."""
+"""The client for asyncio: each call waits on a thread of its own, and the loop waits for nobody."""
 
 import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
+from functools import partial, wraps
+from inspect import signature
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
 from weakref import WeakSet
 
 import zenoh
 
-from gateway.errors import GatewayError, LeaseLostError, ZenohError
-from gateway.people.client.aio_button import AsyncButton
-from gateway.people.client.aio_lease import AsyncLease
+from gateway.errors import LeaseLostError, ZenohError
 from gateway.people.client.blocking import Client
+from gateway.people.client.button import Button
+from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import Angle
 from gateway.people.client.stream import Stream
+from gateway.people.client.walk import Walk
+from gateway.people.walking import WalkState
 from schemas.telemetry import Ack, Event, GatewayState
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
-    from gateway.people.client.aio_walk import AsyncWalk
-    from schemas.calibration import Calibration, ServoChange
-    from schemas.lease import LeaseAck
-    from schemas.revocation import RevocationAck
 
+B = TypeVar("B")
+H = TypeVar("H", bound=AbstractContextManager[Any])
+P = ParamSpec("P")
 T = TypeVar("T")
 
 MAX_QUESTIONS: Final = 32
@@ -37,7 +40,34 @@ KEPT_EVENTS: Final = 256
 """For an `events()` that is not read; the oldest make way."""
 
 
-class AsyncClient:
+class _Twin(Generic[B]):
+    """What stands before a blocking object, with the same names, arguments, rules and errors."""
+
+    _threads: "_Threads"
+
+    @property
+    def _own(self) -> B:
+        raise NotImplementedError
+
+    async def _run(self, function: Callable[[], T], *, stops: bool) -> T:
+        return await self._threads.run(function, stops=stops)
+
+
+def _waits(
+    method: Callable[Concatenate[B, P], T], *, stops: bool = False
+) -> Callable[Concatenate[_Twin[B], P], Coroutine[Any, Any, T]]:
+    """The twin of a method that waits. `stops`: it stops the robot, and so never waits for its turn."""
+
+    @wraps(method)
+    async def call(twin: _Twin[B], /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await twin._run(partial(method, twin._own, *args, **kwargs), stops=stops)
+
+    # Signature and name as of the method; for whoever makes documents of it, it is a coroutine nevertheless.
+    vars(call)["__signature__"] = signature(vars(call).pop("__wrapped__"))
+    return call
+
+
+class AsyncClient(_Twin[Client]):
     """`Client` for asyncio, with the same names, arguments and errors; opened and closed by `async with`.
 
     Whoever cancels a call no longer waits for its answer; what was asked may take effect all the same.
@@ -61,8 +91,8 @@ class AsyncClient:
         explain: bool = True,
     ) -> None:
         """As `Client`; nothing is opened yet."""
-        self._make = lambda: Client(
-            endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=explain
+        self._make = partial(
+            Client, endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=explain
         )
         self._client: Client | None = None
         self._threads = _Threads()
@@ -97,6 +127,16 @@ class AsyncClient:
         return self._client
 
     @property
+    def _own(self) -> Client:
+        return self.client
+
+    async def _run(self, function: Callable[[], T], *, stops: bool) -> T:
+        if stops:
+            return await self._threads.run(function, stops=True)
+        async with self._turns:
+            return await self._threads.run(function)
+
+    @property
     def connected(self) -> bool:
         """See `Client.connected`."""
         return self._client is not None and self._client.connected
@@ -106,10 +146,6 @@ class AsyncClient:
         """See `Client.name`."""
         return self.client.name
 
-    async def wait_ready(self, timeout_s: float = 10.0) -> GatewayState:
-        """See `Client.wait_ready`."""
-        return await self._ask(self.client.wait_ready, timeout_s)
-
     def stream(self, hz: float = 50) -> "AsyncStream":
         """Setpoints of a gait: `async with robot.stream(50) as stream: await stream.set(…)`; see `Client.stream`."""
         return AsyncStream(self.client.stream(hz), self._threads)
@@ -118,9 +154,7 @@ class AsyncClient:
         self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50
     ) -> "AsyncWalk":
         """Velocities: `async with robot.walk() as walk: await walk.go(forward_m_s=0.1)`; see `Client.walk`."""
-        from gateway.people.client.aio_walk import AsyncWalk
-
-        return AsyncWalk(self.client.walk(gait, geometry, hz), self._threads.run)
+        return AsyncWalk(self.client.walk(gait, geometry, hz), self._threads)
 
     def lease(
         self,
@@ -130,93 +164,45 @@ class AsyncClient:
         source: str | None = None,
         on_lost: Callable[[LeaseLostError], None] | None = None,
         on_asked: Callable[[str], None] | None = None,
-    ) -> AsyncLease:
+    ) -> "AsyncLease":
         """The right to drive: `async with robot.lease(): …`; see `Client.lease`. It calls back on the loop."""
         lost = None if on_lost is None else _on_this_loop(on_lost)
         asked = None if on_asked is None else _on_this_loop(on_asked)
         lease = self.client.lease(take=take, wait_s=wait_s, source=source, on_lost=lost, on_asked=asked)
-        return AsyncLease(lease, self._threads.run)
+        return AsyncLease(lease, self._threads)
 
-    async def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
-        """See `Client.ask_for_lease`."""
-        return await self._ask(self.client.ask_for_lease, source)
-
-    def button(self, name: str | None = None) -> AsyncButton:
+    def button(self, name: str | None = None) -> "AsyncButton":
         """A stop button: `async with robot.button("kitchen") as button: …`; see `Client.button`."""
-        return AsyncButton(self.client.button(name), self._threads.run)
+        return AsyncButton(self.client.button(name), self._threads)
 
-    async def start_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
-        """See `Client.start_leg`."""
-        return await self._ask(self.client.start_leg, leg, *angles_deg)
-
-    async def set_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
-        """See `Client.set_leg`."""
-        return await self._ask(self.client.set_leg, leg, *angles_deg)
-
-    async def start_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
-        """See `Client.start_legs`."""
-        return await self._ask(self.client.start_legs, angles_deg)
-
-    async def set_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
-        """See `Client.set_legs`."""
-        return await self._ask(self.client.set_legs, angles_deg)
-
-    async def stop(self, leg: int | None = None) -> Ack:
-        """See `Client.stop`."""
-        return await self._stop(self.client.stop, leg)
+    wait_ready = _waits(Client.wait_ready)
+    ask_for_lease = _waits(Client.ask_for_lease)
+    start_leg = _waits(Client.start_leg)
+    set_leg = _waits(Client.set_leg)
+    start_legs = _waits(Client.start_legs)
+    set_legs = _waits(Client.set_legs)
+    stop = _waits(Client.stop, stops=True)
+    estop = _waits(Client.estop, stops=True)
+    reset = _waits(Client.reset)
+    calibration = _waits(Client.calibration)
+    revocation = _waits(Client.revocation)
+    calibrate = _waits(Client.calibrate)
+    answerers = _waits(Client.answerers)
+    state = _waits(Client.state)
 
     async def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         """See `Client.servo`."""
-        if op == "stop":
-            return await self._stop(self.client.servo, servo_id, op, angle_deg)
-        return await self._ask(self.client.servo, servo_id, op, angle_deg)
-
-    async def estop(self, source: str | None = None) -> Ack:
-        """See `Client.estop`."""
-        return await self._stop(self.client.estop, source)
-
-    async def reset(self, estop: int | None = None) -> Ack:
-        """See `Client.reset`."""
-        return await self._ask(self.client.reset, estop)
-
-    async def calibration(self) -> "Calibration":
-        """See `Client.calibration`."""
-        return await self._ask(self.client.calibration)
-
-    async def revocation(self, revoked: str | None = None) -> "RevocationAck":
-        """See `Client.revocation`."""
-        return await self._ask(self.client.revocation, revoked)
-
-    async def calibrate(
-        self,
-        servos: "Mapping[int, ServoChange]" = MappingProxyType({}),
-        landing: Mapping[int, Angle | None] = MappingProxyType({}),
-        *,
-        revision: int | None = None,
-        accept_default: bool = False,
-    ) -> Ack:
-        """See `Client.calibrate`."""
-        calibrate = self.client.calibrate
-        return await self._ask(lambda: calibrate(servos, landing, revision=revision, accept_default=accept_default))
+        return await self._run(partial(self.client.servo, servo_id, op, angle_deg), stops=op == "stop")
 
     async def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
     ) -> Ack:
         """See `Client.ask`."""
-        run = self._stop if again else self._ask
-        return await run(lambda: self.client.ask(key, payload, again=again, priority=priority))
-
-    async def answerers(self, key: str, wait_s: float = 0.0) -> frozenset[str]:
-        """See `Client.answerers`."""
-        return await self._ask(self.client.answerers, key, wait_s)
+        return await self._run(partial(self.client.ask, key, payload, again=again, priority=priority), stops=again)
 
     async def publish(self, key: str, payload: Mapping[str, Any]) -> None:
         """See `Client.publish`."""
         self.client.publish(key, payload)
-
-    async def state(self, timeout_s: float | None = None) -> GatewayState:
-        """See `Client.state`."""
-        return await self._ask(self.client.state, timeout_s)
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call back, on the loop, for each published state, until the returned subscriber is undeclared."""
@@ -242,15 +228,32 @@ class AsyncClient:
         for events in list(self._events):
             events.add(event)
 
-    async def _ask(self, function: Callable[..., T], *args: object) -> T:
-        async with self._turns:
-            return await self._threads.run(function, *args)
 
-    async def _stop(self, function: Callable[..., T], *args: object) -> T:
-        return await self._threads.run(function, *args, stops=True)
+class _HeldTwin(_Twin[H]):
+    """The twin of what is used in a `with`."""
+
+    def __init__(self, own: H, threads: "_Threads") -> None:
+        """Made by AsyncClient."""
+        self._held = own
+        self._threads = threads
+
+    @property
+    def _own(self) -> H:
+        return self._held
+
+    async def __aenter__(self) -> Self:
+        gone = asyncio.CancelledError()
+        await self._threads.run(self._own.__enter__, too_late=lambda _: self._own.__exit__(type(gone), gone, None))
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # It goes on when this is cancelled.
+        await self._threads.run(partial(self._own.__exit__, kind, error, trace), stops=True)
 
 
-class AsyncStream:
+class AsyncStream(_HeldTwin[Stream]):
     """`Stream` for asyncio: the same rules, errors and names; for one task at a time.
 
     >>> async def main():
@@ -262,54 +265,138 @@ class AsyncStream:
     active
     """
 
-    def __init__(self, stream: Stream, threads: "_Threads") -> None:
-        """Made by `AsyncClient.stream`."""
-        self._stream = stream
-        self._threads = threads
-
     @property
     def missed(self) -> int:
         """See `Stream.missed`."""
-        return self._stream.missed
+        return self._own.missed
 
     @property
     def is_over(self) -> bool:
         """See `Stream.is_over`."""
-        return self._stream.is_over
-
-    async def __aenter__(self) -> Self:
-        await self._threads.run(self._stream.open, too_late=lambda _: self._stream.close())
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            await self._threads.run(self._stream.close, stops=True)  # goes on when this is cancelled
-        except GatewayError as failed:
-            if error is None:
-                raise
-            error.add_note(f"and the Stop at the end of the stream: {failed}")
+        return self._own.is_over
 
     async def set(self, angles_deg: Mapping[int, Sequence[Angle]]) -> None:
         """See `Stream.set`."""
-        stream = self._stream
+        stream = self._own
         angles = stream.read(angles_deg)
         stream.check_open()
         due_s = stream.due_s()
         await asyncio.sleep(max(0.0, due_s - time.monotonic()))
         if stream.must_ask(angles):
-            await self._threads.run(stream.send, angles, stops=True)
+            await self._run(partial(stream.send, angles), stops=True)
         else:
             stream.send(angles)
 
     def start_again(self) -> None:
         """See `Stream.start_again`."""
-        self._stream.start_again()
+        self._own.start_again()
 
     def go_on_without(self, legs: Iterable[int]) -> None:
         """See `Stream.go_on_without`."""
-        self._stream.go_on_without(legs)
+        self._own.go_on_without(legs)
+
+
+class AsyncLease(_HeldTwin[Lease]):
+    """`Lease` for asyncio: the same rules, errors and names.
+
+    >>> async def main():
+    ...     async with AsyncClient(endpoint, source="anna") as robot, robot.lease() as lease:
+    ...         print((await robot.start_leg(3, 90, 45, 120)).accepted, lease.holder)
+    >>> asyncio.run(main())
+    True anna
+    """
+
+    hand_over = _waits(Lease.hand_over)
+
+    @property
+    def held(self) -> bool:
+        """See `Lease.held`."""
+        return self._own.held
+
+    @property
+    def holder(self) -> str:
+        """See `Lease.holder`."""
+        return self._own.holder
+
+    @property
+    def verified(self) -> bool:
+        """See `Lease.verified`."""
+        return self._own.verified
+
+    @property
+    def lost(self) -> LeaseLostError | None:
+        """See `Lease.lost`."""
+        return self._own.lost
+
+
+class AsyncButton(_HeldTwin[Button]):
+    """`Button` for asyncio: the same rules, errors and names.
+
+    >>> async def main():
+    ...     async with AsyncClient(endpoint) as robot, robot.button("kitchen") as button:
+    ...         print((await button.alive()).alive)
+    >>> asyncio.run(main())
+    1
+    """
+
+    register = _waits(Button.register)
+    alive = _waits(Button.alive)
+    press = _waits(Button.press, stops=True)
+
+    @property
+    def name(self) -> str:
+        """See `Button.name`."""
+        return self._own.name
+
+    @property
+    def timeout_ms(self) -> float:
+        """See `Button.timeout_ms`."""
+        return self._own.timeout_ms
+
+
+class AsyncWalk(_HeldTwin[Walk]):
+    """`Walk` for asyncio: the same rules, errors and names; for one task at a time.
+
+    >>> async def main():
+    ...     async with AsyncClient(endpoint) as robot, robot.walk(gait="ripple") as walk:
+    ...         await walk.stand()
+    ...         await walk.go(turn_rad_s=0.2)
+    ...         print(walk.state.posture)
+    >>> asyncio.run(main())
+    walking
+    """
+
+    go = _waits(Walk.go)
+    stand = _waits(Walk.stand)
+    sit = _waits(Walk.sit)
+    start_again = _waits(Walk.start_again)
+
+    def walk_as(self, gait: str) -> None:
+        """See `Walk.walk_as`."""
+        self._own.walk_as(gait)
+
+    @property
+    def state(self) -> WalkState:
+        """See `Walk.state`."""
+        return self._own.state
+
+    @property
+    def hold_s(self) -> float:
+        """See `Walk.hold_s`."""
+        return self._own.hold_s
+
+    @hold_s.setter
+    def hold_s(self, seconds: float) -> None:
+        self._own.hold_s = seconds
+
+    @property
+    def rest_s(self) -> float:
+        """See `Walk.rest_s`."""
+        return self._own.rest_s
+
+    @rest_s.setter
+    def rest_s(self, seconds: float) -> None:
+        self._own.rest_s = seconds
 
 
 class _Events:
@@ -351,8 +438,8 @@ class _Threads:
 
     async def run(
         self,
-        function: Callable[..., T],
-        *args: object,
+        function: Callable[[], T],
+        *,
         stops: bool = False,
         too_late: Callable[[T], object] | None = None,
     ) -> T:
@@ -362,7 +449,7 @@ class _Threads:
 
         def call() -> None:
             try:
-                result = function(*args)
+                result = function()
             except BaseException as error:
                 done.set_exception(error)
             else:
