@@ -166,6 +166,19 @@ def stop_servos(config: ConfigOption = None) -> None:
     stop.stop_servos(found.spi, found.watchdog)
 
 
+@app.command("stop")
+def send_stop(
+    connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
+) -> None:
+    """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that.
+
+    Exit codes: 0 accepted, 1 rejected, 4 no gateway answers.
+    """
+    from gateway.people.tools import send
+
+    sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
+
+
 @app.command()
 def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`.
@@ -407,14 +420,7 @@ def send_servo(
     sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))
 
 
-@send_app.command("stop")
-def send_stop(
-    connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
-) -> None:
-    """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
-    from gateway.people.tools import send
-
-    sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
+send_app.command("stop")(send_stop)
 
 
 def main() -> None:

@@ -154,7 +154,19 @@ def test_no_spi_device_is_3_and_one_line(tmp_path: Path) -> None:
         assert "--sim" in line
 
 
-SUBCOMMANDS = ["run", "stop-servos", "send", "send leg", "send servo", "send stop", "estop", "reset", "decode", "certs"]
+SUBCOMMANDS = [
+    "run",
+    "stop-servos",
+    "send",
+    "send leg",
+    "send servo",
+    "send stop",
+    "stop",
+    "estop",
+    "reset",
+    "decode",
+    "certs",
+]
 
 
 @pytest.mark.parametrize("command", ["", *SUBCOMMANDS])

@@ -137,7 +137,7 @@ def advise(reason: str | None) -> None:
     if reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
         hint(
             f"`{this_command()} lease ask` asks for it; `lease take` takes it by force, and stops all legs first; "
-            "`send stop` and `estop` work for everybody."
+            "`stop` and `estop` work for everybody."
         )
     elif reason == Reason.NO_LEASE:
         hint(f"This robot wants to know who drives: `{this_command()} lease acquire`, or `send … --hold S`.")

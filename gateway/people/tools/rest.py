@@ -14,7 +14,7 @@ def why_not_at_rest(state: GatewayState) -> str | None:
     if state.mode == Mode.IDLE:
         return None
     remedies = {
-        str(Mode.ACTIVE): f"a servo runs; stop it first ({this_command()} send stop)",
+        str(Mode.ACTIVE): f"a servo runs; stop it first ({this_command()} stop)",
         str(Mode.ESTOPPED): f"leave the emergency stop first ({this_command()} reset)",
     }
     return f"the gateway is {state.mode}, and nothing is moved: {remedies.get(str(state.mode), _WAIT)}"
