@@ -9,12 +9,23 @@ Zenoh compares a rule's keys with those on the wire, which begin with the robot'
 """
 
 import json
-from collections.abc import Iterator
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
 
 from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
 from schemas import keys
-from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, COMMAND_KEYS, ESTOP, GET_ONLY, PUBLISHED
+from schemas.keys import (
+    ALIVE,
+    ALL_COMMANDS,
+    ASKABLE,
+    CALIBRATION,
+    COMMAND_KEYS,
+    ESTOP,
+    GET_ONLY,
+    PUBLISHED,
+    SIM_BODY,
+    SIM_UPRIGHT,
+)
 
 WIDTH: Final = 120
 
@@ -44,6 +55,8 @@ TRAFFIC: Final = (
         (OPERATOR,),
         robots_keys=(*COMMAND_KEYS, *GET_ONLY),
     ),
+    Traffic("setting a simulated robot upright", True, ("query",), (SIM_UPRIGHT,), (OPERATOR,)),
+    Traffic("set upright", False, ("reply", "declare_queryable"), (SIM_UPRIGHT,), (OPERATOR,)),
     Traffic("presses", True, ("put",), (ESTOP,), (BUTTON,)),
     Traffic("presses and check-ins", True, ("query",), (ESTOP, keys.BUTTON), (BUTTON,)),
     Traffic("acknowledgements of these", False, ("reply",), (ESTOP, keys.BUTTON), (BUTTON,)),
@@ -57,13 +70,30 @@ TRAFFIC: Final = (
     Traffic("alive", False, ("liveliness_token",), (ALIVE,)),
 )
 
+BODY: Final = (
+    Traffic("a simulated body", True, ("put",), (SIM_BODY,)),
+    Traffic("who watches it", False, ("declare_subscriber",), (SIM_BODY,)),
+    Traffic("asking for the calibration", True, ("declare_subscriber", "query"), (CALIBRATION,)),
+    Traffic("the calibration", False, ("put", "reply", "declare_queryable"), (CALIBRATION,)),
+    Traffic("that it can be set upright", True, ("declare_queryable", "reply"), (SIM_UPRIGHT,)),
+    Traffic("setting it upright", False, ("query",), (SIM_UPRIGHT,)),
+)
+"""Between a gateway and the process that simulates its robot's body."""
+
 
 def rules(prefix: str = "", namespace: str = "", *, robots_side: bool = False) -> str:
     """The rules as JSON5, their names behind `prefix`: at the robot's or router's end of the links to people.
 
     With `robots_side`, at a router's end of the link to the robot: what comes in from people goes out there.
     """
-    return "".join(_rule(each, prefix, namespace, robots_side) for each in _on(robots_side=robots_side))
+    return "".join(
+        str(_rule(each, prefix, namespace, robots_side=robots_side)) for each in _on(robots_side=robots_side)
+    )
+
+
+def body_rules(namespace: str = "") -> list[dict[str, Any]]:
+    """The rules of BODY, at the gateway's end."""
+    return [_rule(each, "", namespace, robots_side=False)._asdict() for each in BODY]
 
 
 def names(prefix: str = "", *, roles: tuple[str, ...]) -> str:
@@ -91,24 +121,41 @@ def listed(common_names: list[str]) -> str:
     return _list(common_names, 28)
 
 
-def _rule(each: Traffic, prefix: str, namespace: str, robots_side: bool) -> str:
-    flow = "ingress" if each.from_people is not robots_side else "egress"
+class _Rule(NamedTuple):
+    """As Zenoh names its parts."""
+
+    id: str
+    permission: str
+    flows: tuple[str, ...]
+    messages: tuple[str, ...]
+    key_exprs: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return (
+            f'      {{ id: "{self.id}", permission: "{self.permission}", flows: {json.dumps(self.flows)},\n'
+            f"        messages: {json.dumps(self.messages)},\n"
+            f"        key_exprs: {_list(self.key_exprs, 20)} }},\n"
+        )
+
+
+def _rule(each: Traffic, prefix: str, namespace: str, *, robots_side: bool) -> _Rule:
     named = (each.robots_keys if robots_side else ()) or each.keys
-    keys = [f"{namespace}/{key}" if namespace else key for key in named]
-    return (
-        f'      {{ id: "{_name(each, prefix, robots_side)}", permission: "allow", flows: ["{flow}"],\n'
-        f"        messages: {json.dumps(each.messages)},\n"
-        f"        key_exprs: {_list(keys, 20)} }},\n"
+    return _Rule(
+        _name(each, prefix, robots_side=robots_side),
+        "allow",
+        ("ingress" if each.from_people is not robots_side else "egress",),
+        each.messages,
+        tuple(f"{namespace}/{key}" if namespace else key for key in named),
     )
 
 
-def _name(each: Traffic, prefix: str, robots_side: bool) -> str:
+def _name(each: Traffic, prefix: str, *, robots_side: bool) -> str:
     into = each.from_people is not robots_side
     end = "robot's end, " if robots_side else ""
     return f"{prefix}{each.what} ({end}{'in' if into else 'out'})"
 
 
-def _list(texts: list[str], indent: int) -> str:
+def _list(texts: Sequence[str], indent: int) -> str:
     """A JSON list, broken into lines that begin below its first element; its first line begins at `indent` - 1."""
     return "[" + ("\n" + " " * indent).join(_lines([json.dumps(text) for text in texts], WIDTH - indent - 6)) + "]"
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from math import ceil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import zenoh
@@ -22,6 +23,7 @@ from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.edge import simulated_body
 from gateway.robot.edge.button_request_reader import ButtonRequestReader
 from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
 from gateway.robot.edge.connection_limiter import ConnectionLimiter
@@ -78,6 +80,8 @@ class Physics(NamedTuple):
     """Where it reads what the servos are sent to."""
     zenoh_id: str
     """By which it publishes."""
+    folder: Path
+    """Private; in it is the socket by which it reaches the gateway."""
 
 
 def rules(settings: Settings) -> Rules:
@@ -160,7 +164,9 @@ def run(
     end.leave()  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
 
 
-def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | None", Kept | None]:
+def _configured(
+    settings: ZenohSettings, physics: Physics | None
+) -> tuple[zenoh.Config, "ProofChecker | None", Kept | None]:
     """Zenoh's configuration, what checks who asks for the lease, and who is shut out, where it names a CA.
 
     Raises ConfigError.
@@ -169,6 +175,8 @@ def _configured(settings: ZenohSettings) -> tuple[zenoh.Config, "ProofChecker | 
     shut_out = kept(config, settings)
     revoked = None if shut_out is None else shut_out.known
     leave_out(config, revoked)
+    if physics is not None:
+        simulated_body.admit(config, physics.folder)
     if revoked is not None:
         logger.info("list %d shuts out %s", revoked.number, ", ".join(sorted(revoked.common_names)) or "nobody")
     checker = checker_of(config, revoked)
@@ -189,7 +197,7 @@ async def _run(
     loop, owner = asyncio.get_running_loop(), Ownership()
     end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
-    config, checker, shut_out = _configured(settings.zenoh)
+    config, checker, shut_out = _configured(settings.zenoh, physics)
     bus = bus_for(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page))
     outbox = ZenohOutbox()
     conductor = Conductor(

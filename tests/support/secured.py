@@ -28,6 +28,7 @@ class Secured:
         hosts: Sequence[str] = (HOST,),
         bed: SpiTestbed | None = None,
         prefix: Sequence[str] = (),
+        options: Sequence[str] = ("--sim",),
     ) -> None:
         """It listens on `address`; its certificate names `hosts`."""
         self.folder = folder / "D"
@@ -36,7 +37,7 @@ class Secured:
         certs.issue(self.folder, "anna", "operator")
         certs.issue(self.folder, "otto", "observer")
         listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}
-        self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix)
+        self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix, options=options)
 
     def __enter__(self) -> "Secured":
         return self

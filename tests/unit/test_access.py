@@ -11,14 +11,28 @@ import pytest
 import zenoh
 
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
-from schemas.keys import ALIVE, BUTTON, CALIBRATION, COMMAND_KEYS, ESTOP, EVENT, FRAME, GET_ONLY, SIM_BODY, STATE
+from gateway.errors import ConfigError
+from gateway.robot.edge import simulated_body
+from schemas.keys import (
+    ALIVE,
+    BUTTON,
+    CALIBRATION,
+    COMMAND_KEYS,
+    ESTOP,
+    EVENT,
+    FRAME,
+    GET_ONLY,
+    SIM_BODY,
+    SIM_UPRIGHT,
+    STATE,
+)
 
 DECLARATIONS = ("declare_subscriber", "declare_queryable", "declare_liveliness_subscriber")
 MESSAGES = ("put", "delete", "query", "reply", "liveliness_token", "liveliness_query", *DECLARATIONS)
 FLOWS = ("ingress", "egress")
 TELEMETRY = (STATE, EVENT, FRAME, CALIBRATION, SIM_BODY)
 OTHERS = ("hexapod/secret", "hexapod/*", "hexapod/**", "**", "robot2/hexapod/state", "robot2/hexapod/estop/cmd")
-KEYS = (*COMMAND_KEYS, *GET_ONLY, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, *OTHERS)
+KEYS = (*COMMAND_KEYS, *GET_ONLY, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, SIM_UPRIGHT, *OTHERS)
 WILD = ("hexapod/leg/*/cmd", "hexapod/**/cmd")
 
 Said = tuple[str, str, str]
@@ -43,7 +57,7 @@ def allowed(made: zenoh.Config, role: str, prefix: str = "") -> set[Said]:
     """All that somebody with this common name may say or hear, by the rules as Zenoh documents them."""
     control = get(made, "access_control")
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
-    subjects = {each["id"] for each in control["subjects"] if role in each["cert_common_names"]}
+    subjects = {each["id"] for each in control["subjects"] if role in (each.get("cert_common_names") or [each["id"]])}
     named = {name for policy in control["policies"] if subjects & set(policy["subjects"]) for name in policy["rules"]}
     rules = [rule for rule in control["rules"] if rule["id"] in named]
     assert named == {rule["id"] for rule in rules}
@@ -74,9 +88,21 @@ WATCHING = (
     | said("ingress", "declare_liveliness_subscriber liveliness_query", ALIVE)
     | said("egress", "liveliness_token", ALIVE)
 )
-COMMANDING = said("ingress", "put delete query", *COMMAND_KEYS, *GET_ONLY, *WILD) | said(
-    "egress", "reply declare_subscriber declare_queryable", *COMMAND_KEYS, *GET_ONLY, *WILD
+COMMANDING = (
+    said("ingress", "put delete query", *COMMAND_KEYS, *GET_ONLY, *WILD)
+    | said("egress", "reply declare_subscriber declare_queryable", *COMMAND_KEYS, *GET_ONLY, *WILD)
+    | said("ingress", "query", SIM_UPRIGHT)
+    | said("egress", "reply declare_queryable", SIM_UPRIGHT)
 )
+LYING = (
+    said("ingress", "put", SIM_BODY)
+    | said("egress", "declare_subscriber", SIM_BODY)
+    | said("ingress", "declare_subscriber query", CALIBRATION)
+    | said("egress", "put reply declare_queryable", CALIBRATION)
+    | said("ingress", "declare_queryable reply", SIM_UPRIGHT)
+    | said("egress", "query", SIM_UPRIGHT)
+)
+"""What a simulated body may."""
 PRESSING = (
     said("ingress", "put query", ESTOP)
     | said("egress", "reply declare_subscriber declare_queryable", ESTOP)
@@ -104,6 +130,28 @@ def test_with_a_namespace_the_same_holds_behind_it_and_nothing_without_it(tmp_pa
     assert get(made, "namespace") == "robot1"
     assert allowed(made, "operator", "robot1/") == WATCHING | COMMANDING
     assert allowed(made, "operator") == allowed(made, "operator", "robot2/") == set()
+
+
+@pytest.mark.parametrize("namespace", ["", "robot1"])
+def test_a_simulated_body_comes_in_by_its_socket_and_changes_nothing_for_people(tmp_path: Path, namespace: str) -> None:
+    made = config(gateway_json5(["robot.local"], 7447, namespace), tmp_path)
+    prefix = f"{namespace}/" if namespace else ""
+    before = {role: allowed(made, role, prefix) for role in ("operator", "observer", "button")}
+    simulated_body.admit(made, tmp_path)
+    assert allowed(made, simulated_body.SUBJECT, prefix) == LYING
+    assert {role: allowed(made, role, prefix) for role in before} == before
+    (subject,) = (each for each in get(made, "access_control/subjects") if each["id"] == simulated_body.SUBJECT)
+    assert {name: value for name, value in subject.items() if value} == {
+        "id": simulated_body.SUBJECT,
+        "link_protocols": ["unixsock-stream"],
+    }
+    assert get(made, "listen/endpoints") == ["tls/[::]:7447", f"unixsock-stream/{tmp_path}/socket"]
+    assert get(made, "transport/link/protocols") == ["tls", "unixsock-stream"]
+
+
+def test_where_nobody_can_listen_no_body_is_simulated(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match='--sim=physics needs mode: "peer" in the Zenoh file'):
+        simulated_body.admit(config(b'{ mode: "client" }', tmp_path), tmp_path)
 
 
 def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:

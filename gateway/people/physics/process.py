@@ -7,6 +7,7 @@ of the gateway. What it has to say to people goes to stderr.
 import datetime as dt
 import json
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -209,6 +210,13 @@ def main(arguments: Sequence[str]) -> int:
         signal.signal(number, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     given: dict[str, Any] = json.loads(arguments[0])
+    try:
+        return _run(given)
+    finally:
+        shutil.rmtree(given["folder"], ignore_errors=True)
+
+
+def _run(given: dict[str, Any]) -> int:
     what = assumed(given["mass_kg"], given["torque_nm"], given["friction"], given["terrain"])
     try:
         simulated = Simulated(load(given["geometry"] and Path(given["geometry"])), what)

@@ -7,6 +7,7 @@ import secrets
 import select
 import subprocess
 import sys
+import tempfile
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -18,15 +19,12 @@ import zenoh
 from gateway.errors import ConfigError
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
-from gateway.robot.edge.exposure import connect_endpoints, listen_endpoints
+from gateway.robot.edge import simulated_body
 from gateway.robot.spi.servo_page import ServoPage
-from gateway.zenoh_config import insert
 
 START_S: Final = 30.0
 """It loads MuJoCo in less than one."""
 READY: Final = "ready"
-_ANY_ADDRESS: Final = {"/0.0.0.0:": "/127.0.0.1:", "/[::]:": "/[::1]:"}
-_RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
 class BodyProcess:
@@ -37,9 +35,12 @@ class BodyProcess:
         if importlib.util.find_spec("mujoco") is None:
             raise ConfigError("the physics is missing: pip install 'hexapod-gateway[physics]'")
         self.page = ServoPage()
+        self.folder = Path(tempfile.mkdtemp(prefix="hexapod-body-"))
+        """Private. The process removes it at its end, which also comes when the gateway is killed."""
         self.zenoh_id = f"{secrets.randbelow(15) + 1:x}{secrets.token_hex(15)}{secrets.randbelow(15) + 1:x}"
         given = {
             "page": self.page.fd,
+            "folder": str(self.folder),
             "geometry": None if geometry is None else str(geometry),
             **assumed._asdict(),
             "terrain": str(assumed.terrain),
@@ -68,7 +69,7 @@ class BodyProcess:
 
     def connect(self, gateway: zenoh.Config) -> None:
         """The gateway of this configuration is ready: have the body published there. Never waits."""
-        line = str(_client_config(gateway, self.zenoh_id)).encode() + b"\n"
+        line = str(simulated_body.client_config(gateway, self.folder, self.zenoh_id)).encode() + b"\n"
         with suppress(OSError):  # it has ended, which `_watch` reports
             os.write(self._lifeline, line)
 
@@ -95,27 +96,3 @@ class BodyProcess:
         if not self._ended:
             how = f"was killed by signal {-status}" if status < 0 else f"ended with exit code {status}"
             hint(f"the physics process {how}: nobody simulates the body any more, and the gateway goes on without")
-
-
-def _client_config(gateway: zenoh.Config, zenoh_id: str) -> zenoh.Config:
-    """A client's, of the gateway itself or of what it dials, with its namespace and certificates."""
-    config = zenoh.Config.from_json5(str(gateway))
-    endpoints = [_dialled(endpoint) for endpoint in listen_endpoints(gateway)] or connect_endpoints(gateway)
-    for key, value in (
-        ("mode", "client"),
-        ("id", zenoh_id),
-        ("listen/endpoints", []),
-        ("connect/endpoints", endpoints),
-        ("connect/timeout_ms", -1),
-        ("connect/retry", _RETRY),
-        ("access_control/enabled", False),
-        ("transport/link/tls/verify_name_on_connect", False),  # it is on this machine, by another address
-    ):
-        insert(config, key, value, key)
-    return config
-
-
-def _dialled(endpoint: str) -> str:
-    for any_address, here in _ANY_ADDRESS.items():
-        endpoint = endpoint.replace(any_address, here)
-    return endpoint

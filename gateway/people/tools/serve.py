@@ -11,6 +11,7 @@ from gateway.people.terminal import say, this_command
 from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
 from gateway.robot.edge.exposure import listen_endpoints
+from gateway.robot.edge.simulated_body import endpoint
 from gateway.robot.settings import Settings
 
 
@@ -29,12 +30,12 @@ def _serve(settings: Settings, robot: str, *, simulated: bool, body: BodyProcess
     def ready(config: zenoh.Config) -> None:
         if body is not None:
             body.connect(config)
-        endpoints = listen_endpoints(config)
+        endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
         say(next_step(endpoints, this_command()))
 
-    physics = None if body is None else service.Physics(body.page, body.zenoh_id)
+    physics = None if body is None else service.Physics(body.page, body.zenoh_id, body.folder)
     service.run(settings, simulated=simulated, physics=physics, on_ready=ready)
 
 

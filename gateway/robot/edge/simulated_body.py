@@ -1,0 +1,71 @@
+"""The way in for the process that simulates the robot's body: a Unix socket of its own, and its own keys only.
+
+Only this user can enter the folder that the socket is in, so it needs no certificate, whatever people need. The rules
+below are added while a simulated robot runs; they stand in no robot's Zenoh file.
+"""
+
+import secrets
+from pathlib import Path
+from typing import Any, Final
+
+import zenoh
+
+from gateway.certs import access
+from gateway.errors import ConfigError
+from gateway.robot.edge.exposure import listen_endpoints
+from gateway.zenoh_config import get, insert, scouting_off
+
+SUBJECT: Final = "the simulated body"
+_LINK: Final = "unixsock-stream"
+_CONTROL: Final = "access_control"
+_USERS: Final = "transport/auth/usrpwd/dictionary_file"
+_RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+
+
+def endpoint(folder: Path) -> str:
+    """Where the gateway listens for it."""
+    return f"{_LINK}/{folder / 'socket'}"
+
+
+def admit(config: zenoh.Config, folder: Path) -> None:
+    """Let whoever can enter `folder` publish the body. Raises ConfigError in a mode in which nobody can be let in."""
+    if get(config, "mode") == "client":
+        raise ConfigError('--sim=physics needs mode: "peer" in the Zenoh file: a client cannot be reached')
+    insert(config, "listen/endpoints", [*listen_endpoints(config), endpoint(folder)], "zenoh.listen")
+    if get(config, "transport/link/protocols"):
+        _append(config, "transport/link/protocols", _LINK)
+    if get(config, f"{_CONTROL}/enabled") is True:
+        rules = access.body_rules(get(config, "namespace") or "")
+        _append(config, f"{_CONTROL}/rules", *rules)
+        _append(config, f"{_CONTROL}/subjects", {"id": SUBJECT, "link_protocols": [_LINK]})
+        _append(config, f"{_CONTROL}/policies", {"subjects": [SUBJECT], "rules": [rule["id"] for rule in rules]})
+    if (users := get(config, _USERS)) is not None:
+        known = folder / "users"
+        known.touch(0o600)
+        known.write_text(f"{Path(users).read_text().rstrip()}\n{SUBJECT}:{secrets.token_hex()}\n")
+        insert(config, _USERS, str(known), _USERS)
+
+
+def client_config(gateway: zenoh.Config, folder: Path, zenoh_id: str) -> zenoh.Config:
+    """What that process opens, to reach the gateway that `admit` has configured."""
+    config = zenoh.Config()
+    values = {
+        "mode": "client",
+        "id": zenoh_id,
+        "connect/endpoints": [endpoint(folder)],
+        "connect/timeout_ms": -1,
+        "connect/retry": _RETRY,
+    }
+    if namespace := get(gateway, "namespace"):
+        values["namespace"] = namespace
+    if users := get(gateway, _USERS):
+        user, _, password = Path(users).read_text().splitlines()[-1].partition(":")
+        values |= {"transport/auth/usrpwd/user": user, "transport/auth/usrpwd/password": password}
+    for key, value in values.items():
+        insert(config, key, value, key)
+    scouting_off(config)
+    return config
+
+
+def _append(config: zenoh.Config, key: str, *values: Any) -> None:
+    insert(config, key, [*(get(config, key) or []), *values], key)
