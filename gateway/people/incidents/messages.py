@@ -1,7 +1,8 @@
 """An incident's records as messages of a recording: on the channels of our keys, in the time that people read."""
 
 from array import array
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Final
 
@@ -74,9 +75,7 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
     times_ns = records.times_ns
     taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
     decisions = _Decisions(records, taken)
-    zero_ns = incident.zero_wall_ns
-    note = Note(time=_time(zero_ns), what=INCIDENT, detail=incident.name)
-    yield Message(RECORDER, note.model_dump(mode="json"), zero_ns, zero_ns)
+    notes = deque(sorted(_notes(incident, records, taken), key=lambda note: note.time_ns))
     calibration = records.calibration_at(incident.begin_ns)
     if calibration is not None:  # so that the frames can be read, which have the servos' own angles
         begin_ns = incident.wall_ns(incident.begin_ns)
@@ -84,25 +83,36 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
     killed_ns = incident.killed_ns
     last: int | None = None  # the place in `records` of what a gateway wrote that has not recorded its end
     ended = False
+    before_ns = incident.begin_ns
     for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
         record = records[taken[place]]
         if killed_ns is not None and record.ns > killed_ns:
             yield _killed(incident.wall_ns(killed_ns))
             killed_ns = last = None
+        wall_ns = incident.wall_ns(record.ns)
+        while notes and notes[0].time_ns <= wall_ns:
+            yield notes.popleft()
         if isinstance(record.content, form.Start):
             if last is not None and last < taken[place]:  # the gateway before it, whose end is an incident of its own
-                yield _killed(incident.wall_ns(times_ns[last]))
-            yield from _stops_before(record, incident)
+                yield _killed(incident.wall_ns(before_ns))
             ended = False
         ended = ended or isinstance(record.content, form.End)
-        last = None if ended else taken[place]
-        wall_ns = incident.wall_ns(record.ns)
+        last, before_ns = None if ended else taken[place], record.ns
         topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
         if topic_and_report is not None:
             topic, report = topic_and_report
             yield Message(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
+    yield from notes
     if killed_ns is not None:
         yield _killed(incident.wall_ns(killed_ns))
+
+
+def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterator[Message]:
+    """The incident, and what a start states of the time before it."""
+    yield _noted(incident.zero_wall_ns, INCIDENT, incident.name)
+    for index in taken:
+        if records.kinds[index] == form.START:
+            yield from _stops_before(records[index], incident)
 
 
 class _Decisions:
@@ -137,14 +147,16 @@ def _stops_before(start: form.Record, incident: Incident) -> Iterator[Message]:
     facts = start.content.facts if isinstance(start.content, form.Start) else {}
     match [facts.get(name) for name in form.STOP_FACTS]:
         case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
-            wall_ns = incident.wall_ns(first_ns)
             repeated = f"repeated for {(last_ns - first_ns) / 1e6:.0f} ms"
-            note = Note(time=_time(wall_ns), what="stop-servos", detail=repeated)
-            yield Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
+            yield _noted(incident.wall_ns(first_ns), "stop-servos", repeated)
 
 
 def _killed(wall_ns: int) -> Message:
-    note = Note(time=_time(wall_ns), what="killed", detail="its last record; it ended without a word")
+    return _noted(wall_ns, "killed", "its last record; it ended without a word")
+
+
+def _noted(wall_ns: int, what: str, detail: str) -> Message:
+    note = Note(time=_time(wall_ns), what=what, detail=detail)
     return Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
 
 

@@ -170,7 +170,7 @@ def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: P
     (incident,) = find(records, written=True, now_ns=0)
     path = archive.keep(tmp_path, incident, records)
     told = [(each.content["what"], each.time_ns) for each in read(path) if each.topic == RECORDER]
-    assert told == [("incident", 2 * SECOND), ("mode", 0), ("start", SECOND)]
+    assert told == [("mode", 0), ("start", SECOND), ("incident", 2 * SECOND)]
 
 
 def test_an_event_of_an_earlier_time_ends_no_incident_before_it_began() -> None:
