@@ -113,4 +113,6 @@ def encoded(content: form.Content) -> bytes:
             made = form.incident(wall_ns, name)
         case form.Calibrated(report):
             made = form.calibration(report)
+        case form.About(facts):
+            made = form.about(facts)
     return made

@@ -131,6 +131,8 @@ HOSTILE: Final[Written] = [
     (form.CLOCK, 8, form.number(0)),
     (form.CALIBRATION, 9, b'{"revision":1,"servos":{"31":{"trim_deg":7.5}},"landing":{"32":90}}'),
     (form.CALIBRATION, 9, b'{"revision":-1,"servos":{"77":{"trim_deg":1e999,"min_deg":9}},"landing":{"":NaN}}'),
+    (form.ABOUT, 9, b'{"version":"9","limits":{"servos":[[[[{}]]]]}}'),
+    (form.ABOUT, 9, b'{"version":NaN}'),
     (form.FRAME, 10, form.frame(stop_leg(3).to_bytes(), "watchdog", 1)),
 ]
 """What no recorder writes in this way."""

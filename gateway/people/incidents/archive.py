@@ -77,6 +77,8 @@ def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) 
     """Write an incident to a file; returns its headline. Raises OSError; FileExistsError unless `overwrite`."""
     begin_ns = incident.wall_ns(incident.begin_ns)
     with Recording(path, overwrite=overwrite, time_ns=begin_ns, reports={EVENT: Event}) as recording:
+        if about := records.about_at(incident.zero_ns):
+            recording.describe(about)
         return headline(_written(messages(incident, records), recording))
 
 

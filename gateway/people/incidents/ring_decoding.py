@@ -6,6 +6,8 @@ import struct
 from collections.abc import Callable
 from typing import Final
 
+from pydantic_core import from_json
+
 from gateway.robot.blackbox import format as form
 from gateway.robot.core.calibration import calibration_of
 from gateway.robot.protocol.frames import Op, ServoOp
@@ -87,6 +89,13 @@ def _calibrated(rest: bytes) -> form.Calibrated:
     return form.Calibrated(report)
 
 
+def _about(rest: bytes) -> form.About:
+    facts = from_json(rest, allow_inf_nan=False)  # unlike json's, it has an end to lists within lists
+    if not isinstance(facts, dict):
+        raise form.DamagedError("versions and settings that have no names")
+    return form.About(facts)
+
+
 def _op(value: int) -> ServoOp:
     """Raises FrameError, a ValueError, for what is no operation."""
     if value == form.STOP_CODE:
@@ -118,5 +127,6 @@ _READERS: Final[dict[int, Callable[[bytes], form.Content]]] = {
     form.CLOCK: lambda rest: form.Clock(_wall_ns(rest)),
     form.LAG: lambda rest: form.Lag(form.WALL.unpack(rest)[0]),
     form.CALIBRATION: _calibrated,
+    form.ABOUT: _about,
     form.INCIDENT: lambda rest: form.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

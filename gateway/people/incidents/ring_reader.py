@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final, overload
+from typing import Any, Final, overload
 
 from gateway.errors import GatewayError
 from gateway.people.incidents.ring_decoding import decode
@@ -71,6 +71,19 @@ class Records(Sequence[form.Record]):
             if found is None or since_ns <= ns:
                 found = calibration  # if all are later, the first: what was in force until then
         return found or self._calibration
+
+    def about_at(self, ns: int) -> dict[str, Any]:
+        """Versions and settings of the gateway that ran then; empty where they are not known."""
+        found: dict[str, Any] = {}
+        for index, kind in enumerate(self.kinds):
+            if kind == form.START and self.times_ns[index] > ns:
+                break
+            if kind == form.START:
+                found = {}
+            elif kind == form.ABOUT and (not found or self.times_ns[index] <= ns):
+                content = self[index].content
+                found = content.facts if isinstance(content, form.About) else found
+        return found
 
     @cached_property
     def _calibrations(self) -> list[tuple[int, Calibration]]:

@@ -142,10 +142,9 @@ class Recording:
             Channel(id=number, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata={})
         )
 
-    def describe(self, state: GatewayState) -> None:
-        """Note whose recording it is: versions, and the settings that the state shows."""
-        found = state.model_dump(mode="json", include={"version", "protocol", "simulated", "spi", "watchdog", "limits"})
-        found["recorded_with"] = LIBRARY
+    def describe(self, about: Mapping[str, Any]) -> None:
+        """Note whose recording it is: versions and settings, by their names."""
+        found = {**about, "recorded_with": LIBRARY}
         self._writer.add_metadata(METADATA, {name: json.dumps(value) for name, value in found.items()})
 
     def add_report(self, topic: str, report: Mapping[str, Any], time_ns: int) -> None:
@@ -194,6 +193,11 @@ class Recording:
         data = records.end()
         Chunk("zstd", zstandard.compress(data), 0, 0, zlib.crc32(data), len(data)).write(chunk)
         self._file.write(chunk.end())
+
+
+def about(state: GatewayState) -> dict[str, Any]:
+    """Versions, and the settings that the state shows."""
+    return state.model_dump(mode="json", include={"version", "protocol", "simulated", "spi", "watchdog", "limits"})
 
 
 def published_ns(report: Mapping[str, Any]) -> int | None:

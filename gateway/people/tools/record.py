@@ -12,6 +12,7 @@ from gateway.geometry import load
 from gateway.people.client.live import ReportQueue
 from gateway.people.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
 from gateway.people.recordings import repair as repair_recording
+from gateway.people.recordings.writing import about
 from gateway.people.terminal import clear_line, hint, say, show_line, this_command
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.signals import on_end_signals
@@ -49,7 +50,7 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
             recording = Recording(path, shape, overwrite=overwrite, time_ns=time.time_ns())
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
-        recording.describe(state)
+        recording.describe(about(state))
         reports = ReportQueue(REPORTS, MOST_WAITING, state.physics)
         if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
             reports.put(CALIBRATION, client.calibration().model_dump_json().encode())

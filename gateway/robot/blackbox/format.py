@@ -57,6 +57,7 @@ pack_slot_into: Final = _SLOT.pack_into
 # ---- types
 
 START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
+ABOUT: Final = 14
 
 
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
@@ -174,6 +175,13 @@ class Calibrated:
     calibration: Calibration
 
 
+@dataclass(frozen=True, slots=True)
+class About:
+    """Which version runs, and by which settings, every ten seconds: so each incident's file can have them."""
+
+    facts: dict[str, Any]
+
+
 Content = (
     Start
     | End
@@ -186,6 +194,7 @@ Content = (
     | Clock
     | IncidentBegun
     | Calibrated
+    | About
 )
 
 
@@ -400,3 +409,8 @@ def incident(wall_ns: int, name: str) -> bytes:
 def calibration(report: Calibration) -> bytes:
     """Of a Calibrated. With all that a calibration may say it has some 1800 bytes."""
     return report.model_dump_json().encode()
+
+
+def about(facts: dict[str, Any]) -> bytes:
+    """Of an About. With all that settings may state it has some 2000 bytes."""
+    return json.dumps(facts).encode()

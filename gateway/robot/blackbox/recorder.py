@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Final, Self
 
+from gateway import __version__
 from gateway.errors import GatewayError
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
@@ -20,6 +21,7 @@ from gateway.robot.blackbox.ring import Ring
 from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.events import Transmit, value
 from gateway.robot.core.targets import Targets
+from gateway.robot.protocol import VERSION
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode
@@ -27,6 +29,8 @@ from schemas.telemetry import Kind, Mode
 LAG_NS: Final = 10_000_000
 """A timer that is later than this is recorded: a Stop would have been late by it."""
 CLOCK_NS: Final = 1_000_000_000
+ABOUT_NS: Final = 10_000_000_000
+"""How often versions and settings are recorded: an incident reaches back as far, and has them among its records."""
 FOLLOW_NS: Final = 5_000_000_000
 """An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
 LONGEST_NS: Final = 30_000_000_000
@@ -149,6 +153,8 @@ class RingRecorder(Recorder):
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._clock_ns = 0  # when the time that people read was recorded last
+        self._about = form.about(_about(settings, facts))
+        self._about_ns = -ABOUT_NS
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
 
@@ -233,6 +239,9 @@ class RingRecorder(Recorder):
         if now_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = now_ns
             self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
+        if now_ns - self._about_ns >= ABOUT_NS:
+            self._about_ns = now_ns
+            self._append(form.ABOUT, now_ns, self._about)
 
     def mistake(self, detail: str) -> None:
         now_ns = self._clock()
@@ -281,6 +290,18 @@ def incident_id(wall_ns: int, what: str) -> str:
     """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
     seconds, ns = divmod(wall_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"
+
+
+def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
+    """What a recording has of a gateway, too, under the same names as in its state."""
+    return {
+        "version": __version__,
+        "protocol": VERSION,
+        "simulated": facts.get("simulated"),
+        "spi": settings.spi.model_dump(mode="json"),
+        "watchdog": settings.watchdog.model_dump(mode="json"),
+        "limits": settings.limits.model_dump(mode="json"),
+    }
 
 
 def _forget(_kind: int, _ns: int, _rest: bytes) -> None:

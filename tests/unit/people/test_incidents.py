@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
+from gateway import __version__
 from gateway.errors import SpiError
 from gateway.geometry import load
 from gateway.people.incidents import archive, ring_reader
@@ -16,6 +17,7 @@ from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
 from gateway.people.incidents.story import _WORSE, story, what
 from gateway.people.recordings import read
+from gateway.people.recordings.contents import contents
 from gateway.people.recordings.drawing import JOINT_STATES
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.robot.blackbox import format as form
@@ -338,6 +340,30 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     assert_ordered(path)
 
 
+@pytest.mark.virtual_time
+async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happened_to(folder: Path) -> None:
+    first = recorded(folder, watchdog={"timeout_ms": 300})
+    first.conductor.recorder.beat(0)
+    await silence(first)
+    first.conductor.recorder.ended("asked to")
+    first.conductor.recorder.close()
+    second = recorded(folder, watchdog={"timeout_ms": 500}, spi={"framing": "length-prefixed"})
+    second.conductor.recorder.beat(0)
+    await estop(second)
+    (before, after), content = incidents(folder)
+    about = [contents(archive.keep(folder, each, content.records)).about for each in (before, after)]
+    assert [each["watchdog"]["timeout_ms"] for each in about] == [300, 500]
+    assert [each["spi"]["framing"] for each in about] == ["plain", "length-prefixed"]
+    assert {each["version"] for each in about} == {__version__}
+
+
+def test_of_a_gateway_that_recorded_no_settings_none_are_known() -> None:
+    """An older one, behind one that did."""
+    told = (10.0, form.About({"version": "9"})), (20.0, form.Start(WALL_NS, {}))
+    assert records(*told).about_at(15 * SECOND) == {"version": "9"}
+    assert records(*told).about_at(25 * SECOND) == {}
+
+
 def assert_ordered(path: Path) -> None:
     """No message is logged earlier than the one before it: Rerun calls such a file unordered, and seeks slowly."""
     with path.open("rb") as file:
@@ -370,6 +396,7 @@ KINDS: dict[type[form.Content], int] = {
     form.EventTold: form.EVENT,
     form.FrameWritten: form.FRAME,
     form.IncidentBegun: form.INCIDENT,
+    form.About: form.ABOUT,
 }
 
 

@@ -28,6 +28,7 @@ from gateway.people.recordings.drawing import (
 )
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.reading import records
+from gateway.people.recordings.writing import about
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.definition import definition
 from gateway.people.ros2.messages import JointState, String, TFMessage, TransformStamped
@@ -242,7 +243,7 @@ def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> No
 
 def test_its_contents_are_said_for_people_and_programs(path: Path) -> None:
     with recorded(path) as recording:
-        recording.describe(GatewayState.model_validate(next(report for topic, report, _ in reports(1))))
+        recording.describe(about(GatewayState.model_validate(next(report for topic, report, _ in reports(1)))))
     found = contents(path)
     assert found.messages[keys.FRAME] == sum(topic == keys.FRAME for topic, _, _ in reports(600))
     assert found.end_s - found.begin_s == pytest.approx(599 * PERIOD_NS / 1e9, abs=1e-3)
