@@ -15,19 +15,19 @@ CONSOLE_DAYS: Final = 459
 
 if TYPE_CHECKING:
     from gateway.certs import revocation
-    from gateway.certs.authority import first_number
-    from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, is_issued, issue, renew
+    from gateway.certs.authority import first_number, is_issued
+    from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, issue, renew
     from gateway.certs.moving import drop_ca, reissue, replace_ca, revoke, set_pool, states
     from gateway.certs.proof import ProofChecker
     from gateway.certs.reading import read_certificate, read_certificates, read_file
 
 _HOMES: Final = {
     **dict.fromkeys(
-        ("Certificate", "add_robots", "console", "describe", "expiries", "init", "is_issued", "issue", "renew"),
+        ("Certificate", "add_robots", "console", "describe", "expiries", "init", "issue", "renew"),
         "gateway.certs.folder",
     ),
     **dict.fromkeys(("drop_ca", "reissue", "replace_ca", "revoke", "set_pool", "states"), "gateway.certs.moving"),
-    "first_number": "gateway.certs.authority",
+    **dict.fromkeys(("first_number", "is_issued"), "gateway.certs.authority"),
     "ProofChecker": "gateway.certs.proof",
     **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
 }

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
@@ -148,6 +149,15 @@ def renew(
     if hosts:
         kept.append(x509.SubjectAlternativeName([_general_name(host) for host in hosts]))
     return _sign(ca, old.subject, old.public_key(), kept, days=days, now=now)
+
+
+def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
+    """Whether this CA has signed it."""
+    try:
+        certificate.verify_directly_issued_by(ca)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
 
 
 def parse_host(text: str) -> str:

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import zenoh
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 
 from gateway.certs import (
@@ -30,7 +29,7 @@ from gateway.certs import (
     revocation,
     zenoh_files,
 )
-from gateway.certs.authority import KeyPair
+from gateway.certs.authority import KeyPair, is_issued
 from gateway.certs.publish import SECRET, Content, publish, replace
 from gateway.certs.reading import read_certificate, read_certificates, read_file, read_key
 from gateway.errors import ConfigError
@@ -246,7 +245,7 @@ def renew(
     _check_days(days)
     if name != authority.GATEWAY:
         _check_name(name)
-    own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else "ca"
+    own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else authority.CA
     ca, path = load_ca(directory, now, own), directory / f"{name}.pem"
     old = read_certificate(path)
     _check_renewable(directory, path, old, ca, own)
@@ -369,7 +368,7 @@ def _check_renewable(directory: Path, path: Path, old: x509.Certificate, ca: Key
     known = revoked(directory)
     if known is not None and known.holds(common_name, old.serial_number):
         raise ConfigError(f"{path} is revoked; `hexapod-gateway certs issue` makes another")
-    issuers = [ca.certificate] if own != "ca" else read_certificates(directory / "ca.pem")
+    issuers = [ca.certificate] if own != authority.CA else read_certificates(directory / "ca.pem")
     issuer = next((each for each in issuers if is_issued(old, each)), None)
     if issuer is None:
         raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there")
@@ -379,16 +378,7 @@ def _check_renewable(directory: Path, path: Path, old: x509.Certificate, ca: Key
         )
 
 
-def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
-    """Whether this CA has signed it."""
-    try:
-        certificate.verify_directly_issued_by(ca)
-    except (ValueError, TypeError, InvalidSignature):
-        return False
-    return True
-
-
-def load_ca(directory: Path, now: dt.datetime, name: str = "ca") -> KeyPair:
+def load_ca(directory: Path, now: dt.datetime, name: str = authority.CA) -> KeyPair:
     """A CA of the folder with its key, the newest one; raises ConfigError where it is missing or has expired."""
     try:
         (directory / f"{name}.key").lstat()

@@ -163,7 +163,7 @@ def of_older_ca(directory: Path) -> list[Certificate]:
         return []
     newest = read_certificates(directory / "ca.pem")[0]
     found = [each for each in folder.expiries(directory) if each.role not in (authority.CA, authority.CONSOLE)]
-    return [each for each in found if not folder.is_issued(read_certificate(each.path), newest)]
+    return [each for each in found if not authority.is_issued(read_certificate(each.path), newest)]
 
 
 def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:

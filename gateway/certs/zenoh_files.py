@@ -9,7 +9,7 @@ import ipaddress
 import json
 from collections.abc import Sequence
 
-from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR, access, pool
+from gateway.certs import BUTTON, LAPTOP_ROLES, OBSERVER, OPERATOR, access, pool
 from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
 
 DEFAULT_PORT = 7447
@@ -112,16 +112,19 @@ _LAPTOP = """\
 }
 """
 
+_COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("button", "estop")}
+"""What a bundle's README suggests besides `watch`."""
+
 _README = """\
 The files of @NAME@, @ROLE@ of the hexapod at @HOSTS@. Valid until @EXPIRY@.
 
 Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it is @NAME@.
 
-  hexapod-gateway watch --zenoh-config path/to/@NAME@.json5@COMMAND@
+  hexapod-gateway watch --zenoh-config path/to/@NAME@.json5@COMMANDS@
 
 In Python:
 
-  from gateway.people.client.blocking import Client
+  from gateway.client import Client
   with Client(zenoh_config="path/to/@NAME@.json5") as robot:
       print(robot.state().mode)
 
@@ -163,8 +166,8 @@ def _namespace(namespace: str) -> str:
 
 def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str) -> bytes:
     """What a bundle says to the person who unzips it."""
-    command = f"\n  hexapod-gateway estop --zenoh-config path/to/{name}.json5" if role == "operator" else ""
-    return fill(_README, NAME=name, ROLE=role, HOSTS=" or ".join(hosts), EXPIRY=expiry, COMMAND=command)
+    commands = "".join(f"\n  hexapod-gateway {each} --zenoh-config path/to/{name}.json5" for each in _COMMANDS[role])
+    return fill(_README, NAME=name, ROLE=role, HOSTS=" or ".join(hosts), EXPIRY=expiry, COMMANDS=commands)
 
 
 def endpoint(host: str, port: int) -> str:

@@ -18,7 +18,7 @@ from gateway import certs
 from gateway.certs import authority
 from gateway.certs.zenoh_files import endpoint
 from gateway.errors import ConfigError
-from gateway.people.tools.certs import app
+from gateway.people.tools.certs_changes import app
 from gateway.zenoh_config import certificate_files, load_client_config, load_config
 from schemas.command import MAX_PAYLOAD_BYTES
 from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
@@ -121,7 +121,9 @@ def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp
         assert (archive.getinfo("alice.key").external_attr >> 16) & 0o777 == 0o600
         assert archive.read("alice.key") == (folder / "alice.key").read_bytes()
         assert archive.read("ca.pem") == (folder / "ca.pem").read_bytes()
-        assert b"@" not in archive.read("README.txt")
+        readme = archive.read("README.txt").decode()
+        assert "@" not in readme
+        assert "  hexapod-gateway walk --zenoh-config path/to/alice.json5\n" in readme
         archive.extractall(tmp_path / "elsewhere")
     config = load_client_config(tmp_path / "elsewhere" / "alice.json5")
     tls = json.loads(config.get_json("transport/link/tls"))
