@@ -2,16 +2,22 @@
 
 import os
 import signal
+import ssl
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, expect
 
+from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.console.browser import HIDE, Opened, Visitor
+from tests.support.console_process import Console, sign_in
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, states
+from tests.support.secured import Secured
 
 pytestmark = pytest.mark.browser
 
@@ -42,9 +48,9 @@ def alive(watcher: Client, count: int) -> GatewayState:
     return states(watcher).wait(lambda state: state.buttons.alive == count, timeout_s=30)
 
 
-def watching(visitor: Visitor, watcher: Client, script: str = "") -> Opened:
+def watching(visitor: Visitor, watcher: Client, script: str = "", **options: Any) -> Opened:
     """A page that checks in."""
-    page = visitor.open(script=script)
+    page = visitor.open(script=script, **options)
     page.page.goto(f"{page.page.url.rstrip('/')}/button")
     expect(page["word"]).to_have_text("TAP TO WATCH")
     page["button"].click()
@@ -58,11 +64,31 @@ def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
     page["button"].click()
     expect(page["known"]).to_have_text("STOPPED: 6 Stops written")
     expect(page["word"]).to_have_text("STOPPED")
-    assert watcher.state().mode == Mode.ESTOPPED
+    state = watcher.state()
+    assert state.mode == Mode.ESTOPPED
+    assert state.estop_source == state.buttons.names[0], "by its own name, and not the console's"
     assert watcher.reset().accepted
     expect(page["word"]).to_have_text("STOP")
     page["leave"].click()
     alive(watcher, 0)
+
+
+def test_with_certificates_and_tls_a_tap_stops_by_the_buttons_own_name(browser: Browser, tmp_path: Path) -> None:
+    with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 2000}}) as secured, secured.client("otto") as otto:
+        certs.console(secured.folder, "web", ["127.0.0.1"])
+        files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
+        heard = events(otto)
+        with Console(tmp_path / "console", *files, f"--zenoh-config={secured.folder / 'anna.json5'}") as console:
+            verify = ssl.create_default_context(cafile=secured.folder / "web-ca.pem")
+            with Visitor(browser, console.url, sign_in(console.new_link(), verify)) as visitor:
+                page = watching(visitor, otto, ignore_https_errors=True)
+                (name,) = otto.state().buttons.names
+                assert name.startswith("anna/page ")
+                expect(page["count"]).to_have_text(f"{name} · 1 alive, 1 required")
+                page["button"].click()
+                expect(page["known"]).to_have_text("STOPPED: 6 Stops written")
+                assert heard.wait(lambda event: event.kind == Kind.ESTOP_ENGAGED).source == name
+                assert otto.state().estop_source == name
 
 
 def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(visitor: Visitor, watcher: Client) -> None:

@@ -112,14 +112,17 @@ class GatewayLink:
         """How the robot is now. Raises GatewayError."""
         return await asyncio.to_thread(self._session().state)
 
-    async def estop(self) -> Ack:
-        """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError."""
+    async def estop(self, source: str | None) -> Ack:
+        """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError.
+
+        `source`: by whose name, if not the console's.
+        """
         await self._opened.wait()
         client = self._session()
         if not client.connected:
             self._spare.give_up()  # another way to the gateway takes descriptors, and there may be no others
         try:
-            return await self._stop_all.run(client.estop)
+            return await self._stop_all.run(partial(client.estop, source))
         finally:
             self._spare.fill()
 

@@ -119,6 +119,8 @@ class StopAll(Closed):
 
     type: Literal["stop_all"]
     id: Id
+    button: bool = False
+    """Pressed on a page that is a stop button: by its name."""
 
 
 class Reset(Closed):

@@ -184,7 +184,7 @@ class Page:
     ) -> None:
         match message:
             case StopAll():
-                self._stops.press(self, message.id)
+                self._stops.press(self, message.id, self._button.name if message.button else None)
             case Command():
                 self._command(message)
             case Reset():

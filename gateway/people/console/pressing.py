@@ -24,7 +24,7 @@ class Pressing:
     ) -> None:
         """`requests` raises GatewayError while there is no session. `name` is the page's."""
         self._requests = requests
-        self._name = name
+        self.name = name
         self._send = send
         self._token: str | None = None
         self._count = 0
@@ -54,7 +54,7 @@ class Pressing:
         """On a thread."""
         requests = self._requests()
         if message.do == "register":
-            return requests.register(self._name, message.sent_ms)
+            return requests.register(self.name, message.sent_ms)
         token = self._token or "0" * 32  # of no button: the gateway says so
         if message.do == "leave":
             self._token = None
@@ -70,7 +70,7 @@ class Pressing:
                 "accepted": ack.accepted,
                 "reason": None if ack.reason is None else str(ack.reason),
                 "detail": ack.detail,
-                "name": self._name,
+                "name": self.name,
                 "timeout_ms": ack.timeout_ms,
                 "alive": ack.alive,
                 "required": ack.required,

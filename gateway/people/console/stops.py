@@ -32,6 +32,7 @@ class StopPage(Protocol):
 class _Press:
     page: StopPage | None
     id: int
+    source: str | None
     pressed_ns: int
     attempts: int = 0
 
@@ -39,11 +40,11 @@ class _Press:
 class Stops:
     """All pages' stops."""
 
-    def __init__(self, ask: Callable[[], Awaitable[Ack]]) -> None:
-        """`ask` requests the emergency stop and waits for its Ack, or raises."""
+    def __init__(self, ask: Callable[[str | None], Awaitable[Ack]]) -> None:
+        """`ask` requests the emergency stop by a name (None: the console's) and waits for its Ack, or raises."""
         self._ask = ask
         self._unconfirmed: list[_Press] = []
-        self._requests: set[asyncio.Task[None]] = set()
+        self._requests: set[asyncio.Task[None] | None] = set()
         self._newest_began_ns = 0
 
     @property
@@ -51,15 +52,15 @@ class Stops:
         """Whether a press waits for its confirmation."""
         return bool(self._unconfirmed)
 
-    def press(self, page: StopPage, press_id: int) -> None:
-        """A page asks for it, now."""
-        press = _Press(page, press_id, time.monotonic_ns())
+    def press(self, page: StopPage, press_id: int, source: str | None = None) -> None:
+        """A page asks for it, now; `source` is by whose name, if not the console's."""
+        press = _Press(page, press_id, source, time.monotonic_ns())
         mine = [other for other in self._unconfirmed if other.page is page]
         if len(mine) >= MAX_PRESSES:
             self._unconfirmed.remove(mine[0])
         self._unconfirmed.append(press)
         if len(self._requests) < AT_ONCE:
-            self._request()
+            self._request(source)
         self._send(press)
 
     def leave(self, page: StopPage) -> None:
@@ -71,16 +72,16 @@ class Stops:
         for press in orphans[:-1]:
             self._unconfirmed.remove(press)
 
-    def _request(self) -> None:
-        request = asyncio.get_running_loop().create_task(self._run())
+    def _request(self, source: str | None) -> None:
+        request = asyncio.get_running_loop().create_task(self._run(source))
         self._requests.add(request)
         request.add_done_callback(self._requests.discard)
 
-    async def _run(self) -> None:
+    async def _run(self, source: str | None) -> None:
         began_ns = self._newest_began_ns = time.monotonic_ns()
         ack, error = None, None
         try:
-            ack = await self._ask()
+            ack = await self._ask(source)
         except Exception as failed:  # no thread, no memory, no descriptor: whatever it is, it is asked again
             error = str(failed) or repr(failed)
         for press in [press for press in self._unconfirmed if press.pressed_ns <= began_ns]:
@@ -90,9 +91,10 @@ class Stops:
             self._send(press, ack, error)
         if ack is None:
             await asyncio.sleep(AGAIN_S)
+        self._requests.discard(asyncio.current_task())  # two that end at once must not each leave it to the other
         waiting = any(press.pressed_ns > self._newest_began_ns for press in self._unconfirmed)
-        if waiting or (self._unconfirmed and len(self._requests) == 1):  # this one, which ends now
-            self._request()
+        if waiting or (self._unconfirmed and not self._requests):
+            self._request(self._unconfirmed[-1].source)
 
     def _send(self, press: _Press, ack: Ack | None = None, error: str | None = None) -> None:
         if press.page is None:

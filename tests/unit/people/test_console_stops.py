@@ -20,8 +20,10 @@ class Robot:
 
     def __init__(self) -> None:
         self.requests: list[asyncio.Future[Ack]] = []
+        self.sources: list[str | None] = []
 
-    async def estop(self) -> Ack:
+    async def estop(self, source: str | None) -> Ack:
+        self.sources.append(source)
         request: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
         self.requests.append(request)
         return await request
@@ -103,6 +105,33 @@ async def test_whatever_goes_wrong_it_is_asked_again(robot: Robot, fault: Except
     await turns()
     await robot.answer(1)
     assert page.answered() == [7]
+
+
+async def test_two_requests_that_fail_at_once_do_not_each_leave_it_to_the_other(robot: Robot) -> None:
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 1)
+    stops.press(page, 2)
+    await turns()
+    await robot.fail(0)
+    await robot.fail(1)
+    await asyncio.sleep(AGAIN_S)
+    await turns()
+    await robot.answer(2)
+    assert page.answered() == [1, 2]
+
+
+async def test_it_is_asked_for_by_the_name_of_whoever_pressed_and_again_by_the_latest(robot: Robot) -> None:
+    stops, page = Stops(robot.estop), Page()
+    stops.press(page, 1)
+    await turns()
+    await asyncio.sleep(0.001)
+    stops.press(page, 2, "anna/page 3")
+    await turns()
+    await robot.answer(0)
+    await robot.fail(1)
+    await asyncio.sleep(AGAIN_S)
+    await turns()
+    assert robot.sources == [None, "anna/page 3", "anna/page 3"]
 
 
 async def test_a_press_outlives_its_page_and_those_of_many_pages_are_one(robot: Robot) -> None:

@@ -78,8 +78,13 @@ export class StopButton {
     navigator.vibrate?.(60);
     this.stopId ??= this.link.nextId();
     this.stopLine = "STOPPING …";
-    this.link.sendStop({ type: "stop_all", id: this.stopId });
+    this.#press(this.stopId);
     this.#refresh();
+  }
+
+  /** By this button's name. @param {number} id */
+  #press(id) {
+    this.link.sendStop({ type: "stop_all", id, button: true });
   }
 
   #register() {
@@ -113,7 +118,7 @@ export class StopButton {
 
   #opened() {
     this.asked = null;
-    if (this.stopId !== null) this.link.sendStop({ type: "stop_all", id: this.stopId });
+    if (this.stopId !== null) this.#press(this.stopId);
     if (this.watches) this.#register(); // the token belongs to the connection before
   }
 
