@@ -26,6 +26,8 @@ JSON:
     hand-over NAME      {} once it is handed over
     release             {} once the lease is released
     lost                how the lease was lost, once it is
+    watch               from now on, be a stop button that checks in by itself
+    checked-in          once the gateway has taken a check-in from now on: when it was sent, on the monotonic clock
     stop                stop all six legs, acknowledged
     estop               engage the emergency stop, acknowledged
     reset               leave it, acknowledged
@@ -50,6 +52,7 @@ from zenoh.handlers import FifoChannel, RingChannel
 
 from gateway.client import Client, Lease, LeaseError, leg_payload
 from gateway.errors import ZenohError
+from gateway.people.tools.button.check_ins import CheckIns
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
 PERIOD_S = 0.02
@@ -94,6 +97,7 @@ class Streamer:
         self._in_reach = False
         self._lease: Lease | None = None
         self._lost = threading.Event()
+        self._check_ins: CheckIns
         session = client.session
         self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
         self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
@@ -104,7 +108,7 @@ class Streamer:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "try" | "lease" | "hand-over" | "release" | "lost":
+            case "try" | "lease" | "hand-over" | "release" | "lost" | "watch" | "checked-in":
                 return self._drive(word, *rest)
             case "stream" | "ask" | "flood" | "deaf" | "deaf-flood":
                 return self._begin(word, rest)
@@ -158,10 +162,25 @@ class Streamer:
                 self._lease.hand_over(rest[0])
             case "release" if self._lease is not None:
                 self._lease.release()
+            case "watch":
+                button = self._client.button()
+                button.register()
+                self._check_ins = CheckIns(button, lambda: True, lambda: self._client.state().uptime_s)
+                self._check_ins.start()
+            case "checked-in":
+                return self._checked_in(self._check_ins)
             case "lost" if self._lease is not None:
                 assert self._lost.wait(BOUND_S), "the lease is not lost"
                 raise self._lease.lost or AssertionError
         return {}
+
+    def _checked_in(self, check_ins: CheckIns) -> Any:
+        before_s, end_s = check_ins.confirmed_s, time.monotonic() + BOUND_S
+        while check_ins.confirmed_s == before_s:
+            if time.monotonic() > end_s:
+                return {"error": f"none in {BOUND_S} s: {check_ins.trouble}"}
+            time.sleep(0.001)
+        return {"sent_ns": round(check_ins.confirmed_s * 1e9)}
 
     def _report(self, count: int, *, end: bool) -> Any:
         with self._progress:
