@@ -29,7 +29,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.forks import Forks
-from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
+from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 
@@ -118,6 +118,7 @@ def test_the_kernel_ends_a_service_that_hangs_while_its_manager_does_not_look(
         wire.bed.release()
 
 
+@EACH_FRAMING
 def test_a_transfer_that_never_returns_is_the_service_managers_case(
     tmp_path: Path, wire: Wire, manager: ManagerSocket
 ) -> None:
@@ -168,7 +169,7 @@ def test_a_gateway_that_works_is_heard_in_time_also_under_load(
 # ---- killed under load
 
 
-KILLS = int(os.environ.get("KILLS", "50"))  # for each framing; KILLS=200 takes some minutes
+KILLS = int(os.environ.get("KILLS", "24"))  # for each framing; KILLS=200 takes some minutes
 LANES = 3  # gateways that share nothing, at once
 
 
@@ -315,6 +316,7 @@ def later(transfers: list[Transfer], begin_ns: int) -> list[Transfer]:
     return [replace(each, monotonic_ns=each.monotonic_ns + moved_ns) for each in transfers]
 
 
+@EACH_FRAMING
 def test_wherever_it_died_stop_servos_leaves_no_servo_on(wire: Wire, last_resort: list[Transfer]) -> None:
     for cut in cuts(wire.framing):
         for lag_ns in LAGS_NS:

@@ -15,7 +15,7 @@ from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, Replay, Wire, settings_for, start
+from tests.hil.wire import EACH_FRAMING, LATE_S, Replay, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings
 
 pytestmark = pytest.mark.hil
@@ -23,8 +23,10 @@ pytestmark = pytest.mark.hil
 AIM_MS = 100.0
 LATEST_MS = 1000.0
 """What a busy machine may make of the aim, once in five times; the emulation takes some 0.5 ms a call then."""
-TRIALS = int(os.environ.get("TRIALS", "20"))  # TRIALS=100 takes two minutes
-STOP_SERVOS = 6
+TRIALS = int(os.environ.get("TRIALS", "12"))  # TRIALS=100 takes two minutes
+STOP_SERVOS = 4
+SHARE = 0.2
+"""Of the transfers, which fail."""
 ALL_START = {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}}
 WATCHDOG = {"timeout_ms": 10_000, "repeats": 3}
 
@@ -76,30 +78,24 @@ def check(found: list[float | None]) -> None:
     assert sum(each is not None and each <= AIM_MS for each in found) >= 0.8 * len(found) - 1, figures(found)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.2])
-@pytest.mark.parametrize("framing", Framing)
-def test_an_emergency_stop_stops_all_legs_though_transfers_fail(
-    tmp_path: Path, spi_testbed: SpiTestbed, framing: Framing, share: float
-) -> None:
-    spi_testbed.prefer()
-    wire = Wire(spi_testbed, framing)
+@EACH_FRAMING
+def test_an_emergency_stop_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
+    wire.bed.prefer()
     with start(tmp_path, wire, watchdog=WATCHDOG) as gateway, gateway.client() as client:
-        found = [trial(spi_testbed, framing, client, share, seed) for seed in range(TRIALS)]
-    print(f"{framing}, {share:.0%} fail: {figures(found)}")
+        found = [trial(wire.bed, wire.framing, client, SHARE, seed) for seed in range(TRIALS)]
+    print(f"{wire.framing}, {SHARE:.0%} fail: {figures(found)}")
     check(found)
 
 
-@pytest.mark.parametrize("framing", Framing)
-def test_stop_servos_stops_all_legs_though_transfers_fail(
-    tmp_path: Path, spi_testbed: SpiTestbed, framing: Framing
-) -> None:
+@EACH_FRAMING
+def test_stop_servos_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
+    spi_testbed, framing = wire.bed, wire.framing
     spi_testbed.prefer()
-    wire = Wire(spi_testbed, framing)
     config = write_settings(tmp_path / "gateway.toml", settings_for(wire, watchdog=WATCHDOG))
     found = []
     for seed in range(STOP_SERVOS):
         before = len(spi_testbed.transfers)
-        spi_testbed.fail_by_chance(0.2, seed)
+        spi_testbed.fail_by_chance(SHARE, seed)
         child = spi_testbed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
         code = child.wait(LATE_S)
         spi_testbed.heal()
@@ -118,5 +114,5 @@ def test_stop_servos_stops_all_legs_though_transfers_fail(
                 break
         found.append(None if off_ns is None else (off_ns - transfers[0].monotonic_ns) / 1e6)
         assert code == 0 or off_ns is None, str(child)
-    print(f"{framing}, stop-servos, 20 % fail: {figures(found)}")
+    print(f"{framing}, stop-servos, {SHARE:.0%} fail: {figures(found)}")
     check(found)

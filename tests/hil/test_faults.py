@@ -21,6 +21,7 @@ from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import Opened, SpiTestbed, Transfer
 from tests.hil.wire import (
+    EACH_FRAMING,
     LATE_S,
     QUIET,
     SET_3,
@@ -161,6 +162,7 @@ def test_only_the_body_of_an_announced_frame_fails(tmp_path: Path, spi_testbed: 
         at.goes_on()
 
 
+@EACH_FRAMING
 @pytest.mark.parametrize("batch", [True, False])
 def test_a_short_write_is_a_fault_like_any_other(tmp_path: Path, wire: Wire, batch: bool) -> None:
     """Written one by one, spidev raises SystemError then, which is no OSError: the service must not end of it."""
@@ -179,6 +181,7 @@ def test_a_short_write_is_a_fault_like_any_other(tmp_path: Path, wire: Wire, bat
 # ---- the device goes and comes back
 
 
+@EACH_FRAMING
 def test_the_device_vanishes_and_comes_back(tmp_path: Path, wire: Wire) -> None:
     with scene(tmp_path, wire, log={"level": "debug"}) as at:
         wire.bed.remove_node()
@@ -222,6 +225,7 @@ def test_an_emergency_stop_stays_latched_through_a_fault(tmp_path: Path, wire: W
         still_latched(client, wire)
 
 
+@EACH_FRAMING
 def test_an_emergency_stop_during_a_fault_is_latched_and_sent_once_the_device_is_back(
     tmp_path: Path, wire: Wire
 ) -> None:
@@ -377,6 +381,7 @@ def test_a_kernel_that_rejects_lists_gets_one_call_each_and_no_stop_is_lost(
         assert gateway.child.stderr.count("the kernel rejects a list") == 1
 
 
+@EACH_FRAMING
 def test_a_device_that_vanishes_within_a_list(tmp_path: Path, wire: Wire) -> None:
     with scene(tmp_path, wire) as at:
         wire.bed.fail(errno.ESHUTDOWN, after=3)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from schemas.telemetry import GatewayState, Kind, Mode, Reason
-from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, settings_for, start
+from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, settings_for, start
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, write_settings
 from tests.support.heard import events
@@ -61,6 +61,7 @@ def test_the_gateway_says_that_its_servos_are_stopped_and_a_start_moves_them_aga
         assert [event.kind for event in heard.all if event.kind is Kind.STOPPED_OUTSIDE] == [Kind.STOPPED_OUTSIDE]
 
 
+@EACH_FRAMING
 @pytest.mark.parametrize("repeats", [0, 20])
 def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
     tmp_path: Path, wire: Wire, gateway: Gateway, repeats: int

@@ -21,7 +21,19 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, QUIET, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
+from tests.hil.wire import (
+    EACH_FRAMING,
+    LATE_S,
+    QUIET,
+    SET_3,
+    START_3,
+    STOPS,
+    Replay,
+    Wire,
+    opening_of,
+    settings_for,
+    start,
+)
 from tests.support.gateway_process import COMMAND, Gateway, write_settings
 from tests.support.heard import events, states
 
@@ -37,6 +49,7 @@ def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
 # ---- start
 
 
+@EACH_FRAMING
 def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_command(tmp_path: Path, wire: Wire) -> None:
     with Gateway(tmp_path, settings_for(wire), bed=wire.bed):
         transfers = wire.expect_opening(*STOPS)
@@ -71,6 +84,7 @@ def test_the_stops_of_the_start_are_repeated(tmp_path: Path, wire: Wire) -> None
 # ---- commands
 
 
+@EACH_FRAMING
 def test_leg_and_servo_commands_byte_for_byte(gateway: Gateway, wire: Wire) -> None:
     with gateway.client() as client:
         assert client.start_leg(3, 90, 45, 120).accepted
@@ -150,6 +164,7 @@ def test_a_second_program_holds_a_leg_and_lets_it_go(tmp_path: Path, wire: Wire)
 # ---- silence, emergency stop
 
 
+@EACH_FRAMING
 def test_silence_stops_a_leg_and_says_it_again(tmp_path: Path, wire: Wire) -> None:
     watchdog = {"timeout_ms": 300, "repeats": 3, "repeat_interval_ms": 20}
     with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
@@ -174,6 +189,7 @@ def test_repeats_end_where_the_leg_is_started_again(tmp_path: Path, wire: Wire) 
         wire.expect_repeats(3, *STOPS[:2], *STOPS[3:])
 
 
+@EACH_FRAMING
 def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway, wire: Wire) -> None:
     with gateway.client() as client:
         for payload in (b"", b"{}", b"\xff\x00", b"x" * 5000):
@@ -223,6 +239,7 @@ def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
         wire.expect_nothing()
 
 
+@EACH_FRAMING
 def test_a_signal_under_load_lets_nothing_pass_after_the_stops(tmp_path: Path, wire: Wire) -> None:
     with start(tmp_path, wire) as gateway, gateway.client() as client:
         seen = states(client)
@@ -250,6 +267,7 @@ def config_for(folder: Path, wire: Wire, **spi: Any) -> Path:
     return write_settings(folder / "gateway.toml", settings_for(wire, watchdog={"repeats": 3}, spi=spi))
 
 
+@EACH_FRAMING
 def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
     stop_servos(wire, config_for(tmp_path, wire))
     for _ in range(4):
@@ -365,11 +383,11 @@ def test_speed_hz(tmp_path: Path, spi_testbed: SpiTestbed, speed_hz: int) -> Non
 
 
 def test_frame_gap_us(tmp_path: Path, wire: Wire) -> None:
-    watchdog = {**QUIET, "repeats": 50, "repeat_interval_ms": 1}  # 306 frames: one of them meets an idle machine
+    watchdog = {**QUIET, "repeats": 9, "repeat_interval_ms": 1}  # 60 frames: one of them meets an idle machine
     least_us = []
     for opening, gap_us in enumerate((1000, 0), 1):
         with start(tmp_path, wire, watchdog=watchdog, spi={"frame_gap_us": gap_us}):
-            wire.expect_repeats(50, *STOPS)
+            wire.expect_repeats(9, *STOPS)
         arrivals_ns = [each.monotonic_ns for each in wire.bed.transfers if each.opening == opening]
         least_us.append(min(after - before for before, after in pairwise(arrivals_ns)) / 1000)
     assert least_us[0] >= 1000

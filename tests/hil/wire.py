@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from gateway.robot.protocol.frames import stop_leg
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
@@ -17,6 +19,8 @@ START_3 = "0e011f015a0020012d0021017800"  # leg 3 at 90, 45, 120
 SET_3 = "0e011f035b0020032d0021037800"  # leg 3 at 91, 45, 120
 QUIET: dict[str, Any] = {"repeats": 0, "timeout_ms": 10_000}
 """A watchdog that adds nothing to what a test of something else expects."""
+EACH_FRAMING = pytest.mark.parametrize("wire", Framing, indirect=True)
+"""For what a framing may change: when Stops are written, byte for byte. The rest is the same behind `Framing`."""
 LATE_S = 20.0
 """How long a test waits for something that takes milliseconds: a busy machine must not fail it."""
 
