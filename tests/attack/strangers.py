@@ -2,7 +2,7 @@
 
     python -m tests.attack.strangers KIND HOST PORT COUNT [plain]
 
-KIND is a name in `KINDS`, COUNT how many connections at once. It prints, each second, how many have been made so far.
+KIND is a name in `KINDS`, COUNT how many connections at once. It prints again and again how many have been made so far.
 """
 
 import asyncio
@@ -153,7 +153,7 @@ async def attack(kind: str, host: str, port: int, count: int, *, tls: bool) -> N
 
     tasks = [asyncio.create_task(again_and_again()) for _ in range(count)]
     while True:
-        await asyncio.wait(tasks, timeout=1.0)
+        await asyncio.wait(tasks, timeout=0.3)
         print("made", stranger.made, flush=True)
 
 

@@ -32,7 +32,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DoorStand]:
         yield running
 
 
-@pytest.mark.parametrize(("kind", "count"), CASES)
+@pytest.mark.parametrize(("kind", "count"), dict(CASES).items())
 def test_stop_all_beside_strangers(stand: DoorStand, kind: str, count: int) -> None:
     with stand.attacked(kind, count):
         took_ms = stand.press(PRESSES)
@@ -45,7 +45,7 @@ def test_stop_all_beside_strangers(stand: DoorStand, kind: str, count: int) -> N
     assert memory_mb < MEMORY_MB
 
 
-@pytest.mark.parametrize(("kind", "count"), FLOODS)
+@pytest.mark.parametrize(("kind", "count"), dict(FLOODS).items())
 def test_stop_all_beside_pages_that_flood(stand: DoorStand, kind: str, count: int) -> None:
     """Below the limit of bytes: their frames are counted, control frames too."""
     with stand.flooded(kind, count):

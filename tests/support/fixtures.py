@@ -23,12 +23,15 @@ def gateway_fixture(
     return gateway
 
 
-def client_fixture(source: str | None) -> Any:
-    """A fixture: a client of the fixture `gateway`, under this name."""
+def client_fixture(source: str | None, *, rests: bool = False) -> Any:
+    """A fixture: a client of the fixture `gateway`, under this name; `rests`: which the test before left at rest."""
 
     @pytest.fixture
     def client(gateway: Gateway) -> Iterator[Client]:
         with gateway.client(source=source) as connected:
+            if rests:
+                connected.reset()
+                assert connected.stop().accepted
             yield connected
 
     return client

@@ -16,20 +16,23 @@ from gateway.errors import ZenohError
 from gateway.people.client import aio, blocking, lease, pace, payloads, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
+
+gateway = gateway_fixture()
+robot = client_fixture("test", rests=True)
 
 
 @pytest.mark.parametrize(
     ("module", "examples"),
     [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10), (pace, 5), (payloads, 3)],
 )
-def test_the_examples_run(tmp_path: Path, module: ModuleType, examples: int) -> None:
-    with Gateway(tmp_path) as gateway:
-        failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
+def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
+    failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
     assert (failed, tried) == (0, examples)
 
 
-def test_states_and_events_are_called_back(tmp_path: Path) -> None:
+def test_states_and_events_are_called_back(gateway: Gateway) -> None:
     states: list[GatewayState] = []
     events: list[Event] = []
     active, rejected = threading.Event(), threading.Event()
@@ -43,7 +46,7 @@ def test_states_and_events_are_called_back(tmp_path: Path) -> None:
         events.append(event)
         rejected.set()
 
-    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, source="a gait") as client:
+    with Client(gateway.endpoint, source="a gait") as client:
         subscribers = (client.on_state(on_state), client.on_event(on_event))
         client.state()
         client.publish(keys.leg_command(4), leg_payload("set", (1, 2, 3)))
@@ -64,20 +67,19 @@ def test_a_connection_that_fails_names_the_step() -> None:
     assert "TCP:" not in str(bare.value)
 
 
-def test_an_endpoint_without_a_protocol_is_tcp(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway, Client(gateway.endpoint.removeprefix("tcp/")) as client:
+def test_an_endpoint_without_a_protocol_is_tcp(gateway: Gateway) -> None:
+    with Client(gateway.endpoint.removeprefix("tcp/")) as client:
         assert client.state().mode is Mode.IDLE
 
 
-def test_it_stops_one_leg_or_all(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway, gateway.client() as client:
-        for leg in (1, 2, 3):
-            client.start_leg(leg, 1, 2, 3)
-        assert client.servo(41, "start", 5).accepted
-        client.stop(2)
-        assert [report.leg for report in client.state().legs if report.servos[0].running] == [1, 3, 4]
-        client.stop()
-        assert client.state().mode == Mode.IDLE
+def test_it_stops_one_leg_or_all(robot: Client) -> None:
+    for leg in (1, 2, 3):
+        robot.start_leg(leg, 1, 2, 3)
+    assert robot.servo(41, "start", 5).accepted
+    robot.stop(2)
+    assert [report.leg for report in robot.state().legs if report.servos[0].running] == [1, 3, 4]
+    robot.stop()
+    assert robot.state().mode == Mode.IDLE
 
 
 def test_nobody_there_is_one_sentence() -> None:
@@ -87,16 +89,11 @@ def test_nobody_there_is_one_sentence() -> None:
     assert "orchestrator.rs" not in str(error.value)
 
 
-def test_a_command_whose_link_is_lost_is_one_sentence(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway, gateway.client() as client:
+def test_what_nobody_answers_is_one_sentence(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, timeout_s=0.5) as client:
         gateway.child.kill()
         with pytest.raises(ZenohError, match="no gateway answered and the link may have been lost; "):
             client.start_leg(3, 1, 2, 3)
-
-
-def test_a_stop_that_nobody_answers_is_one_sentence(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway, Client(gateway.endpoint, timeout_s=0.5) as client:
-        gateway.child.kill()
         with pytest.raises(ZenohError, match=r"no gateway answered within 0\.5 s; "):
             client.stop()
 

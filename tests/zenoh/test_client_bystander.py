@@ -16,8 +16,8 @@ from tests.zenoh.test_client_stream import HZ, POSE, go_on, running
 Angles = dict[int, tuple[float, float, float]]
 
 
-gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 1000}}, scope="function")
-anna = client_fixture("anna")
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 1000}})
+anna = client_fixture("anna", rests=True)
 bert = client_fixture("bert")
 
 

@@ -14,6 +14,7 @@ from gateway.client import Client, leg_payload
 from gateway.errors import ConfigError, ZenohError
 from schemas import keys
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 
 FORGETFUL = """
@@ -23,31 +24,31 @@ heard = [robot.on_state(lambda state: None), robot.on_event(print)]
 print(robot.start_leg(3, 90, 45, 120).accepted)
 """
 
+gateway = gateway_fixture()
+
 
 def zenoh_file(path: Path, endpoint: str) -> Path:
     path.write_text(f'{{ mode: "client", connect: {{ endpoints: ["{endpoint}"] }} }}')
     return path
 
 
-def test_the_file_says_where_unless_an_endpoint_is_given(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway:
-        right = zenoh_file(tmp_path / "right.json5", gateway.endpoint)
-        wrong = zenoh_file(tmp_path / "wrong.json5", f"tcp/127.0.0.1:{free_port()}")
-        for file in (right, str(right)):
-            with Client(zenoh_config=file) as client:
-                assert client.state().mode == "idle"
-        with Client(gateway.endpoint, zenoh_config=wrong) as client:
+def test_the_file_says_where_unless_an_endpoint_is_given(gateway: Gateway, tmp_path: Path) -> None:
+    right = zenoh_file(tmp_path / "right.json5", gateway.endpoint)
+    wrong = zenoh_file(tmp_path / "wrong.json5", f"tcp/127.0.0.1:{free_port()}")
+    for file in (right, str(right)):
+        with Client(zenoh_config=file) as client:
             assert client.state().mode == "idle"
-        with pytest.raises(ZenohError, match="no gateway answers"):
-            Client(zenoh_config=wrong, timeout_s=0.3)
+    with Client(gateway.endpoint, zenoh_config=wrong) as client:
+        assert client.state().mode == "idle"
+    with pytest.raises(ZenohError, match="no gateway answers"):
+        Client(zenoh_config=wrong, timeout_s=0.3)
 
 
-def test_with_neither_it_is_this_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Gateway(tmp_path) as gateway:
-        monkeypatch.setattr("gateway.people.client.blocking.DEFAULT_ENDPOINT", gateway.endpoint)
-        for client in (Client(), Client(None)):
-            with client:
-                assert client.state().mode == "idle"
+def test_with_neither_it_is_this_machines(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gateway.people.client.blocking.DEFAULT_ENDPOINT", gateway.endpoint)
+    for client in (Client(), Client(None)):
+        with client:
+            assert client.state().mode == "idle"
 
 
 def test_a_file_that_names_no_gateway_is_reported(tmp_path: Path) -> None:
@@ -99,33 +100,31 @@ def test_what_is_no_number_is_none(wrong: Any) -> None:
         leg_payload("start", (90, wrong, 90))
 
 
-def test_a_closed_client_says_so(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway:
-        client = gateway.client()
-        client.close()
-        client.close()
-        for call in (
-            client.state,
-            client.stop,
-            client.estop,
-            lambda: client.start_leg(3, 1, 2, 3),
-            lambda: client.publish(keys.leg_command(3), leg_payload("stop")),
-            lambda: client.on_state(print),
-        ):
-            with pytest.raises(ZenohError, match="this client is closed; make a new one"):
-                call()
+def test_a_closed_client_says_so(gateway: Gateway) -> None:
+    client = gateway.client()
+    client.close()
+    client.close()
+    for call in (
+        client.state,
+        client.stop,
+        client.estop,
+        lambda: client.start_leg(3, 1, 2, 3),
+        lambda: client.publish(keys.leg_command(3), leg_payload("stop")),
+        lambda: client.on_state(print),
+    ):
+        with pytest.raises(ZenohError, match="this client is closed; make a new one"):
+            call()
 
 
-@pytest.mark.parametrize(("end", "status"), [("", 0), ("1 / 0", 1), ("raise SystemExit(3)", 3)])
-def test_a_program_that_forgets_to_close_ends(tmp_path: Path, end: str, status: int) -> None:
-    with Gateway(tmp_path) as gateway:
-        child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + end], os.environ)
-        assert child.wait(20) == status, child.stderr
-        child.close()
+@pytest.mark.parametrize(("end", "status"), [("", 0), ("1 / 0", 1)])
+def test_a_program_that_forgets_to_close_ends(gateway: Gateway, end: str, status: int) -> None:
+    child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + end], os.environ)
+    assert child.wait(20) == status, child.stderr
+    child.close()
     assert child.stdout.startswith("True\n")
 
 
-def test_what_a_thread_still_does_comes_before_that_end(tmp_path: Path) -> None:
+def test_what_a_thread_still_does_comes_before_that_end(gateway: Gateway) -> None:
     later = """
 import threading
 def on():
@@ -135,8 +134,7 @@ def on():
     print("at last", answer.accepted)
 threading.Thread(target=on).start()
 """
-    with Gateway(tmp_path) as gateway:
-        child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + later], os.environ)
-        assert child.wait(20) == 0, child.stderr
-        child.close()
+    child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + later], os.environ)
+    assert child.wait(20) == 0, child.stderr
+    child.close()
     assert "at last True" in child.stdout

@@ -32,14 +32,7 @@ WALKS_S: Final = 60.0
 gateway = gateway_fixture(PATIENT)
 
 
-@pytest.fixture
-def watcher(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="watcher") as client:
-        client.reset()
-        client.stop()
-        yield client
-
-
+watcher = client_fixture("watcher", rests=True)
 robot = client_fixture("walker")
 
 
