@@ -247,7 +247,10 @@ def test_a_setpoint_that_was_rejected_is_reported_and_the_stream_goes_on(robot: 
 
 
 def test_a_killed_gateway_is_a_lost_link_and_one_that_was_restarted_is_noticed(tmp_path: Path) -> None:
-    settings = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}, "watchdog": {"timeout_ms": TIMEOUT_MS}}
+    settings: dict[str, dict[str, Any]] = {
+        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]},
+        "watchdog": {"timeout_ms": TIMEOUT_MS},
+    }
     with ExitStack() as gateways:
         gateway = gateways.enter_context(Gateway(tmp_path, settings))
         robot = gateways.enter_context(gateway.client(source=None))
