@@ -144,7 +144,7 @@ def test_transfers_that_fail_for_five_seconds(tmp_path: Path, spi_testbed: SpiTe
         spi_testbed.heal()
         at.recovered()
         pauses_s = check_tries(spi_testbed, fault_ns)
-        assert min(pauses_s) > 0.015, "it waits between its tries"
+        assert min(pauses_s[1:]) > 0.015, "it waits between its tries"
         assert len(pauses_s) > 30, "and no longer for later ones: no leg is known to be stopped"
         at.goes_on()
 

@@ -51,8 +51,9 @@ from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, Reason
 
 REOPEN_S: Final = 0.02
-"""Well within the 100 ms of docs/interface.md, Behaviour 6, and never longer: until the Stops behind the opening are
-written, nobody knows that a leg is stopped."""
+"""Between two tries to open a device that is at fault, and never longer: until the Stops behind the opening are
+written, nobody knows that a leg is stopped. The first try comes at once: what a controller needs after a fault is the
+preamble ahead of these Stops (docs/protocol.md), and no pause."""
 
 _LOST: Final = Verb.LOST  # see `frames.OP_STOP`
 
@@ -290,12 +291,12 @@ class Conductor:
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.close()
         effects = self.supervisor.step(BusFailed(str(fault)), self._clock())
-        if self._in_fault:
+        again, self._in_fault = self._in_fault, True
+        if again:
             effects = [effect for effect in effects if not isinstance(effect, Announce)]
-        self._in_fault = True
         self._executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
-            self._reopen_timer.set_in(REOPEN_S)
+            self._reopen_timer.set_in(REOPEN_S if again else 0)
 
     def _preamble_failed(self, fault: SpiError) -> None:
         self._bus_failed(fault)

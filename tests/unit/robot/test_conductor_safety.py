@@ -9,7 +9,6 @@ from gateway.errors import SpiError
 from gateway.robot.core.message import Verb
 from gateway.robot.protocol.frames import STOP, OneServo, Op, stop_leg
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.runtime.conductor import REOPEN_S
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -270,9 +269,9 @@ async def test_a_failing_bus_is_reopened_with_pauses_and_all_legs_stopped(count:
     assert {frame for _, frame in robot.frames} - {OneServo(11, STOP)} == set(ALL_STOPS)
     assert robot.controller.energised == set()
     openings_ns = robot.openings_ns[opened_before:]
-    assert openings_ns[0] - fault_ns <= 100 * MS
     pauses = [(later - earlier) / MS for earlier, later in pairwise([fault_ns, *openings_ns])]
-    assert pauses == pytest.approx([20] * len(pauses), abs=0.1), "no leg is known to be stopped meanwhile"
+    expected = [0, *[20] * (len(pauses) - 1)]
+    assert pauses == pytest.approx(expected, abs=0.1), "no leg is known to be stopped meanwhile"
     assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
     assert robot.ask(LEG_3, START).accepted
 
@@ -287,7 +286,7 @@ async def test_when_one_stop_fails_the_others_are_still_written() -> None:
     assert robot.mode == Mode.BUS_FAULT
     assert robot.controller.energised == set()
     before = len(robot.frames)
-    await asyncio.sleep(REOPEN_S + 0.001)
+    await asyncio.sleep(0.001)
     assert [frame for _, frame in robot.frames[before:]] == ALL_STOPS
     assert robot.mode == Mode.ESTOPPED
 
