@@ -270,6 +270,7 @@ class Live:
                 self._open()
                 return
             except ERRORS as error:
+                self._close()  # the link may have broken between the session's opening and a subscription
                 self.client = None
                 self._silent_since_ns = self._silent_since_ns or -1
                 self._receiver.not_opened(error)
@@ -334,8 +335,9 @@ class Live:
 
     def _close(self) -> None:
         with suppress(*ERRORS):
-            for subscriber in self._subscribers:
-                subscriber.undeclare()
+            while self._subscribers:
+                self._subscribers.pop().undeclare()
+        with suppress(*ERRORS):
             if self.client is not None:
                 self.client.close()
 

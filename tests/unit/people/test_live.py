@@ -3,13 +3,15 @@
 import asyncio
 import threading
 from datetime import timedelta
-from queue import Empty
+from queue import Empty, SimpleQueue
+from typing import cast
 
 import pytest
+import zenoh
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.people.client.live import KEPT_EVENTS, OnLoop, Order, ReportQueue, Starts
+from gateway.people.client.live import KEPT_EVENTS, Live, OnLoop, Order, ReportQueue, Starts
 from gateway.people.client.stops import AT_ONCE, UntilConfirmed
 from schemas.keys import EVENT, STATE
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind
@@ -143,6 +145,41 @@ def test_mail_for_a_loop_that_is_closed_goes_nowhere() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
     OnLoop(loop, OnThisLoop()).received_token(True)
+
+
+# ---- a connection that stays
+
+
+class BreaksAtOnce:
+    """A client whose link breaks before its session has a subscription."""
+
+    def __init__(self, closed: "SimpleQueue[BreaksAtOnce]") -> None:
+        self.session = self
+        self._closed = closed
+
+    def declare_subscriber(self, _key: str, _ring: object) -> None:
+        raise zenoh.ZError("the link is broken")
+
+    def state(self, _timeout_s: float) -> GatewayState:
+        raise zenoh.ZError("the link is broken")
+
+    def close(self) -> None:
+        self._closed.put(self)
+
+
+def test_a_session_without_subscriptions_is_closed_before_the_next_is_opened() -> None:
+    opened: SimpleQueue[BreaksAtOnce] = SimpleQueue()
+    closed: SimpleQueue[BreaksAtOnce] = SimpleQueue()
+
+    def connect() -> Client:
+        opened.put(client := BreaksAtOnce(closed))
+        return cast(Client, client)
+
+    live = Live(connect, OnThisLoop(), lambda _: [])
+    live.start()
+    for _ in range(2):
+        assert opened.get(timeout=10) is closed.get(timeout=10)
+    live.close()
 
 
 # ---- a Stop
