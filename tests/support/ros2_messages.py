@@ -31,6 +31,7 @@ WANTED: Final = (
     "tf2_msgs/msg/TFMessage",
     "trajectory_msgs/msg/JointTrajectory",
     "rcl_interfaces/msg/Log",
+    "visualization_msgs/msg/MarkerArray",
     f"{TRIGGER}_Request",
     f"{TRIGGER}_Response",
 )
@@ -40,6 +41,7 @@ PYTHON: Final = {
     "uint8": ("int", "0"),
     "int32": ("int", "0"),
     "uint32": ("int", "0"),
+    "float32": ("float", "0.0"),
     "float64": ("float", "0.0"),
     "string": ("str", '""'),
 }
@@ -150,8 +152,6 @@ def _class(store: Typestore, name: str) -> str:
         "",
         "@dataclass(frozen=True, slots=True)",
         f"class {_python(name)}(Message):",
-        f'    """{name}."""',
-        "",
         f'    TYPE: ClassVar[str] = "{name}"',
         f'    HASH: ClassVar[str] = "{store.hash_rihs01(name)}"',
         *_table("FIELDS", "Field", [_field(field, description) for field, description in fields]),

@@ -31,8 +31,9 @@ def test_rosbags_reads_it_as_a_ros_2_bag(ride: Path) -> None:
         found: list[Any] = [
             reader.deserialize(raw, each.msgtype) for each, _, raw in reader.messages(connections=wanted)
         ]
-    commanded = [dict(zip(each.name, each.position, strict=True)) for each in found]
-    assert commanded == [positions(each) for each in drawn_in(ride, JOINT_COMMANDS)]
+    commanded = [(each.name, each.position.tolist()) for each in found]
+    ours = [positions(each) for each in drawn_in(ride, JOINT_COMMANDS)]
+    assert repr(commanded) == repr([(list(each), list(each.values())) for each in ours]), "as text, since NaN != NaN"
     assert commanded
 
 

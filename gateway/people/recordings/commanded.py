@@ -17,17 +17,17 @@ class CommandedJoints:
         self._angles = UserAngles()
         self.rad: dict[int, float] = {}
         """By their servos; one that was never commanded is not among them, one that was stopped is as it was."""
-        self.moved_rad: dict[int, float] = {}
-        """Those that the report moved which was taken last: a frame's."""
+        self.running: dict[int, bool] = {}
+        """Of each servo whether it runs, as far as a report has shown it."""
 
     def take(self, topic: str, report: Mapping[str, Any]) -> bool:
         """Take notice of a report (as its JSON, on a key of ours); whether it shows where joints are."""
         self._angles.take(topic, report)
-        self.moved_rad = {}
         if topic == STATE:
             for leg in report["legs"]:
                 for servo in leg["servos"]:
                     self._commanded(servo["id"], servo.get("angle_deg"))
+                    self.running[servo["id"]] = bool(servo["running"])
             return True
         if topic == FRAME and self._angles.consistent:  # else the state alone shows where it is
             self._take_frame(self._angles.record(report)["bytes"])
@@ -40,9 +40,9 @@ class CommandedJoints:
         except (FrameError, ValueError):  # of a later protocol
             return
         for servo_id, command in frame.servos:
-            if command.op is not Op.STOP and servo_id in self._geometry.servos:
+            self.running[servo_id] = command.op is not Op.STOP
+            if self.running[servo_id]:
                 self._commanded(servo_id, command.angle_cdeg / 100)
-                self.moved_rad[servo_id] = self.rad[servo_id]
 
     def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
         if angle_deg is not None and servo_id in self._geometry.servos:

@@ -1,13 +1,15 @@
 """What viewers draw by themselves, as ROS 2's messages: joints, transforms, the robot's description, diagnostics, log.
 
 The joints are where they were commanded to be: nothing comes back from the controller. A servo that was never
-commanded is not among the joint states, and stands at 90° in the frames. `/joint_commands` has the joints of each frame
-that moves, at its own time, so that they can be plotted at the rate of the frames.
+commanded is not among the joint states, and stands at 90° in the frames. `/joint_commands` has all joints at the time
+of each frame, so that they can be plotted at the rate of the frames: NaN, a gap, where a servo is off. What is off is
+marked in 3D, too.
 
 A robot that is simulated with physics is drawn where its body is, in the frame `world`; what was commanded stands
 beside it, in frames of the same names behind `commanded/`.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any, Final
@@ -19,7 +21,7 @@ from gateway.geometry.kinematics import BASE, Transform
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
 from gateway.people.ros2.cdr import Message
-from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, String, TFMessage
+from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, String, TFMessage
 from schemas.keys import EVENT, SIM_BODY, STATE
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import BodyReport, GatewayState, Kind
@@ -28,6 +30,7 @@ JOINT_STATES: Final = "/joint_states"
 JOINT_COMMANDS: Final = "/joint_commands"
 SIM_JOINT_STATES: Final = "/sim/joint_states"
 FRAMES: Final = "/tf"
+SERVOS_OFF: Final = "/servos_off"
 LOG: Final = "/rosout"
 DIAGNOSTICS: Final = "/diagnostics"
 DESCRIPTION: Final = "/robot_description"
@@ -38,6 +41,7 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
     JOINT_COMMANDS: JointState,
     SIM_JOINT_STATES: JointState,
     FRAMES: TFMessage,
+    SERVOS_OFF: MarkerArray,
     LOG: Log,
     DIAGNOSTICS: DiagnosticArray,
     DESCRIPTION: String,
@@ -56,6 +60,8 @@ PICTURE_PERIOD_NS: Final = 50_000_000
 """Twenty pictures a second: all 24 frames take 4 kB, which at 50 Hz would be most of the file."""
 
 DIAGNOSTICS_PERIOD_NS: Final = 1_000_000_000
+MARKS_PERIOD_NS: Final = 1_000_000_000
+"""And at each change: a viewer that connects later waits no longer for them."""
 
 Drawn = tuple[str, Message]
 """A topic and a message for it."""
@@ -69,6 +75,8 @@ class Drawing:
         self._joints = CommandedJoints(geometry)
         self._drawn_ns: int | None = None
         self._diagnosed_ns: int | None = None
+        self._marked_ns: int | None = None
+        self._marked: dict[int, bool] = {}
         self._body: BodyReport | None = None
         self._body_ns = 0
 
@@ -84,13 +92,25 @@ class Drawing:
             self._body, self._body_ns = BodyReport.model_validate(report), time_ns
             yield from self._picture_if_due(time_ns)
         elif shows_joints:
-            if self._joints.moved_rad:
-                yield JOINT_COMMANDS, robot.joint_state(self._joints.moved_rad, time_ns)
             yield from self._picture_if_due(time_ns)
+        if shows_joints:
+            yield JOINT_COMMANDS, self._commands(time_ns)
+            yield from self._marks_if_due(time_ns)
 
     def _picture_if_due(self, time_ns: int) -> Iterator[Drawn]:
         if self._drawn_ns is None or time_ns - self._drawn_ns >= PICTURE_PERIOD_NS:
             yield from self.picture(time_ns)
+
+    def _marks_if_due(self, time_ns: int) -> Iterator[Drawn]:
+        running = self._joints.running
+        if self._marked_ns is None or running != self._marked or time_ns - self._marked_ns >= MARKS_PERIOD_NS:
+            self._marked_ns, self._marked = time_ns, dict(running)
+            yield SERVOS_OFF, robot.servos_off([each for each, runs in running.items() if not runs], time_ns)
+
+    def _commands(self, time_ns: int) -> JointState:
+        rad, running = self._joints.rad, self._joints.running
+        at_rad = {each: rad.get(each, math.nan) if running.get(each) else math.nan for each in SERVO_IDS}
+        return robot.joint_state(at_rad, time_ns)
 
     def _diagnostics_if_due(self, state: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
         if self._diagnosed_ns is None or time_ns - self._diagnosed_ns >= DIAGNOSTICS_PERIOD_NS:
@@ -108,6 +128,7 @@ class Drawing:
             for servo_id in SERVO_IDS
         }
         yield JOINT_STATES, robot.joint_state(self._joints.rad, time_ns)
+        yield from self._marks_if_due(time_ns)
         if body is None:
             steps = list(transforms(self._geometry, commanded_rad))
         else:

@@ -43,6 +43,7 @@ NUMBERS: Final = {
     "uint8": "B",
     "int32": "i",
     "uint32": "I",
+    "float32": "f",
     "float64": "d",
 }
 """ROS 2's name → the letter of `struct`."""

@@ -1,16 +1,22 @@
 """This robot in ROS 2's messages: what it publishes of itself."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
+from gateway.geometry.kinematics import BASE, LINKS, link_name
 from gateway.geometry.kinematics import Transform as Step
 from gateway.people.ros2.messages import (
+    ColorRGBA,
     DiagnosticArray,
     DiagnosticStatus,
     Header,
     JointState,
     KeyValue,
+    Marker,
+    MarkerArray,
+    Point,
+    Pose,
     Quaternion,
     String,
     TFMessage,
@@ -19,11 +25,14 @@ from gateway.people.ros2.messages import (
     TransformStamped,
     Vector3,
 )
-from schemas.robot import SERVO_IDS
+from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import GatewayState, Mode, WatchdogState
 
 UNKNOWN_DEG: Final = 90.0
 """Where a servo that was never commanded is drawn."""
+_MARK_M: Final = 0.035
+"""A little thicker than a leg is drawn."""
+_OFF: Final = ColorRGBA(0.9, 0.15, 0.1, 0.85)
 _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _LEVELS: Final[dict[str, int]] = {Mode.IDLE: _OK, Mode.ACTIVE: _OK, Mode.ESTOPPED: _ERROR, Mode.BUS_FAULT: _ERROR}
 
@@ -63,6 +72,26 @@ def transform_message(steps: Iterable[Step], time_ns: int) -> TFMessage:
             for step in steps
         )
     )
+
+
+def servos_off(servos: Collection[int], time_ns: int) -> MarkerArray:
+    """Marks on the joints of these servos, in place of any before; and the word, at a leg whose servos are all off."""
+    header_stamp = stamp(time_ns)
+    marks = [Marker(Header(header_stamp, BASE), "servos off", action=Marker.DELETEALL)]
+    for servo_id in sorted(servos):
+        leg, joint = divmod(servo_id, 10)
+        header = Header(header_stamp, link_name(leg, LINKS[joint - 1]))
+        size = Vector3(_MARK_M, _MARK_M, _MARK_M)
+        marks.append(Marker(header, "servos off", servo_id, Marker.SPHERE, scale=size, color=_OFF, frame_locked=True))
+        if joint == 1 and {10 * leg + each for each in JOINTS} <= set(servos):
+            above = Pose(Point(0.0, 0.0, 2 * _MARK_M), Quaternion(w=1.0))
+            marks.append(
+                Marker(
+                    header, "servos off", leg, Marker.TEXT_VIEW_FACING, pose=above, scale=Vector3(z=_MARK_M),
+                    color=_OFF, frame_locked=True, text=f"leg {leg} off",
+                )
+            )  # fmt: skip
+    return MarkerArray(tuple(marks))
 
 
 def description(geometry: Geometry) -> String:

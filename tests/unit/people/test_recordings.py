@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import os
 import random
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from mcap.reader import make_reader
 from pydantic import BaseModel, TypeAdapter
 
 from gateway.errors import ConfigError
-from gateway.geometry import load, urdf
+from gateway.geometry import joint_name, load, urdf
 from gateway.people.recordings import REPORTS, Drawing, Recording, is_cut_off, read, repair
 from gateway.people.recordings.contents import contents, cut
 from gateway.people.recordings.drawing import (
@@ -24,6 +25,7 @@ from gateway.people.recordings.drawing import (
     JOINT_COMMANDS,
     JOINT_STATES,
     LOG,
+    SERVOS_OFF,
     SIM_JOINT_STATES,
 )
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
@@ -31,9 +33,9 @@ from gateway.people.recordings.reading import records
 from gateway.people.recordings.writing import about
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.definition import definition
-from gateway.people.ros2.messages import JointState, String, TFMessage, TransformStamped
+from gateway.people.ros2.messages import JointState, Marker, MarkerArray, String, TFMessage, TransformStamped
 from gateway.people.tools.record import repair_file
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp
+from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.robot import SERVO_IDS
@@ -132,6 +134,17 @@ def positions(message: Message) -> dict[str, float]:
     return dict(zip(message.name, message.position, strict=True))
 
 
+def commands(drawn: dict[str, Message]) -> dict[str, float]:
+    """Of the joints whose servos run: joint → radians."""
+    return {name: at_rad for name, at_rad in positions(drawn[JOINT_COMMANDS]).items() if not math.isnan(at_rad)}
+
+
+def marks(drawn: dict[str, Message]) -> tuple[Marker, ...]:
+    found = drawn[SERVOS_OFF]
+    assert isinstance(found, MarkerArray)
+    return found.markers
+
+
 def frames_of(message: Message) -> dict[str, TransformStamped]:
     """By the name of what is there."""
     assert isinstance(message, TFMessage)
@@ -210,12 +223,13 @@ def test_joints_are_drawn_where_they_are_commanded_to_be() -> None:
     assert positions(dict(drawing.take(keys.FRAME, frame, START_NS))[JOINT_STATES]) == {}
     start = {"bytes": "0602200 15a00".replace(" ", "")}  # servo 32, Start, 90 degrees
     drawn = dict(drawing.take(keys.FRAME, start, START_NS + 10**9))
-    assert positions(drawn[JOINT_STATES]) == positions(drawn[JOINT_COMMANDS]) == {"joint_32": 0.0}
+    assert positions(drawn[JOINT_STATES]) == commands(drawn) == {"joint_32": 0.0}
+    assert list(positions(drawn[JOINT_COMMANDS])) == list(map(joint_name, SERVO_IDS)), "each has its place in a plot"
     assert len(frames_of(drawn[FRAMES])) == 24
     stop = {"bytes": "060220020000"}
     after = dict(drawing.take(keys.FRAME, stop, START_NS + 2 * 10**9))
     assert positions(after[JOINT_STATES]) == {"joint_32": 0.0}, "a stopped servo stays where it was sent"
-    assert JOINT_COMMANDS not in after
+    assert commands(after) == {}, "a gap in its plot"
 
 
 def test_many_frames_are_few_pictures_and_each_a_command() -> None:
@@ -223,7 +237,33 @@ def test_many_frames_are_few_pictures_and_each_a_command() -> None:
     start = {"bytes": "060220015a00"}
     drawn = [dict(drawing.take(keys.FRAME, start, START_NS + number * PERIOD_NS)) for number in range(300)]
     assert 15 <= sum(FRAMES in each for each in drawn) <= 20
-    assert all(positions(each[JOINT_COMMANDS]) == {"joint_32": 0.0} for each in drawn), "at the frames' rate"
+    assert all(commands(each) == {"joint_32": 0.0} for each in drawn), "at the frames' rate"
+
+
+def test_what_is_off_is_marked_at_once_and_again_each_second() -> None:
+    drawing = Drawing(load())
+    clear, *unknown = marks(dict(drawing.picture(START_NS)))
+    assert (clear.action, unknown) == (Marker.DELETEALL, [])
+    stop = {"bytes": stop_leg(3).to_bytes().hex()}
+    _, *found = marks(dict(drawing.take(keys.FRAME, stop, START_NS + 1)))
+    spheres = {mark.id: mark.header.frame_id for mark in found if mark.type == Marker.SPHERE}
+    assert spheres == {31: "leg_3_coxa", 32: "leg_3_femur", 33: "leg_3_tibia"}
+    assert [mark.text for mark in found if mark.type == Marker.TEXT_VIEW_FACING] == ["leg 3 off"]
+    assert all(mark.frame_locked and mark.color.a > 0 for mark in found), "they go where the leg goes"
+    assert SERVOS_OFF not in dict(drawing.take(keys.FRAME, stop, START_NS + 2)), "nothing has changed"
+    start = {"bytes": "060220015a00"}  # servo 32
+    _, *found = marks(dict(drawing.take(keys.FRAME, start, START_NS + 3)))
+    assert [mark.id for mark in found] == [31, 33], "one of them runs, so the leg is not off"
+    assert SERVOS_OFF in dict(drawing.take(keys.FRAME, start, START_NS + 10**9 + 3))
+
+
+def test_a_state_marks_what_it_states_to_be_off() -> None:
+    drawing = Drawing(load())
+    state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
+    off = [servo["id"] for leg in state["legs"] for servo in leg["servos"] if not servo["running"]]
+    found = marks(dict(drawing.take(keys.STATE, state, START_NS)))
+    assert [mark.id for mark in found if mark.type == Marker.SPHERE and mark.action == Marker.ADD] == off
+    assert 0 < len(off) < len(SERVO_IDS)
 
 
 def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> None:

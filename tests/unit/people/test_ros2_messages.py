@@ -79,6 +79,7 @@ _VALUES: Final[dict[str, st.SearchStrategy[Any]]] = {
     "uint8": st.integers(0, 255),
     "int32": st.integers(-(2**31), 2**31 - 1),
     "uint32": st.integers(0, 2**32 - 1),
+    "float32": st.floats(allow_nan=False, width=32),
     "float64": st.floats(allow_nan=False),
     "string": st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=6),
 }
@@ -99,8 +100,8 @@ def rosbags_message(message: Message) -> Any:
     fields: dict[str, Any] = {}
     for name, element, many in message.FIELDS:
         value: Any = getattr(message, name)
-        if element == "float64" and many:
-            fields[name] = np.array(value, dtype=np.float64)
+        if many and element in ("float64", "uint8"):
+            fields[name] = np.array(value, dtype=str(element))
         elif isinstance(element, str):
             fields[name] = list(value) if many else value
         else:
