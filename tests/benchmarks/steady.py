@@ -43,10 +43,10 @@ class Scenario:
 
 
 SCENARIOS = (
-    Scenario("six legs", "apart", aims=Aims(1.15, 1.3, 1.6)),
+    Scenario("six legs", "apart", aims=Aims(1.15, 1.3, 1.8)),
     Scenario("one leg", "apart", legs=(3,), short=False),
     Scenario("six legs in one burst", "burst", aims=Aims(p50=1.15)),
-    Scenario("legs/cmd", "one-message", aims=Aims(p50=1.3, cpu=1.5)),
+    Scenario("legs/cmd", "one-message", aims=Aims(p50=1.0, cpu=1.5)),
     Scenario("acknowledged", "asked", short=False),
     Scenario("six legs", "apart", hz=200, settings={"limits": {"leg_rate_hz": 250}}, short=False),
 )

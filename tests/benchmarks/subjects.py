@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.client import Client
+from gateway.robot.protocol.framing import Framing
 from tests.benchmarks.processes import OnDevice, Written
 from tests.benchmarks.publisher import number_of, read_log
 from tests.support.child import Child
@@ -36,7 +37,8 @@ class Subject:
             config = write_settings(folder / "gateway.toml", {**ours, **(settings or {})})
             command, ready = [*COMMAND, "run", "--config", str(config)], READY
         else:
-            command, ready = [sys.executable, "-m", "tests.benchmarks.naive", self.endpoint], "ready"
+            framing = (settings or {}).get("spi", {}).get("framing", Framing.PLAIN)
+            command, ready = [sys.executable, "-m", "tests.benchmarks.naive", self.endpoint, framing], "ready"
         self.device = stack.enter_context(OnDevice(command, folder / f"{name}.log", ready=ready))
 
     @property

@@ -8,10 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from gateway.client import leg_payload
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp
+from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.bus import CS_CHANGE_NS
+from schemas import keys
+from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for
+from tests.hil.wire import LATE_S, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 
@@ -37,6 +41,7 @@ for line in sys.stdin:
 """
 FRAME = [["0e", 50], ["0e010b0200000c0200000d020000", 50]]
 ZEROS = [["00", 100]] * 4
+ALL_START = {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}}
 
 
 def writer(bed: SpiTestbed) -> Child:
@@ -83,6 +88,40 @@ def test_a_driver_that_ignores_cs_change_makes_one_long_cycle_of_it(spi_testbed:
     spi_testbed.ignore_cs_change()
     assert write(child, [*FRAME, *FRAME]) == "written"
     assert data_of(spi_testbed.transfers) == ["".join(str(data) for data, _ in [*FRAME, *FRAME])]
+
+
+def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], int]:
+    """Starts, a silence, an emergency stop whose Stops meet a fault, the end: the bytes that arrived, and the calls."""
+    folder.mkdir()
+    # Pauses that have room for all the zeros.
+    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 900}
+    with SpiTestbed() as bed:
+        wire = Wire(bed, framing)
+        with start(folder, wire, spi={"batch": batch}, watchdog=watchdog) as gateway, gateway.client() as client:
+            wire.expect_repeats(2, *STOPS)
+            assert client.start_leg(3, 90, 45, 120).accepted
+            assert client.set_leg(3, 91, 45, 120).accepted
+            wire.expect(START_3, SET_3, STOPS[2])  # the last by the watchdog
+            wire.expect_repeats(2, STOPS[2])
+            assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
+            bed.fail(count=1, after=5)
+            assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
+            recovered = opening_of(framing, *STOPS) * 3
+            bed.wait_for(lambda each: [one.data for one in each][-len(recovered) :] == recovered, LATE_S)
+            assert client.reset().accepted
+            assert client.start_leg(3, 90, 45, 120).accepted
+            gateway.child.terminate()
+            assert gateway.child.wait(LATE_S) == 0
+        transfers = bed.transfers
+        return [each.data.hex() for each in transfers if each.delivered], len({each.call for each in transfers})
+
+
+@pytest.mark.parametrize("framing", Framing)
+def test_with_batches_and_without_the_same_bytes_arrive(tmp_path: Path, framing: Framing) -> None:
+    together, fewer = scene(tmp_path / "together", framing, batch=True)
+    one_by_one, calls = scene(tmp_path / "one by one", framing, batch=False)
+    assert together == one_by_one
+    assert fewer < calls / 3
 
 
 @pytest.mark.parametrize("batch", [True, False])

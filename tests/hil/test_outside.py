@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from gateway.client import leg_payload
+from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
+from schemas import keys
+from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Kind, Mode, Reason
 from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, settings_for, start
 from tests.support.child import Child
@@ -24,9 +28,13 @@ def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
         yield gateway
 
 
-def stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:
+def begin_to_stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:
     settings = settings_for(wire, watchdog={"repeats": repeats, "repeat_interval_ms": 20})
-    child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(write_settings(folder / "stop.toml", settings))])
+    return wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(write_settings(folder / "stop.toml", settings))])
+
+
+def stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:
+    child = begin_to_stop_servos(folder, wire, repeats)
     assert child.wait(LATE_S) == 0, str(child)
     return child
 
@@ -62,6 +70,28 @@ def test_the_gateway_says_that_its_servos_are_stopped_and_a_start_moves_them_aga
 
 
 @EACH_FRAMING
+def test_in_the_middle_of_a_batch_of_starts_it_comes_behind_all_of_them(
+    tmp_path: Path, wire: Wire, gateway: Gateway
+) -> None:
+    with gateway.client() as client:
+        wire.bed.block()
+        client.publish(keys.LEGS_COMMAND, {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}})
+        last = OneLeg(LEGS[-1], (ServoOp(Op.START, 90_00),) * 3)
+        wire.bed.wait_for_data(last.to_bytes(), timeout_s=LATE_S)
+        batch = wire.skip()
+        child = begin_to_stop_servos(tmp_path, wire)
+        first, *_ = wire.expect_opening(*STOPS)
+        assert first.opening != batch[-1].opening
+        assert len({each.call for each in batch}) == 1, "and it has not ended"
+        wire.bed.release()
+        assert child.wait(LATE_S) == 0, str(child)
+        assert NOTICED in child.stdout
+        replay = Replay(wire.framing)
+        replay.play(wire.bed.transfers)
+        assert replay.energised_for_good() == running(client.state()) == set()
+        assert not replay.controller.corruptions
+
+
 @pytest.mark.parametrize("repeats", [0, 20])
 def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
     tmp_path: Path, wire: Wire, gateway: Gateway, repeats: int

@@ -3,7 +3,7 @@
 `stop-servos` locks the byte AT_WORK from its first Stops on. A gateway locks the byte UNSEEN as soon as it has the
 device, and unlocks it while it sees AT_WORK locked. `stop-servos` ends when UNSEEN is unlocked: either a gateway has
 seen it, or none runs. Locks need no rights but those on the device, and end with their process. (The bus lock is the
-same kind of lock on two other bytes, see kernel.py.)
+same kind of lock on two other bytes, see one_by_one.py.)
 """
 
 import fcntl

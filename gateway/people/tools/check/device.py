@@ -149,7 +149,7 @@ def lists(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> R
     return warning(
         name,
         f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
-        "try six legs at once on a stand; if only the first leg obeys, set spi.batch = false",
+        "hexapod-gateway check --move shows it: set spi.batch = false if servo 61 still holds when all are stopped",
     )
 
 
