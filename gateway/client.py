@@ -23,12 +23,13 @@ from gateway.errors import (
     ZenohError,
 )
 from gateway.people.client.aio import AsyncButton, AsyncClient, AsyncLease, AsyncStream, AsyncWalk
-from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client, several_answer
+from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.button import Button
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
+from gateway.zenoh_config import DEFAULT_ENDPOINT
 
 __all__ = [
     "DEFAULT_ENDPOINT",

@@ -9,7 +9,7 @@ import sys
 
 import zenoh
 
-from gateway.people.client.config import client_config
+from gateway.zenoh_config import client_config
 
 
 def main() -> None:

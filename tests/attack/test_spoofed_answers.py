@@ -12,8 +12,7 @@ import zenoh
 
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
-from gateway.people.client.config import client_config
-from gateway.zenoh_config import open_session
+from gateway.zenoh_config import client_config, open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
 from tests.support.fixtures import gateway_fixture

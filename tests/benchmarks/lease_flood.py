@@ -14,7 +14,7 @@ import time
 
 import zenoh
 
-from gateway.people.client.config import client_config
+from gateway.zenoh_config import client_config
 from schemas.keys import LEASE
 
 CLIENTS = 10

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.people.client.config import client_config
+from gateway.zenoh_config import client_config
 from schemas.keys import LEASE, LEGS_COMMAND, leg_command, servo_command
 from schemas.lease import LeaseAck
 from schemas.robot import JOINTS

@@ -11,7 +11,7 @@ import time
 import zenoh
 
 from gateway.client import Client, leg_payload, servo_payload
-from gateway.people.client.config import client_config
+from gateway.zenoh_config import client_config
 from schemas.keys import ESTOP, LEGS_COMMAND, RESET, leg_command, servo_command
 
 ROUND_S = 1.0

@@ -15,7 +15,7 @@ import time
 import zenoh
 
 from gateway.client import leg_payload
-from gateway.people.client.config import client_config
+from gateway.zenoh_config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from tests.benchmarks.publisher import payload
 

@@ -13,7 +13,7 @@ import zenoh
 
 from gateway import certs
 from gateway.client import AsyncClient, Client, RejectedError
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from schemas import keys
 from schemas.button import ButtonAck, signed_text
 from schemas.robot import LEGS

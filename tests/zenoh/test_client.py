@@ -13,7 +13,7 @@ import zenoh
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
-from gateway.people.client import aio, blocking, lease, pace, payloads, stream
+from gateway.people.client import aio, blocking, lease, payloads, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.support.fixtures import client_fixture, gateway_fixture
@@ -25,7 +25,7 @@ robot = client_fixture("test", rests=True)
 
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10), (pace, 5), (payloads, 3)],
+    [(client_module, 2), (blocking, 1), (stream, 9), (lease, 1), (aio, 10), (payloads, 3)],
 )
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})

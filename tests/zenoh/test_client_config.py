@@ -45,7 +45,7 @@ def test_the_file_says_where_unless_an_endpoint_is_given(gateway: Gateway, tmp_p
 
 
 def test_with_neither_it_is_this_machines(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.people.client.blocking.DEFAULT_ENDPOINT", gateway.endpoint)
+    monkeypatch.setattr("gateway.zenoh_config.DEFAULT_ENDPOINT", gateway.endpoint)
     for client in (Client(), Client(None)):
         with client:
             assert client.state().mode == "idle"

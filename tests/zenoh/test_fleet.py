@@ -22,7 +22,7 @@ import zenoh
 from gateway import certs
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from gateway.zenoh_config import load_config
 from schemas import keys
 from schemas.lease import LeaseAck

@@ -12,7 +12,7 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason

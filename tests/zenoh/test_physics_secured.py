@@ -15,7 +15,7 @@ import zenoh
 from gateway import certs
 from gateway.client import Client
 from gateway.errors import UnansweredError
-from gateway.people.client.sim_body import set_upright
+from gateway.people.client.live import set_upright
 from schemas import keys
 from schemas.telemetry import BodyReport
 from tests.support.child import Child

@@ -15,7 +15,7 @@ import zenoh
 from gateway import certs
 from gateway.client import Client
 from gateway.errors import ZenohError
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from schemas.keys import LEASE
 from schemas.lease import LeaseAck
 from schemas.telemetry import Reason

@@ -14,8 +14,8 @@ from gateway.certs import expiry
 from gateway.client import Client
 from gateway.errors import ConfigError, UnreachedError
 from gateway.people.client import diagnosis
-from gateway.people.client.config import client_config
 from gateway.people.tools.watch.model import Model
+from gateway.zenoh_config import client_config
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.router import zenoh_listening
 from tests.support.watch_reports import screen

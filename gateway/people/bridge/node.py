@@ -5,7 +5,6 @@ overwrites, and nobody else anything.
 """
 
 import itertools
-import json
 import logging
 import threading
 import time
@@ -31,13 +30,12 @@ from gateway.people.ros2.wire import (
     WireError,
     gid_of,
 )
-from gateway.zenoh_config import insert, one_line, scouting_off
+from gateway.zenoh_config import client_config, one_line
 from schemas.keys import ALIVE
 
 JOIN_S: Final = 1.0
 _QUERIES: Final = 16
 """Calls of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
-_RETRY: Final = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
 _NOBODY: Final = bytes(16)
 
 _log: Final = logging.getLogger(__name__)
@@ -45,12 +43,7 @@ _log: Final = logging.getLogger(__name__)
 
 def open_router(endpoint: str) -> zenoh.Session:
     """A session to ROS 2's router, which comes back by itself. Raises ConfigError, ZenohError."""
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    insert(config, "connect/endpoints", [endpoint], "--router")
-    insert(config, "listen/endpoints", [], "listen")
-    scouting_off(config)
-    config.insert_json5("connect/retry", json.dumps(_RETRY))
+    config = client_config(endpoint, option="--router")
     config.insert_json5("timestamping/enabled", "true")  # the cache of a latched topic wants it; so has rmw_zenoh
     try:
         session = zenoh.open(config)

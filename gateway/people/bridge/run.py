@@ -12,9 +12,8 @@ from gateway.people.bridge.driving import Driving
 from gateway.people.client.blocking import Client
 from gateway.people.client.live import subscribed
 from gateway.people.ros2.messages import DISTRIBUTIONS
-from gateway.people.terminal import hint, say, visible
+from gateway.people.terminal import hint, on_end_signals, say, visible
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.signals import on_end_signals
 
 try:
     from gateway.people.bridge.node import Node, Senders, open_router

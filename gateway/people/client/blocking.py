@@ -13,12 +13,10 @@ import zenoh
 from pydantic import BaseModel, Field
 
 from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
-from gateway.people.client.button import Button, ButtonRequests
+from gateway.people.client.button import Button
 from gateway.people.client.close_at_exit import close_at_the_end
-from gateway.people.client.config import client_config
 from gateway.people.client.hosts import Hosts
 from gateway.people.client.lease import Lease
-from gateway.people.client.lease_requests import LeaseRequests
 from gateway.people.client.live import reports
 from gateway.people.client.payloads import (
     Angle,
@@ -30,10 +28,10 @@ from gateway.people.client.payloads import (
     servo_number,
     servo_payload,
 )
-from gateway.people.client.proof import Identity
 from gateway.people.client.question import JSON, Question
+from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
-from gateway.zenoh_config import get, one_line
+from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Mode
@@ -45,7 +43,6 @@ if TYPE_CHECKING:
     from schemas.lease import LeaseAck
     from schemas.revocation import RevocationAck
 
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 R = TypeVar("R", bound=BaseModel)
 _POLL_S: Final = 0.1
 
@@ -86,8 +83,6 @@ class Client:
         and what to do. To find that out takes up to a second more.
         """
         file = None if zenoh_config is None else Path(zenoh_config).expanduser()
-        if endpoint is None and file is None:
-            endpoint = DEFAULT_ENDPOINT
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
         self.robot = (str(get(config, "namespace") or ""), *self._hosts.endpoints)

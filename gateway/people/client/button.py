@@ -1,74 +1,14 @@
 """A stop button: a program that shows again and again that it is there, and can stop the robot."""
 
-import json
-import time
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Self
 
 from gateway.errors import DisconnectedError, RejectedError
-from gateway.people.client.proof import Identity
-from schemas.keys import BUTTON
 from schemas.telemetry import Ack
 
 if TYPE_CHECKING:
     from gateway.people.client.blocking import Client
     from schemas.button import ButtonAck
-
-
-class _Get(Protocol):
-    def __call__(
-        self, key: str, payload: str, answer: "type[ButtonAck]", *, timeout_s: float | None
-    ) -> "ButtonAck": ...
-
-
-class ButtonRequests:
-    """The questions on `hexapod/button/cmd`. All raise DisconnectedError where nobody answers in time."""
-
-    def __init__(self, get: _Get, identity: Identity | None, name: str) -> None:
-        """`get` asks, with a time limit (None: the client's own). `name` is ours without a certificate."""
-        self._get = get
-        self._identity = identity
-        self._name = name
-
-    def person(self, name: str | None = None) -> str:
-        """By which name we register: our certificate's person (also `PERSON/…`), else `name`, else the client's.
-
-        Raises ConfigError.
-        """
-        if self._identity is None:
-            return name or self._name
-        person = self._identity.person()
-        return name if name is not None and name.startswith(f"{person}/") else person
-
-    def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
-        """Become a button, proved where we have a certificate. Raises ConfigError for a key that cannot.
-
-        `sent_ms`: by the clock of whoever checks in then; by default this program's monotonic one.
-        """
-        from schemas.button import signed_text
-
-        request: dict[str, Any] = {"do": "register", "source": self.person(name)}
-        if self._identity is not None:
-            nonce = self._ask({"do": "challenge"}).nonce
-            if nonce is not None:
-                request["proof"] = self._identity.prove("register", request["source"], nonce, signed_text)
-        return self._ask({**request, "sent_ms": _now_ms() if sent_ms is None else sent_ms})
-
-    def alive(
-        self, token: str, count: int, sent_ms: float | None = None, timeout_s: float | None = None
-    ) -> "ButtonAck":
-        """Check in; `count` is greater each time."""
-        sent_ms = _now_ms() if sent_ms is None else sent_ms
-        return self._ask({"do": "alive", "button": token, "count": count, "sent_ms": sent_ms}, timeout_s)
-
-    def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":
-        """Be none any more."""
-        return self._ask({"do": "leave", "button": token}, timeout_s)
-
-    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "ButtonAck":
-        from schemas.button import ButtonAck  # no emergency stop waits for what it loads
-
-        return self._get(BUTTON, json.dumps(request), ButtonAck, timeout_s=timeout_s)
 
 
 class Button:
@@ -143,7 +83,3 @@ def _granted(ack: "ButtonAck") -> "ButtonAck":
     if not ack.accepted:
         raise RejectedError(str(ack.reason), ack.detail or "")
     return ack
-
-
-def _now_ms() -> float:
-    return time.monotonic() * 1000

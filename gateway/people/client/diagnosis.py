@@ -24,7 +24,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
-from gateway.zenoh_config import first_expiry, get
+from gateway.zenoh_config import connect_endpoints, first_expiry, get
 
 TIMEOUT_S: Final = 1.0
 """What all looks together may take."""
@@ -87,18 +87,10 @@ class Identity:
         return cls(**named, verify_name=get(config, _VERIFY_NAME) is not False)
 
 
-def endpoints_of(config: zenoh.Config) -> list[str]:
-    """What a client's configuration dials."""
-    found: Any = get(config, "connect/endpoints")
-    if isinstance(found, dict):  # one list for each of Zenoh's modes
-        found = found.get("client")
-    return found or []
-
-
 def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
     """One line for each endpoint, of the step that fails. Takes `timeout_s` at most."""
     identity = Identity.of(config)
-    found = look_at_all(endpoints_of(config), identity, timeout_s)
+    found = look_at_all(connect_endpoints(config), identity, timeout_s)
     of_clock = [each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix]
     if of_clock:
         return [f"no gateway answers: {of_clock[0]}"]

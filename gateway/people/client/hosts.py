@@ -15,12 +15,12 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
-from typing import Any, Final
+from typing import Final
 
 import zenoh
 
 from gateway.errors import UnreachedError, ZenohError
-from gateway.zenoh_config import CANNOT_CONNECT, get, one_line, why_not_opened
+from gateway.zenoh_config import CANNOT_CONNECT, connect_endpoints, get, one_line, why_not_opened
 
 NEXT_HOST_S: Final = 0.2
 """After this time the next host is tried, or as soon as the one before fails.
@@ -41,10 +41,7 @@ class Hosts:
 
     def __init__(self, config: zenoh.Config, timeout_s: float) -> None:
         """Keeps `config` and changes it. `timeout_s`: how long the caller waits for a session at most."""
-        found: Any = get(config, "connect/endpoints")
-        if isinstance(found, dict):  # one list for each of Zenoh's modes
-            found = found.get("client")
-        self.endpoints: list[str] = found or []
+        self.endpoints = connect_endpoints(config)
         self.config = config
         self._timeout_s = timeout_s
         config.insert_json5("connect/timeout_ms", "0")  # each endpoint once; trying again is done here

@@ -13,15 +13,14 @@ from datetime import datetime
 from enum import Enum, auto
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from gateway.errors import GatewayError
-from gateway.people.client.sim_body import is_of_physics
+from gateway.errors import GatewayError, UnansweredError
 from schemas import keys
-from schemas.telemetry import BodyReport, Event, GatewayState
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
@@ -36,6 +35,7 @@ LOOK_S: Final = 0.1
 QUIET_MS: Final = 250.0
 """After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
 ANSWER_S: Final = 0.6
+UPRIGHT_S: Final = 2.0
 SILENT_MS: Final = 1000.0
 """Without a state for so long, it is looked why."""
 WHY_EVERY_S: Final = 3.0
@@ -78,6 +78,23 @@ def subscribed(session: zenoh.Session, handlers: Mapping[str, Any]) -> Iterator[
         for subscriber in subscribers:
             with suppress(zenoh.ZError):
                 subscriber.undeclare()
+
+
+# ---- a simulated body
+
+
+def is_of_physics(sample: zenoh.Sample, physics: str | None) -> bool:
+    """Whether the process with this Zenoh id has published it. Without access control, anybody may publish there."""
+    source = sample.source_info
+    return physics is not None and source is not None and str(source.source_id.zid) == physics
+
+
+def set_upright(client: "Client") -> Ack:
+    """Put a robot that is simulated with physics on its feet, as somebody would. Raises UnansweredError."""
+    for reply in client.session.get(keys.SIM_UPRIGHT, timeout=UPRIGHT_S):
+        if reply.ok is not None:
+            return Ack.model_validate_json(reply.ok.payload.to_bytes())
+    raise UnansweredError("no simulated body answers: set upright is for `run --sim=physics`")
 
 
 # ---- to one thread
@@ -203,8 +220,11 @@ class Starts:
 # ---- a connection that stays
 
 
-class Receiver(Protocol):
-    """Called on threads of `Live`, or by `OnLoop` on an event loop. Each call waits for moments at most."""
+class Receiver:
+    """Called on threads of `Live`, or by `OnLoop` on an event loop. Each call waits for moments at most.
+
+    This one does nothing with what it is given.
+    """
 
     def opened(self) -> None:
         """There is a session: from now on a Stop can be sent."""
@@ -345,7 +365,7 @@ class Live:
 # ---- to an event loop
 
 
-class OnLoop:
+class OnLoop(Receiver):
     """Hands on to a receiver on an event loop: one state and at most 256 events wait, so neither a flood nor a busy
     loop takes memory."""
 
@@ -361,28 +381,22 @@ class OnLoop:
         self._body: BodyReport | None = None
 
     def opened(self) -> None:
-        """See `Receiver`."""
         self._call(self._receiver.opened)
 
     def not_opened(self, error: Exception) -> None:
-        """See `Receiver`."""
         self._call(self._receiver.not_opened, error)
 
     def looked(self, reasons: list[str]) -> None:
-        """See `Receiver`."""
         self._call(self._receiver.looked, reasons)
 
     def answered(self, client: "Client") -> None:
-        """See `Receiver`."""
         self._call(self._receiver.answered, client)
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """See `Receiver`."""
         with self._noted():
             self._state = (state, received_ns)
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        """See `Receiver`."""
         with self._noted():
             self._events.append(event)
             self._left_out += left_out
@@ -391,12 +405,10 @@ class OnLoop:
                 self._left_out += 1
 
     def received_body(self, body: BodyReport) -> None:
-        """See `Receiver`."""
         with self._noted():
             self._body = body
 
     def received_token(self, alive: bool) -> None:
-        """See `Receiver`."""
         with self._noted():
             self._alive = alive
 

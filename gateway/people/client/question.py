@@ -19,7 +19,7 @@ A = TypeVar("A", bound=BaseModel)
 
 JSON: Final = "application/json"
 AGAIN_S: Final = 0.05
-"""A client that lost the gateway tries to reach it again after 0.1 s (`gateway.people.client.config`)."""
+"""A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_config`)."""
 ATTEMPT_S: Final = 1.0
 """After so long without an answer a Stop is requested again: the link may be dead without a sign.
 

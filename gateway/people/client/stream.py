@@ -4,6 +4,7 @@ The gateway is believed, and nobody else: what is received (a rejection, a publi
 silence) only raises a doubt, and what it answers then decides. Events that are newer than the start need no question.
 """
 
+import math
 import threading
 import time
 import warnings
@@ -18,9 +19,7 @@ import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from gateway.people.client.lease import NOT_OURS
-from gateway.people.client.pace import Pace
 from gateway.people.client.payloads import Angle, legs_payload
-from gateway.people.client.radians import LIKE_RADIANS, Radians
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 
@@ -45,7 +44,84 @@ _EVENT_S: Final = 0.1
 _AGAIN: Final = "start_again() goes on"
 _UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
+LATE: Final = 0.5
+"""Of a period. What comes later than that after its tick waits for the next: no two setpoints are closer."""
+MOST_DEG: Final = 3.2
+"""Half a turn in radians, and a little more for arithmetic."""
+LOOK_S: Final = 1.0
+"""A whole stride of most gaits; a leg in degrees is not between 0 and 3.2 for so long but on purpose."""
+LIKE_RADIANS: Final = (
+    f"all angles of this stream were between 0 and {MOST_DEG:g} for {LOOK_S:g} s; angles are degrees, and these look "
+    "like radians (math.degrees() converts them)"
+)
+
 Angles = dict[int, tuple[float, float, float]]
+
+
+class Pace:
+    """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
+
+    >>> pace = Pace(50)
+    >>> pace.begin(10.0)
+    >>> round(pace.next_s(10.001), 3)       # early: at the next tick
+    10.02
+    >>> round(pace.next_s(10.075), 3)       # ticks at .04 and .06 are over; the one at .08 is next
+    10.08
+    >>> pace.missed
+    2
+    """
+
+    def __init__(self, hz: float) -> None:
+        self.period_s = 1 / hz
+        self.missed = 0
+        """Ticks for which no setpoint came in time."""
+        self._begun_s: float | None = None
+        self._tick = 0
+
+    def begin(self, now_s: float) -> None:
+        """A setpoint was sent now; the grid begins with it."""
+        self._begun_s = now_s
+        self._tick = 0
+
+    def pause(self) -> None:
+        """Until the next `begin` nothing is due, and nothing missed."""
+        self._begun_s = None
+
+    def next_s(self, now_s: float) -> float:
+        """When a setpoint that is there now is due, once for each."""
+        if self._begun_s is None:
+            return now_s
+        late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
+        skipped = max(0, math.ceil(late - LATE))
+        self.missed += skipped
+        self._tick += 1 + skipped
+        return self._begun_s + self._tick * self.period_s
+
+
+class Radians:
+    """Notices a gait that counts in radians: every angle is legal, and the robot hardly moves. Pure.
+
+    >>> radians = Radians()
+    >>> [radians.suspected([(1.57, 0.8, 2.1)], now_s) for now_s in (0.0, 0.9, 1.0, 1.1)]
+    [False, False, True, False]
+    """
+
+    def __init__(self) -> None:
+        self._warn_at_s: float | None = None
+
+    def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
+        """Whether all that was given for LOOK_S looks like radians; true once at most."""
+        if self._warn_at_s == math.inf:
+            return False
+        if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
+            self._warn_at_s = math.inf
+            return False
+        if self._warn_at_s is None:
+            self._warn_at_s = now_s + LOOK_S
+        suspected = now_s >= self._warn_at_s
+        if suspected:
+            self._warn_at_s = math.inf
+        return suspected
 
 
 class Stream:

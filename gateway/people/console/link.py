@@ -5,25 +5,27 @@ has taken all that the system allows, a Stop finds one.
 """
 
 import asyncio
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.client.button import ButtonRequests
-from gateway.people.client.live import SILENT_MS, Live, OnLoop
-from gateway.people.client.sim_body import set_upright
+from gateway.people.client.live import SILENT_MS, Live, OnLoop, Receiver, set_upright
+from gateway.people.client.requests import ButtonRequests
 from gateway.people.console.driving import Requests
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.stops import AT_ONCE
-from gateway.people.console.threads import Threads
 from gateway.people.tools import why
 from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.host.descriptors import Spare
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
+
+T = TypeVar("T")
 
 LOOK_S: Final = 0.1
 """How often the age of the newest state is looked at."""
@@ -31,6 +33,25 @@ STOPS_AT_ONCE: Final = 4
 """Stops of single legs; more of them wait for one that is answered, or given up after the timeout."""
 QUESTIONS_AT_ONCE: Final = 12
 """Everything else: commands, the lease, the state."""
+STACK_BYTES: Final = 1_048_576
+"""Of each thread that Python starts; the system's 8 MB count as memory (`LimitDATA`), though nobody uses them."""
+_START_S: Final = 10.0
+
+
+class Threads:
+    """So many, all of them started; what they are asked for beyond that waits for its turn."""
+
+    def __init__(self, count: int, name: str) -> None:
+        """Raises RuntimeError where the system does not allow so many."""
+        self.executor = ThreadPoolExecutor(count, thread_name_prefix=name)
+        together = threading.Barrier(count + 1)
+        for _ in range(count):
+            self.executor.submit(together.wait, _START_S)
+        together.wait(_START_S)
+
+    async def run(self, function: Callable[[], T]) -> T:
+        """What it returns or raises. Cancelled, it goes on."""
+        return await asyncio.get_running_loop().run_in_executor(self.executor, function)
 
 
 class Listener(Protocol):
@@ -49,7 +70,7 @@ class Listener(Protocol):
         """The link has changed. A page stops driving by itself 500 ms after the newest state."""
 
 
-class GatewayLink:
+class GatewayLink(Receiver):
     """`Live` on an event loop, and whether the gateway is there."""
 
     def __init__(
@@ -147,44 +168,34 @@ class GatewayLink:
         await asyncio.to_thread(self._live.close)
 
     def opened(self) -> None:
-        """See `Receiver`."""
         self._opened.set()
         self._state_ns = time.monotonic_ns()
 
     def not_opened(self, error: Exception) -> None:
-        """See `Receiver`."""
         if isinstance(error, UnreachedError):
             self._note("gone", self._link.detail or str(error))
         elif not self._failed.done():
             self._failed.set_exception(error)
 
     def looked(self, reasons: list[str]) -> None:
-        """See `Receiver`."""
         if self._link.status != "connected":
             self._note(self._link.status, "\n".join(reasons))
 
-    def answered(self, client: Client) -> None:
-        """See `Receiver`."""
-
     def received_token(self, alive: bool) -> None:
-        """See `Receiver`."""
         self._ended = not alive
         if not alive:
             self._note("gone", "the gateway has ended, or the link to it has")
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """See `Receiver`."""
         self._state_ns = received_ns
         self._listener.received_state(state, received_ns)
         if not self._ended:
             self._note("connected")
 
     def received_body(self, body: BodyReport) -> None:
-        """See `Receiver`."""
         self._listener.received_body(body)
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        """See `Receiver`."""
         self._listener.received_event(event, left_out)
 
     def _watch(self) -> None:

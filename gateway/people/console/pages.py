@@ -6,6 +6,8 @@ or in this process, is rejected here or by the gateway.
 """
 
 import asyncio
+import logging
+import re
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -14,14 +16,14 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
 
+import segno
 from pydantic import ValidationError
 
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
 from gateway.people.console.calibrating import Calibrating
 from gateway.people.console.driving import Driving
-from gateway.people.console.inviting import Inviting
-from gateway.people.console.link import GatewayLink
+from gateway.people.console.link import GatewayLink, Listener
 from gateway.people.console.messages import (
     FROM_PAGE,
     AckMessage,
@@ -32,6 +34,7 @@ from gateway.people.console.messages import (
     EventMessage,
     Lease,
     LinkFor,
+    LinkForMessage,
     LinkMessage,
     Reset,
     Role,
@@ -61,11 +64,16 @@ KEPT_EVENTS: Final = 50
 """What a page that opens gets of the past."""
 
 
+_WORDS: Final = re.compile(r"[^\s,:]+")
+
+logger = logging.getLogger(__name__)
+
+
 class EndError(Exception):
     """Ends a page's WebSocket; the text is the reason."""
 
 
-class Pages:
+class Pages(Listener):
     """All open pages; what the gateway publishes goes to each of them."""
 
     def __init__(self) -> None:
@@ -97,29 +105,46 @@ class Pages:
         return self._opened
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """See `gateway.people.console.link.Listener`."""
         self._state = partial(_state_text, state.model_dump_json(), received_ns)
         for page in self._pages:
             page.outgoing.put_state(self._state)
 
     def received_body(self, body: BodyReport) -> None:
-        """See `gateway.people.console.link.Listener`."""
         for page in self._pages:
             page.outgoing.put(BodyMessage(body=body))
 
     def received_event(self, event: Event, left_out: int) -> None:
-        """See `gateway.people.console.link.Listener`."""
         self._events.append(EventMessage(event=event, left_out=left_out))
         self._send(self._events[-1])
 
     def link_changed(self, link: LinkMessage) -> None:
-        """See `gateway.people.console.link.Listener`."""
         self._link = link
         self._send(link)
 
     def _send(self, message: EventMessage | LinkMessage) -> None:
         for page in self._pages:
             page.outgoing.put(message)
+
+
+class PagesOfCertificate(Pages):
+    """Ends all sessions when the gateway says that this console's own certificate is revoked.
+
+    It says so before it lets go of the connection. A console that is not connected then gets in no more, so its pages
+    show no robot.
+    """
+
+    def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:
+        """`end_sessions` writes a file, so it is called on a thread."""
+        super().__init__()
+        self._common_name = common_name
+        self._end_sessions = end_sessions
+        self._ending: asyncio.Future[int] | None = None
+
+    def received_event(self, event: Event, left_out: int) -> None:
+        super().received_event(event, left_out)
+        if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
+            logger.warning("this console's certificate (%s) is revoked: all its sessions end", self._common_name)
+            self._ending = asyncio.ensure_future(asyncio.to_thread(self._end_sessions))
 
 
 def _state_text(state: str, received_ns: int) -> str:
@@ -148,7 +173,7 @@ class Page:
         self._driving = Driving(link.lease_requests, self.source, self.outgoing.put)
         self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
         self._walking = Walking(link.client, f"{self.source} walks", geometry, self.outgoing.put)
-        self._inviting = Inviting(new_link, self.outgoing.put)
+        self._inviting = _Inviting(new_link, self.outgoing.put)
         self._button = Pressing(link.button_requests, f"{person[:40]}/page {number}", self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._wishes = Staleness(WISH_AGE_MS)
@@ -310,3 +335,31 @@ def _first_fault(error: ValidationError) -> str:
     fault = error.errors(include_url=False, include_input=False)[0]
     where = ".".join(str(part) for part in fault["loc"])
     return f"{where}: {fault['msg']}" if where else fault["msg"]
+
+
+class _Inviting:
+    """For one page, on the event loop: one link at a time."""
+
+    def __init__(self, new_link: Callable[[], str], send: Callable[[LinkForMessage], None]) -> None:
+        """`new_link` writes a file, so it is called on a thread."""
+        self._new_link = new_link
+        self._send = send
+        self._task: asyncio.Task[None] | None = None
+
+    def ask(self, number: int) -> None:
+        """Make a link and send it; while one is being made, another is not."""
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._run(number))
+
+    async def _run(self, number: int) -> None:
+        try:
+            url, rows = await asyncio.to_thread(self._make)
+        except GatewayError as error:
+            self._send(LinkForMessage(id=number, error=str(error)))
+        else:
+            self._send(LinkForMessage(id=number, url=url, rows=rows))
+
+    def _make(self) -> tuple[str, list[str]]:
+        url = self._new_link()
+        code = segno.make(url, error="l")
+        return url, ["".join(str(module & 1) for module in row) for row in code.matrix]

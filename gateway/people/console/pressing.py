@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.errors import GatewayError
-from gateway.people.client.button import ButtonRequests
+from gateway.people.client.requests import ButtonRequests
 from gateway.people.console.messages import StopButton, StopButtonMessage
 from schemas.button import ButtonAck
 

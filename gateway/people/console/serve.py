@@ -21,25 +21,21 @@ import segno
 from gateway import certs
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.geometry import Geometry, load
-from gateway.people.client.blocking import DEFAULT_ENDPOINT
-from gateway.people.client.config import client_config
 from gateway.people.console import register
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.door import Door
-from gateway.people.console.ending import EndsWithCertificate
 from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
-from gateway.people.console.link import GatewayLink
+from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.messages import Role
-from gateway.people.console.pages import Pages
+from gateway.people.console.pages import PagesOfCertificate
 from gateway.people.console.register import LINK_S, Register
 from gateway.people.console.site import DEFAULT_PORT, Site
 from gateway.people.console.stops import Stops
-from gateway.people.console.threads import STACK_BYTES
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
 from gateway.robot.host import descriptors, logs, realtime
 from gateway.robot.settings import LogSettings
-from gateway.zenoh_config import get
+from gateway.zenoh_config import client_config, get
 
 BACKLOG: Final = 64
 """Connections that the kernel keeps until they are taken; it drops more."""
@@ -69,10 +65,7 @@ class Options:
 
 def serve(options: Options) -> NoReturn:
     """Serve until SIGTERM or Ctrl-C, and end the process with 0. Raises ConfigError, AddressTakenError, ZenohError."""
-    connect = options.connect
-    if connect is None and options.zenoh_config is None:
-        connect = DEFAULT_ENDPOINT
-    person, role, common_name = _identity(connect, options.zenoh_config)
+    person, role, common_name = _identity(options.connect, options.zenoh_config)
     geometry = load(options.geometry)
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()
@@ -82,7 +75,7 @@ def serve(options: Options) -> NoReturn:
         found = Register(register.folder(), options.site.port)
         role = _least(role, options.role)
         found.begin(options.site.url, role)
-        asyncio.run(_run(options, listening, found, connect, person, role, common_name, geometry))
+        asyncio.run(_run(options, listening, found, person, role, common_name, geometry))
 
 
 def show(link: str) -> None:
@@ -97,7 +90,6 @@ async def _run(
     options: Options,
     listening: socket.socket,
     found: Register,
-    connect: str | None,
     person: str,
     role: Role,
     common_name: str,
@@ -107,9 +99,8 @@ async def _run(
     loop.set_exception_handler(report)
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    site, pages = options.site, Pages()
-    listener = EndsWithCertificate(pages, common_name, found.revoke)
-    gateway = GatewayLink(connect, options.zenoh_config, person, options.timeout_s, listener)
+    site, pages = options.site, PagesOfCertificate(common_name, found.revoke)
+    gateway = GatewayLink(options.connect, options.zenoh_config, person, options.timeout_s, pages)
     stops = Stops(gateway.estop)
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
     door = Door(site, found, person=person, role=role)

@@ -1,17 +1,24 @@
-"""What a command prints: results on stdout, remarks on stderr.
+"""What a command prints (results on stdout, remarks on stderr), what it asks, and how it is asked to end.
 
-Beside this: what it asks (`question`), and programs that fill the terminal (`screen`, `keyboard`).
+Beside this: programs that fill the terminal (`screen`, `keyboard`).
 """
 
 import importlib.util
 import shutil
+import signal
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Self
+from types import FrameType
+from typing import Final, Self, TextIO
+
+from gateway.errors import ConfigError
 
 PROGRESS_S: Final = 0.2
 """How often a line of progress changes."""
+NOBODY: Final = "nobody can be asked here, since there is no terminal; --yes agrees"
 
 
 def this_command() -> str:
@@ -78,3 +85,34 @@ def why_no_screen(program: str, otherwise: str, *, on_windows: str = "") -> str 
     if importlib.util.find_spec("termios") is None:
         return f"{program} needs a Unix terminal; on Windows, run it in WSL{on_windows}"
     return None if sys.stdin.isatty() and sys.stdout.isatty() else f"{program} needs a terminal{otherwise}"
+
+
+def ask(question: str, out: TextIO | None = None) -> str:
+    """One line of what somebody types, in lower case; "" where nobody does. `out`: where the question is printed."""
+    out = out or sys.stderr
+    out.write(question)
+    out.flush()
+    return sys.stdin.readline().strip().lower()
+
+
+def agrees(question: str, *, nobody: str = NOBODY) -> bool:
+    """Whether somebody says yes. Raises ConfigError, with the sentence `nobody`, where nobody can be asked."""
+    if not sys.stdin.isatty():
+        raise ConfigError(nobody)
+    return ask(f"{question} [y/N] ") in ("y", "yes")
+
+
+@contextmanager
+def on_end_signals(end: Callable[[], object]) -> Iterator[None]:
+    """Call `end`, which must wait for nothing, on Ctrl-C, SIGTERM and the end of the terminal."""
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        end()
+
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, handle) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -2,11 +2,10 @@
 
 import contextlib
 import os
-import signal
-import termios
 from collections.abc import Iterator
-from types import FrameType
 from typing import Final
+
+from gateway.people.terminal import on_end_signals
 
 _ESCAPE: Final = 0x1B
 _REST_S: Final = 0.05
@@ -18,6 +17,8 @@ _ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 @contextlib.contextmanager
 def keys_at_once(terminal: int) -> Iterator[None]:
     """Keys come one by one and unseen, Ctrl-C as a key, and Ctrl-S stops nothing; afterwards all is as before."""
+    import termios  # only where there is a terminal: a module that can draw one loads on Windows, too
+
     before = termios.tcgetattr(terminal)
     during = termios.tcgetattr(terminal)
     during[0] &= ~(termios.IXON | termios.IXOFF)
@@ -34,16 +35,10 @@ def keys_at_once(terminal: int) -> Iterator[None]:
 def wake_on_signals() -> Iterator[tuple[int, int]]:
     """A descriptor that becomes readable when a signal asks for the end, and the one to write to for the same."""
     readable, writable = os.pipe()
-
-    def wake(_number: int, _frame: FrameType | None) -> None:
-        os.write(writable, b".")
-
-    before = {number: signal.signal(number, wake) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
     try:
-        yield readable, writable
+        with on_end_signals(lambda: os.write(writable, b".")):
+            yield readable, writable
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         os.close(readable)
         os.close(writable)
 

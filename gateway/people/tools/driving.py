@@ -10,11 +10,9 @@ from typing import Final
 
 from gateway.errors import LeaseError, LeaseLostError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, say, this_command, visible
-from gateway.people.terminal.question import agrees
+from gateway.people.terminal import agrees, hint, on_end_signals, say, this_command, visible
 from gateway.people.tools import kept_lease, reach
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.signals import on_end_signals
 from schemas.telemetry import GatewayState, LeaseReport, Reason
 
 connection = partial(reach.connection, source="hexapod-gateway lease")

@@ -17,9 +17,8 @@ from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_ENCODING
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.definition import definition
-from gateway.people.terminal import hint, say
+from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.signals import on_end_signals
 from schemas.keys import STATE
 
 try:

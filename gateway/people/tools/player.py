@@ -24,8 +24,7 @@ from gateway.people.client.lease import NOT_OURS
 from gateway.people.client.live import reports, subscribed
 from gateway.people.recordings.comparing import NS_PER_MS, Frames, Sent, Written
 from gateway.people.recordings.replaying import Expected, Plan, Step
-from gateway.people.terminal import clear_line, show_line
-from gateway.people.tools.signals import on_end_signals
+from gateway.people.terminal import clear_line, on_end_signals, show_line
 from gateway.robot.host.realtime import prefer_all_threads, prefer_thread
 from schemas.keys import EVENT, FRAME
 from schemas.telemetry import Cause, Event, FrameRecord, Kind

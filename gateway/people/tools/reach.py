@@ -1,4 +1,4 @@
-"""Reaching the gateway from a command: where nobody answers, which step of the way fails and what to do.
+"""Reaching the gateway from a command: where nobody answers, which step of the way fails; and whether it is at rest.
 
 A program's own `Client` raises at once when a question is not answered; a command ends then, so it has time to look.
 """
@@ -7,9 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Final
 
-from gateway.errors import UnansweredError, ZenohError
-from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client
+from gateway.errors import ConfigError, UnansweredError, ZenohError
+from gateway.people.client.blocking import Client
+from gateway.people.terminal import this_command
+from schemas.telemetry import GatewayState, Mode
+
+_WAIT: Final = "wait until it is idle"
 
 Connection = Callable[[], AbstractContextManager[Client]]
 
@@ -19,8 +24,6 @@ def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float,
 
     Where that fails, also for a question inside it, the ZenohError has a line for each endpoint, with the step.
     """
-    if connect is None and zenoh_config is None:
-        connect = DEFAULT_ENDPOINT
     return partial(_connected, connect, zenoh_config, timeout_s, source)
 
 
@@ -33,3 +36,21 @@ def _connected(connect: str | None, zenoh_config: Path | None, timeout_s: float,
             from gateway.people.tools import why  # only now: no emergency stop should wait for what it loads
 
             raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error
+
+
+def why_not_at_rest(state: GatewayState) -> str | None:
+    """One sentence with what to do; None: it is."""
+    if state.mode == Mode.IDLE:
+        return None
+    remedies = {
+        str(Mode.ACTIVE): f"a servo runs; stop it first ({this_command()} stop)",
+        str(Mode.ESTOPPED): f"leave the emergency stop first ({this_command()} reset)",
+    }
+    return f"the gateway is {state.mode}, and nothing is moved: {remedies.get(str(state.mode), _WAIT)}"
+
+
+def check_at_rest(state: GatewayState) -> None:
+    """Raises ConfigError unless it is."""
+    why_not = why_not_at_rest(state)
+    if why_not is not None:
+        raise ConfigError(why_not)

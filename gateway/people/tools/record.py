@@ -13,9 +13,8 @@ from gateway.people.client.live import ReportQueue
 from gateway.people.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
 from gateway.people.recordings import repair as repair_recording
 from gateway.people.recordings.writing import about
-from gateway.people.terminal import clear_line, hint, say, show_line, this_command
+from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line, this_command
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.signals import on_end_signals
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
 PROGRESS_S: Final = 0.5

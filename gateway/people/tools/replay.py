@@ -9,12 +9,10 @@ from gateway.people.recordings import Losses, read
 from gateway.people.recordings.comparing import NS_PER_MS, Frames, compare
 from gateway.people.recordings.replaying import Expected, Plan, Step, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles, user_bytes
-from gateway.people.terminal import Progress, hint, say
-from gateway.people.terminal.question import agrees
+from gateway.people.terminal import Progress, agrees, hint, say
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.player import Player, without_pauses
-from gateway.people.tools.reach import Connection
-from gateway.people.tools.rest import check_at_rest
+from gateway.people.tools.reach import Connection, check_at_rest
 from gateway.robot.core.calibration import Calibration, calibration_of
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState

@@ -8,13 +8,13 @@ from typing import Final
 
 from gateway.errors import ConfigError, LeaseError
 from gateway.people.client.blocking import Client, several_answer
-from gateway.people.client.config import client_config
 from gateway.people.client.payloads import leg_payload, servo_payload
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from gateway.people.terminal import hint, say, this_command, visible
 from gateway.people.tools import reach
 from gateway.people.tools.kept_lease import me
 from gateway.people.tools.reach import Connection
+from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack

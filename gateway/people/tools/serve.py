@@ -5,14 +5,13 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.people.client.blocking import DEFAULT_ENDPOINT
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import say, this_command
 from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
-from gateway.robot.edge.exposure import listen_endpoints
 from gateway.robot.edge.simulated_body import endpoint
 from gateway.robot.settings import Settings
+from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
 
 
 def run(settings: Settings, *, simulated: bool) -> None:

@@ -14,8 +14,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.people.terminal import say
-from gateway.people.tools.signals import on_end_signals
+from gateway.people.terminal import on_end_signals, say
 from gateway.robot.blackbox.place import tried
 
 NO_CONSOLE: Final = "no"

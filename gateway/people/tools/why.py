@@ -12,8 +12,8 @@ from gateway.certs import LAPTOP_ROLES
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.config import client_config
 from gateway.people.client.diagnosis import Finding, Identity, Step
+from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.telemetry import GatewayState
 

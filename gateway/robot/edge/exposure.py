@@ -12,7 +12,7 @@ from typing import Final
 import zenoh
 
 from gateway.errors import ConfigError
-from gateway.zenoh_config import get
+from gateway.zenoh_config import connect_endpoints, get, listen_endpoints
 
 _LOCAL_LINKS: Final = frozenset({"unixsock-stream", "unixpipe"})
 """Links that do not leave the machine; who may use them is a matter of file permissions."""
@@ -63,16 +63,6 @@ def _check_namespace(config: zenoh.Config) -> None:
             f"the Zenoh file has the namespace {namespace}, but no key in its access control begins with it, so nobody "
             f"could command the robot: make the file with `hexapod-gateway certs init --namespace {namespace}`"
         )
-
-
-def listen_endpoints(config: zenoh.Config) -> list[str]:
-    """The listen endpoints of this configuration, in its mode."""
-    return _endpoints(config, "listen")
-
-
-def connect_endpoints(config: zenoh.Config) -> list[str]:
-    """The endpoints that this configuration dials, in its mode."""
-    return _endpoints(config, "connect")
 
 
 def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
@@ -161,10 +151,3 @@ def _demands_password(config: zenoh.Config) -> bool:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{file}: the password file cannot be read: {error}") from error
     return any(user and password for user, _, password in (line.strip().partition(":") for line in lines))
-
-
-def _endpoints(config: zenoh.Config, direction: str) -> list[str]:
-    found = get(config, f"{direction}/endpoints")
-    if isinstance(found, dict):  # endpoints by mode
-        found = found.get(get(config, "mode") or "peer", [])
-    return [found] if isinstance(found, str) else list(map(str, found or []))

@@ -12,14 +12,12 @@ import zenoh
 
 from gateway.certs import access
 from gateway.errors import ConfigError
-from gateway.robot.edge.exposure import listen_endpoints
-from gateway.zenoh_config import get, insert, scouting_off
+from gateway.zenoh_config import RETRY, get, insert, listen_endpoints, scouting_off
 
 SUBJECT: Final = "the simulated body"
 _LINK: Final = "unixsock-stream"
 _CONTROL: Final = "access_control"
 _USERS: Final = "transport/auth/usrpwd/dictionary_file"
-_RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
 def endpoint(folder: Path) -> str:
@@ -54,7 +52,7 @@ def client_config(gateway: zenoh.Config, folder: Path, zenoh_id: str) -> zenoh.C
         "id": zenoh_id,
         "connect/endpoints": [endpoint(folder)],
         "connect/timeout_ms": -1,
-        "connect/retry": _RETRY,
+        "connect/retry": RETRY,
     }
     if namespace := get(gateway, "namespace"):
         values["namespace"] = namespace

@@ -17,9 +17,8 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
-from gateway.robot.edge.exposure import connect_endpoints, listen_endpoints
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
-from gateway.zenoh_config import Expiry, first_expiry
+from gateway.zenoh_config import Expiry, connect_endpoints, first_expiry, listen_endpoints
 from schemas.telemetry import CertificateReport
 
 LOOK_S: Final = 1.0

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from gateway.certs import authority
 from gateway.certs.proof import ProofChecker
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from gateway.robot.core.events import LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import MOST_NONCES, NONCE_NS, Nonces

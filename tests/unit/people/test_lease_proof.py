@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.people.client.proof import Identity
+from gateway.people.client.requests import Identity
 from schemas.lease import Proof, signed_text
 
 NONCE = "0123456789abcdef" * 2

@@ -11,7 +11,7 @@ import zenoh
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.people.client.live import KEPT_EVENTS, Live, OnLoop, Order, ReportQueue, Starts
+from gateway.people.client.live import KEPT_EVENTS, Live, OnLoop, Order, Receiver, ReportQueue, Starts
 from gateway.people.client.stops import AT_ONCE, UntilConfirmed
 from schemas.keys import EVENT, STATE
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind
@@ -78,7 +78,7 @@ def test_a_queue_that_nobody_reads_does_not_grow() -> None:
 # ---- to an event loop
 
 
-class OnThisLoop:
+class OnThisLoop(Receiver):
     """Keeps what it is called with."""
 
     def __init__(self) -> None:

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from gateway.people.client.pace import LATE, Pace
+from gateway.people.client.stream import LATE, Pace
 
 BEGUN_S = 1000.0
 PERIOD_S = 0.02

@@ -9,14 +9,13 @@ from typing import Any
 
 import pytest
 
-from gateway.people.client import payloads, radians
+from gateway.people.client import payloads
 from gateway.people.client.payloads import leg_number, leg_payload, legs_payload, number, row, servo_number
-from gateway.people.client.radians import Radians
+from gateway.people.client.stream import Radians
 
 
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(payloads) == (0, 3)
-    assert doctest.testmod(radians) == (0, 2)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from gateway.errors import ConfigError
 from gateway.robot.edge import exposure
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
+from gateway.zenoh_config import listen_endpoints
 
 MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}
 
@@ -216,7 +217,7 @@ def test_dialling_whom_it_finds_is_said(
 
 def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
     made = service_config(ZenohSettings())
-    assert exposure.listen_endpoints(made) == ["tcp/127.0.0.1:7447"]
+    assert listen_endpoints(made) == ["tcp/127.0.0.1:7447"]
     assert json.loads(made.get_json("scouting/multicast/enabled")) is False
     assert json.loads(made.get_json("scouting/gossip/enabled")) is False
 

@@ -31,6 +31,6 @@ def button(
     Exit codes: 0 left on purpose, 1 refused (or no terminal), 4 no gateway.
     """
     from gateway.people.tools import reach
-    from gateway.people.tools.button import run
+    from gateway.people.tools.button import screen
 
-    sys.exit(run.hold(reach.connection(connect, zenoh_config, timeout, source=run.called(name)), name))
+    sys.exit(screen.hold(reach.connection(connect, zenoh_config, timeout, source=screen.called(name)), name))

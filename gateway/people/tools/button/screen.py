@@ -5,13 +5,15 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import GatewayError
+from gateway.errors import GatewayError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.live import reports, subscribed
 from gateway.people.client.stops import UntilConfirmed
-from gateway.people.terminal import hint, screen, visible
+from gateway.people.terminal import hint, screen, visible, why_no_screen
+from gateway.people.tools import kept_lease
 from gateway.people.tools.button.check_ins import CheckIns
+from gateway.people.tools.reach import Connection
 from schemas import keys as wire
 from schemas.telemetry import Ack, GatewayState, Mode
 
@@ -114,3 +116,24 @@ class Screen(screen.Screen):
         if now_s - self._bell_s >= BELL_S:
             self._bell_s = now_s
             self._console.bell()
+
+
+def called(name: str | None) -> str:
+    """By which name, where no certificate says it."""
+    return name or kept_lease.me()
+
+
+def hold(connect: Connection, name: str | None) -> int:
+    """Be a button until Ctrl-C. Returns the exit code. Raises ConfigError, ZenohError."""
+    why_not = why_no_screen("button", "", on_windows=", or open the console's /button")
+    if why_not is not None:
+        hint(f"hexapod-gateway: {why_not}")
+        return 1
+    with connect() as client:
+        try:
+            button = client.button(called(name))
+            button.register()
+        except RejectedError as error:
+            hint(f"hexapod-gateway: {visible(str(error))}")
+            return 1
+        return Screen(client, button).run()

@@ -60,6 +60,6 @@ def calibrate(
         sys.exit(once.landing(connection, leg or [], agreed=yes))
     if accept_default:
         sys.exit(once.accept_default(connection, agreed=yes))
-    from gateway.people.tools.calibrate.run import run
+    from gateway.people.tools.calibrate.screen import run
 
     sys.exit(run(connection))

@@ -6,8 +6,7 @@ from typing import Any, Final
 from gateway.errors import ConfigError, LeaseError
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
-from gateway.people.terminal import hint, say, this_command, visible
-from gateway.people.terminal.question import agrees
+from gateway.people.terminal import agrees, hint, say, this_command, visible
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.calibrate.robot import once_kept
 from gateway.people.tools.reach import Connection

@@ -28,8 +28,8 @@ from gateway.people.tools.check import (
 )
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
-from gateway.robot.edge.exposure import listen_endpoints
 from gateway.robot.settings import FramingNotSetError, Settings
+from gateway.zenoh_config import listen_endpoints
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
 

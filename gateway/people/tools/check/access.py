@@ -13,8 +13,7 @@ from gateway.certs import BUTTON
 from gateway.certs.access import TRAFFIC, Traffic
 from gateway.people.terminal import this_command
 from gateway.people.tools.check.result import Result, ok, warning
-from gateway.robot.edge.exposure import listen_endpoints
-from gateway.zenoh_config import get
+from gateway.zenoh_config import get, listen_endpoints
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE
 
 _NAME: Final = "access control"

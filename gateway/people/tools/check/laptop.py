@@ -8,12 +8,12 @@ from typing import Final
 from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
-from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client
-from gateway.people.client.config import client_config
+from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Identity, Step
 from gateway.people.tools import why
 from gateway.people.tools.check import holders, machine
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
+from gateway.zenoh_config import client_config, connect_endpoints
 from schemas.telemetry import CertificateReport
 
 _SOURCE: Final = "hexapod-gateway check"
@@ -21,8 +21,6 @@ _SOURCE: Final = "hexapod-gateway check"
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
     """All steps from the file to the gateway. One host that leads there is enough; the others are warnings then."""
-    if connect is None and zenoh_config is None:
-        connect = DEFAULT_ENDPOINT
     yield machine.python()
     try:
         config = client_config(connect, zenoh_config)
@@ -30,7 +28,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         for fault in str(error).splitlines():
             yield failure("configuration", fault, "fix it there, and check again")
         return
-    endpoints = diagnosis.endpoints_of(config)
+    endpoints = connect_endpoints(config)
     where = str(zenoh_config) if zenoh_config is not None else "none, so without certificates"
     yield ok("configuration", f"{where}; dials {', '.join(endpoints) or 'nobody'}")
     yield machine.clock()

@@ -15,10 +15,8 @@ from typing import Final
 
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, say, visible
-from gateway.people.terminal.question import ask
-from gateway.people.tools.reach import Connection
-from gateway.people.tools.rest import check_at_rest
+from gateway.people.terminal import ask, hint, say, visible
+from gateway.people.tools.reach import Connection, check_at_rest
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 

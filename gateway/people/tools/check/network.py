@@ -23,10 +23,9 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Identity, Step
 from gateway.people.tools.check import service_user
 from gateway.people.tools.check.result import Result, failure, ok, warning
-from gateway.robot.edge.exposure import connect_endpoints
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
-from gateway.zenoh_config import certificate_files, load_config, one_line, open_session
+from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
 
 DENIED: Final = os.strerror(errno.EACCES)
 LET_READ: Final = (

@@ -16,9 +16,9 @@ from gateway.people.tools.check import calibration, machine, network
 from gateway.people.tools.check.result import Result, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import place
-from gateway.robot.edge.exposure import listen_endpoints
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import Settings
+from gateway.zenoh_config import listen_endpoints
 from schemas.telemetry import GatewayState, Mode
 
 _ANSWER_S: Final = 1.0

@@ -65,7 +65,6 @@ def drill(
     Exit codes: 0 all passed, 1 not all, or not finished, 2 the robot is not at rest, somebody else drives, nobody
     agreed, or the report cannot be written, 4 no gateway answers.
     """
-    from gateway.people.client.blocking import DEFAULT_ENDPOINT
     from gateway.people.terminal import say
     from gateway.people.tools import reach
     from gateway.people.tools.drill import report as reports
@@ -77,7 +76,6 @@ def drill(
         raise ConfigError(f"{unknown[0]} is no step; they are {', '.join(step.name for step in STEPS)}")
     if report is not None:
         reports.check(report)
-    endpoint = connect or (DEFAULT_ENDPOINT if zenoh_config is None else None)
     found = drill(
         reach.connection(connect, zenoh_config, timeout, source=SOURCE),
         leg=leg,
@@ -86,7 +84,7 @@ def drill(
         agreed=yes,
         only=only or [],
         late_ms=late,
-        endpoint=endpoint if endpoint is None or "/" in endpoint else f"tcp/{endpoint}",
+        endpoint=connect,
         zenoh_config=zenoh_config,
         restart=restart,
         config=config,

@@ -55,6 +55,6 @@ def walk(
         sys.exit(script.walk(connection, gait, geometry, (forward, left, turn), seconds, height))
     if forward or left or turn:
         raise ConfigError("--forward, --left and --turn go with --seconds; without it you drive from the keyboard")
-    from gateway.people.tools.walk import run
+    from gateway.people.tools.walk import screen
 
-    sys.exit(run.drive(connection, gait, geometry, height))
+    sys.exit(screen.drive(connection, gait, geometry, height))

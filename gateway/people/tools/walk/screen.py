@@ -10,10 +10,12 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import GatewayError
+from gateway.errors import GatewayError, LeaseError
 from gateway.people.client.blocking import Client
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import hint, screen, visible
+from gateway.people.terminal import hint, screen, visible, why_no_screen
+from gateway.people.tools import driving, kept_lease
+from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
 from gateway.people.walking import Velocity
@@ -170,3 +172,19 @@ class Screen(screen.Screen):
 def _shown(velocity: Velocity) -> str:
     forward, left, turn = velocity
     return f"{forward:+.2f} m/s ahead, {left:+.2f} m/s left, {math.degrees(turn):+.0f} °/s"
+
+
+def drive(connect: Connection, gait: str, geometry: Path | None, height_m: float | None) -> int:
+    """Drive until q. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
+    why_not = why_no_screen(
+        "walk from the keyboard", "; without one: --forward 0.1 --seconds 5", on_windows=", or give --seconds"
+    )
+    if why_not is not None:
+        hint(f"hexapod-gateway: {why_not}")
+        return 1
+    with connect() as client:
+        try:
+            with client.lease(source=kept_lease.me()) as lease:
+                return Screen(client, lease.holder, gait, geometry, height_m).run()
+        except LeaseError as error:
+            return driving.not_acquired(client, error)

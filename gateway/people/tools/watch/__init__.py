@@ -4,7 +4,6 @@ Three kinds of threads, so that none delays another. The calling thread reads ke
 thread draws; a stuck terminal or a slow line delays only that. The link's threads speak Zenoh.
 """
 
-import json
 import os
 from functools import partial
 from pathlib import Path
@@ -12,10 +11,11 @@ from typing import Final, NoReturn
 
 from gateway.errors import ConfigError
 from gateway.people.client import diagnosis
-from gateway.people.client.blocking import DEFAULT_ENDPOINT, Client
-from gateway.people.client.config import client_config
+from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, why_no_screen
 from gateway.people.tools import why
+from gateway.people.tools.watch.screen import Watch
+from gateway.zenoh_config import client_config, connect_endpoints
 
 _OTHERWISE: Final = "; a program reads hexapod/state and hexapod/event instead"
 
@@ -27,12 +27,7 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
     """
     if (why_not := why_no_screen("watch", _OTHERWISE)) is not None:
         raise ConfigError(why_not)
-    from gateway.people.tools.watch.screen import Watch  # noqa: PLC0415 (does not load without termios)
-
-    if connect is None and zenoh_config is None:
-        connect = DEFAULT_ENDPOINT
     config = client_config(connect, zenoh_config)  # a faulty file is reported before the screen is taken
-    endpoints = json.loads(config.get_json("connect/endpoints"))
     client = partial(
         Client,
         connect,
@@ -43,7 +38,7 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
     )
     view = Watch(
         client,
-        ", ".join(map(str, endpoints)),
+        ", ".join(connect_endpoints(config)),
         partial(why.unreached, connect, zenoh_config),
         diagnosis.own_expiry(config),
     )

@@ -12,19 +12,19 @@ from typing import Final
 
 from gateway.errors import ZenohError
 from gateway.people.client.blocking import Client, several_answer
-from gateway.people.client.live import CLOSE_S, ERRORS, Live
+from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.terminal import visible
 from gateway.people.tools.watch.lease_keys import LeaseKeys
 from gateway.people.tools.watch.model import Model, Presence
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState
+from schemas.telemetry import Ack, Event, GatewayState
 
 OTHERS_S: Final = 0.2
 """How long others that answer besides the gateway are waited for."""
 
 
-class Link:
+class Link(Receiver):
     """`changed` wakes whoever draws."""
 
     def __init__(
@@ -102,16 +102,11 @@ class Link:
 
     # ---- what is received
 
-    def opened(self) -> None:
-        """See `Receiver`."""
-
     def not_opened(self, error: Exception) -> None:
-        """See `Receiver`."""
         with self._changes():
             self._model.trouble = self._model.trouble or visible(str(error))
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """See `Receiver`."""
         with self._lock:
             mode = None if self._model.state is None else self._model.state.mode
             self._model.received_state(state, received_ns, _wall())
@@ -119,25 +114,18 @@ class Link:
             self._changed()
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        """See `Receiver`."""
         del left_out  # none: the model takes them as they come
         with self._changes():
             self._model.received_event(event, time.monotonic_ns(), _wall())
 
-    def received_body(self, body: BodyReport) -> None:
-        """See `Receiver`; this view shows what was commanded."""
-
     def received_token(self, alive: bool) -> None:
-        """See `Receiver`."""
         with self._changes():
             self._model.received_token(alive, time.monotonic_ns(), _wall())
 
     def answered(self, client: Client) -> None:
-        """See `Receiver`."""
         self._note_others(client, keys.STATE)
 
     def looked(self, reasons: list[str]) -> None:
-        """See `Receiver`."""
         with self._changes():
             if self._model.presence(time.monotonic_ns()) is not Presence.LIVE:
                 self._model.trouble = "\n".join(visible(line) for line in reasons)

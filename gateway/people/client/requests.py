@@ -1,0 +1,180 @@
+"""What is asked of a gateway about its lease and its stop buttons, and who asks. Tokens stay nowhere here.
+
+That is the person of the own certificate, proved by a nonce signed with its key. `cryptography` is loaded only for
+that, and what an answer is read by only when something is asked: no emergency stop waits for either.
+"""
+
+import base64
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
+
+import zenoh
+
+from gateway import certs
+from gateway.errors import ConfigError
+from gateway.zenoh_config import get
+from schemas.keys import BUTTON, LEASE
+
+if TYPE_CHECKING:
+    from cryptography import x509
+
+    from schemas.button import ButtonAck
+    from schemas.lease import LeaseAck
+
+A = TypeVar("A", "LeaseAck", "ButtonAck")
+
+_TLS: Final = "transport/link/tls"
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A client's certificate and key, as its Zenoh file names them."""
+
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def of(cls, config: zenoh.Config) -> "Identity | None":
+        """Of a configuration whose paths are absolute; None where it names none."""
+        certificate, key = get(config, f"{_TLS}/connect_certificate"), get(config, f"{_TLS}/connect_private_key")
+        if isinstance(certificate, str) and isinstance(key, str):
+            return cls(Path(certificate), Path(key))
+        return None
+
+    def person(self) -> str:
+        """Whose certificate it is: its organizational unit. Raises ConfigError."""
+        from cryptography.x509.oid import NameOID
+
+        units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
+        if not units:
+            raise ConfigError(f"{self.certificate} names no person: get one from `hexapod-gateway certs issue NAME`")
+        return str(units[0].value)
+
+    def prove(
+        self, do: str, source: str, nonce: str, text: Callable[[str, str, str], bytes] | None = None
+    ) -> dict[str, str]:
+        """The proof that this person wants this now. `text` is what is signed, by default a lease's.
+
+        Raises ConfigError.
+        """
+        from cryptography.hazmat.primitives import serialization
+
+        from schemas.lease import signed_text
+
+        signature = _sign(self.key, (text or signed_text)(do, source, nonce))
+        pem = self._read().public_bytes(serialization.Encoding.PEM).decode()
+        return {"nonce": nonce, "certificate": pem, "signature": base64.b64encode(signature).decode()}
+
+    def _read(self) -> "x509.Certificate":
+        return certs.read_certificate(self.certificate)
+
+
+def _sign(file: Path, data: bytes) -> bytes:
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+
+    try:
+        key: Any = serialization.load_pem_private_key(certs.read_file(file, "key"), password=None)
+    except (ValueError, TypeError) as error:  # TypeError: it is encrypted
+        raise ConfigError(f"{file} holds no unencrypted key in PEM form: restore it from a copy") from error
+    if isinstance(key, ec.EllipticCurvePrivateKey):
+        return key.sign(data, ec.ECDSA(hashes.SHA256()))
+    if isinstance(key, rsa.RSAPrivateKey):
+        return key.sign(data, padding.PKCS1v15(), hashes.SHA256())
+    raise ConfigError(f"{file} is neither an elliptic-curve nor an RSA key: get one from `hexapod-gateway certs issue`")
+
+
+class Get(Protocol):
+    """Asks on a key, with a time limit (None: the client's own)."""
+
+    def __call__(self, key: str, payload: str, answer: type[A], *, timeout_s: float | None) -> A: ...
+
+
+class _Requests(Generic[A]):
+    """Questions on one key. All raise DisconnectedError where nobody answers in time."""
+
+    def __init__(self, get: Get, identity: Identity | None, name: str) -> None:
+        """`name` is ours without a certificate."""
+        self._get = get
+        self._identity = identity
+        self._name = name
+
+    def person(self, name: str | None = None) -> str:
+        """Who we are: our certificate's person, else `name`, else the client's. Raises ConfigError."""
+        return (name or self._name) if self._identity is None else self._identity.person()
+
+    def _proved(
+        self, do: str, name: str | None, text: Callable[[str, str, str], bytes] | None = None
+    ) -> dict[str, Any]:
+        """The request, proved where we have a certificate. Raises ConfigError for a key that cannot."""
+        request: dict[str, Any] = {"do": do, "source": self.person(name)}
+        if self._identity is not None:
+            nonce = self._ask({"do": "challenge"}).nonce
+            if nonce is not None:
+                request["proof"] = self._identity.prove(do, request["source"], nonce, text)
+        return request
+
+    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> A:
+        raise NotImplementedError
+
+
+class LeaseRequests(_Requests["LeaseAck"]):
+    """The questions on `hexapod/lease/cmd`."""
+
+    def as_person(self, do: str, name: str | None = None) -> "LeaseAck":
+        """`acquire`, `ask` or `take`. Raises ConfigError."""
+        return self._ask(self._proved(do, name))
+
+    def renew(self, token: str, timeout_s: float | None = None) -> "LeaseAck":
+        """Hold it for another `ttl_ms`."""
+        return self._ask({"do": "renew", "lease": token}, timeout_s)
+
+    def release(self, token: str, to: str | None = None, timeout_s: float | None = None) -> "LeaseAck":
+        """Give it back, or over to somebody."""
+        return self._ask({"do": "release", "lease": token, **({} if to is None else {"to": to})}, timeout_s)
+
+    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "LeaseAck":
+        from schemas.lease import LeaseAck
+
+        return self._get(LEASE, json.dumps(request), LeaseAck, timeout_s=timeout_s)
+
+
+class ButtonRequests(_Requests["ButtonAck"]):
+    """The questions on `hexapod/button/cmd`."""
+
+    def person(self, name: str | None = None) -> str:
+        """By which name we register. A person may have several buttons, as `PERSON/…`."""
+        person = super().person(name)
+        return name if name is not None and name.startswith(f"{person}/") else person
+
+    def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
+        """Become a button. Raises ConfigError.
+
+        `sent_ms`: by the clock of whoever checks in then; by default this program's monotonic one.
+        """
+        from schemas.button import signed_text
+
+        return self._ask({**self._proved("register", name, signed_text), "sent_ms": _or_now_ms(sent_ms)})
+
+    def alive(
+        self, token: str, count: int, sent_ms: float | None = None, timeout_s: float | None = None
+    ) -> "ButtonAck":
+        """Check in; `count` is greater each time."""
+        return self._ask({"do": "alive", "button": token, "count": count, "sent_ms": _or_now_ms(sent_ms)}, timeout_s)
+
+    def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":
+        """Be none any more."""
+        return self._ask({"do": "leave", "button": token}, timeout_s)
+
+    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "ButtonAck":
+        from schemas.button import ButtonAck
+
+        return self._get(BUTTON, json.dumps(request), ButtonAck, timeout_s=timeout_s)
+
+
+def _or_now_ms(sent_ms: float | None) -> float:
+    return time.monotonic() * 1000 if sent_ms is None else sent_ms
