@@ -1,5 +1,6 @@
 """`run --sim=physics`: a robot with a body, in a process of its own, as viewers and people meet it."""
 
+import json
 import os
 import select
 import signal
@@ -151,6 +152,14 @@ def test_the_gateway_goes_on_without_its_physics_and_the_physics_ends_with_its_g
 
 def _ends(pidfd: int) -> bool:
     return bool(select.select([pidfd], [], [], 5)[0])
+
+
+def test_legs_that_are_in_one_another_are_reported(tmp_path: Path) -> None:
+    geometry = json.loads((Path(__file__).parents[2] / "gateway" / "geometry" / "elkapod.json").read_text())
+    geometry["leg_mounts"]["5"] = geometry["leg_mounts"]["3"]
+    (tmp_path / "both.json").write_text(json.dumps(geometry))
+    with Gateway(tmp_path, options=(*PHYSICS, "--geometry", str(tmp_path / "both.json"))) as running:
+        running.child.wait_for_output("physics: leg 3 is in leg 5 25 mm deep: look at its geometry")
 
 
 @pytest.mark.parametrize(

@@ -226,5 +226,7 @@ def _run(given: dict[str, Any]) -> int:
         return error.exit_code
     sys.stdout.write("ready\n")
     sys.stdout.flush()
+    if (overlap := simulated.world.overlap()) is not None:
+        _say(overlap)
     simulate(simulated, ServoPage(given["page"]), Link())
     return 0

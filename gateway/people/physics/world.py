@@ -63,6 +63,17 @@ class Saved(NamedTuple):
     forces_nm: Any
 
 
+class _Depth(NamedTuple):
+    """How deep one part of the robot is in another."""
+
+    depth_m: float
+    inner: str
+    outer: str
+
+    def __str__(self) -> str:
+        return f"{self.inner} is in {self.outer} {1000 * self.depth_m:.0f} mm deep"
+
+
 class World:
     """The robot, lying slack on its belly at first."""
 
@@ -148,6 +159,11 @@ class World:
             torques_nm={servo_id: float(data.actuator_force[place]) for servo_id, place in self._places.items()},
         )
 
+    def overlap(self) -> str | None:
+        """Legs that are in one another where it is now, in a sentence: nothing keeps legs of a model apart."""
+        legs = [each for each in self._depths() if "leg" in each.outer and "leg" in each.inner]
+        return f"{max(legs)}: look at its geometry" if legs else None
+
     def fault(self) -> str | None:
         """Why what was simulated since the last call is nonsense, in a sentence; the robot then lies down anew."""
         speeds = np.abs(self.data.qvel)
@@ -164,9 +180,9 @@ class World:
         if len(self._kept):
             self.data.qpos[:] = self._kept
             joints_rad = {servo_id: float(self._kept[_FREE + place]) for servo_id, place in self._places.items()}
-        depths = sorted(self._depths(), reverse=True)
+        deepest = max(self._depths(), default=None)
         self.lie_down(joints_rad)
-        inside = f"; {depths[0][1]} {1000 * depths[0][0]:.0f} mm deep" if depths else ""
+        inside = f"; {deepest}" if deepest is not None else ""
         return (
             f"the simulation exploded after {time_s:.1f} s{fast}{inside}. The robot lies down anew; look at its "
             "geometry, mass and torque"
@@ -191,7 +207,7 @@ class World:
             leg for leg, at_m in tips_m.items() if any(np.linalg.norm(each.pos - at_m) < _END_M for each in contacts)
         }
 
-    def _depths(self) -> Iterator[tuple[float, str]]:
+    def _depths(self) -> Iterator["_Depth"]:
         """How deep which part is in another one, or in the ground; parts of one leg may be."""
         model = self.model
         types = model.geom_contype.copy(), model.body_contype.copy()
@@ -202,7 +218,7 @@ class World:
             contact = self.data.contact[number]
             first, second = map(self._owner, contact.geom)
             if contact.dist < -_DEEP_M and first != second:
-                yield -float(contact.dist), f"{first} is in {second}"
+                yield _Depth(-float(contact.dist), first, second)
 
     def _owner(self, geom: int) -> str:
         name = self.model.body(self.model.geom_bodyid[geom]).name

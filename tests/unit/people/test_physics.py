@@ -1,9 +1,12 @@
 """The robot's body in MuJoCo: it stands, falls and lies as a thing of that weight does; and real time."""
 
 import math
+import re
 
 import pytest
+from typer.testing import CliRunner
 
+from gateway.cli import app
 from gateway.cli import run as run_command
 from gateway.errors import ConfigError
 from gateway.geometry import load
@@ -167,10 +170,14 @@ def test_an_explosion_is_reported_with_its_joint_and_the_robot_lies_down_anew() 
 
 
 def test_an_explosion_names_the_leg_that_is_inside_something() -> None:
-    """Legs 3 and 5 at one place. They do not collide, so that alone explodes nothing."""
+    """Legs 3 and 5 at one place. They do not collide, so that alone explodes nothing; it is reported all the same."""
     mounts = GEOMETRY.leg_mounts
     both = GEOMETRY.model_copy(update={"leg_mounts": {**mounts, 5: mounts[3]}})
     world = World(both)
+    overlap = world.overlap()
+    assert overlap is not None
+    assert "leg 3 is in leg 5 25 mm deep" in overlap
+    assert World(GEOMETRY).overlap() is None
     simulate(world, 0.5)
     assert world.fault() is None
     world.data.qvel[0] = math.nan
@@ -248,3 +255,19 @@ def test_help_says_the_defaults() -> None:
     assert shown["friction"].startswith(f"{FRICTION}:")
     assert pytest.approx(MASSES.total_kg, abs=0.01) == MASS_KG
     assert shown["terrain"] == str(assumed(None, None, None, None).terrain)
+
+
+@pytest.mark.parametrize(
+    ("option", "number", "bound"),
+    [
+        ("--mass-kg", "nan", "50"),
+        ("--mass-kg", "0", "0.2"),
+        ("--servo-torque-nm", "1000", "50"),
+        ("--friction", "-1", "0.01"),
+    ],
+)
+def test_what_nobody_builds_is_rejected_with_what_is_possible(option: str, number: str, bound: str) -> None:
+    result = CliRunner().invoke(app, ["run", "--sim=physics", option, number])
+    assert result.exit_code == 2
+    output = " ".join(result.output.replace("│", " ").split())
+    assert re.search(rf"Invalid value for '{option}': Input should be (less|greater) than or equal to {bound} ", output)
