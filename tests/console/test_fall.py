@@ -7,19 +7,36 @@ from typing import Final
 from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
+from gateway.geometry import load
 from tests.console.browser import Visitor
 from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
 
 PATIENT: Final = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
 """A browser that draws on the processor leaves little of it to others."""
-STEEP = ("--sim=physics", "--terrain", "slope:45", "--friction", "3", "--mass-kg", "1", "--servo-torque-nm", "20")
+STEEP: Final = (
+    "--sim=physics",
+    "--terrain",
+    "slope:25",
+    "--friction",
+    "3",
+    "--mass-kg",
+    "1",
+    "--servo-torque-nm",
+    "20",
+)
 
 
 def both_sides(client: Client, legs: tuple[int, ...], second_deg: float, third_deg: float, verb: str) -> None:
     """The same for left and right legs, whose servos are mirrored."""
     angles = {leg: (90, second_deg, third_deg) if leg % 2 else (90, 180 - second_deg, 180 - third_deg) for leg in legs}
     assert getattr(client, verb)(angles).accepted
+
+
+def push_over(client: Client) -> None:
+    """The four front legs of a robot that stands on STEEP push it over backwards; it comes to lie on its back."""
+    both_sides(client, (1, 2, 3, 4, 5, 6), 150, 110, "start_legs")
+    both_sides(client, (1, 2, 3, 4), 0, 20, "set_legs")
 
 
 def test_a_robot_that_walks_and_sinks_is_shown_where_it_is(browser: Browser, tmp_path: Path) -> None:
@@ -44,7 +61,7 @@ def test_a_robot_that_walks_and_sinks_is_shown_where_it_is(browser: Browser, tmp
 
 
 def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None:
-    """Its front legs push it over backwards, on a slope of 45 degrees."""
+    """On a slope, against which its height and its leaning count."""
     with (
         Gateway(tmp_path, PATIENT, options=STEEP) as gateway,
         Console(tmp_path, "--connect", gateway.endpoint) as console,
@@ -53,14 +70,37 @@ def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None
     ):
         page = visitor.open(webgl=True)
         page.insist_on_three_dimensions()
-        expect(page["see-title"]).to_have_text("Where it is")
-        both_sides(client, (1, 2, 3, 4, 5, 6), 150, 110, "start_legs")
-        both_sides(client, (1, 2), 0, 20, "set_legs")
-        expect(page["sim-known"]).to_have_text(re.compile("fallen|on its back"))
+        expect(page["sim-known"]).to_have_text(re.compile("^[5-7] cm high, leaning by [01]°"))
+        push_over(client)
+        expect(page["sim-known"]).to_have_text(re.compile("on its back"))
         page.page.screenshot(path=tmp_path / "fallen.png")
         assert client.stop().accepted
         page["set-upright"].click()
         expect(page["said"]).to_have_text("It stands on its feet again.")
+
+
+def test_legs_that_begin_to_run_are_drawn_as_commanded_beside_where_they_are(visitor: Visitor) -> None:
+    """So many points has the line: each of six legs has four parts, with two ends."""
+    page = visitor.open(webgl=True)
+    page.insist_on_three_dimensions()
+    points = page.module(
+        "scene",
+        """(m, geometry) => {
+            const scene = new m.Scene(document.createElement("div"), geometry, () => {});
+            const poses = (status) => new Map([1, 2, 3, 4, 5, 6].map((leg) =>
+                [leg, { degrees: [90, 90, 90], trueDegrees: [90, 60, 90], status, selected: false }]));
+            const body = { position_m: [0, 0, 0.1], orientation_xyzw: [0, 0, 0, 1], terrain: "flat" };
+            const floor = { crossing: () => [0, 0], turned: 0 };
+            const counts = ["rests", "runs"].map((status) => {
+                scene.update(poses(status), floor, body);
+                return scene.ghost.geometry.getAttribute("position").count;
+            });
+            scene.dispose();
+            return counts;
+        }""",
+        load().model_dump(mode="json"),
+    )
+    assert points == [0, 48]
 
 
 def test_without_physics_there_is_nobody_to_set_upright(visitor: Visitor) -> None:

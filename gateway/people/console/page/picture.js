@@ -76,7 +76,7 @@ export class Picture {
     else this.odometry.update(this.#feet(this.geometry));
     const beganMs = performance.now();
     this.view.update(poses, this.odometry, body);
-    this.#describe();
+    this.#describe(body !== null);
     this.#draw();
     this.#judge(performance.now() - beganMs);
   }
@@ -109,11 +109,11 @@ export class Picture {
     }
   }
 
-  /** In words, for who does not see it; only when a leg's status changes. */
-  #describe() {
+  /** In words, for who does not see it; only when a leg's status changes. @param {boolean} isThere not only commanded */
+  #describe(isThere) {
     const legs = this.model.state?.legs ?? [];
     const words = legs.map((leg) => `leg ${leg.leg} ${statusOf(leg).word}`).join(", ");
-    if (this.view) attribute(this.view.canvas, "aria-label", `The robot as commanded: ${words || "not heard yet"}`);
+    if (this.view) attribute(this.view.canvas, "aria-label", `The robot ${isThere ? "where it is" : "as commanded"}: ${words || "not heard yet"}`);
   }
 
   async #build() {

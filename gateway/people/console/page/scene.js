@@ -4,6 +4,7 @@
 import * as three from "./vendor/three/three.module.js";
 
 import { JOINTS, LEGS, jointRad, legPoints } from "./kinematics.js";
+import { heightAbove, slopeRad } from "./terrain.js";
 
 /** @typedef {import("./types.js").Geometry} Geometry @typedef {import("./types.js").Vector} Vector */
 /** @typedef {{degrees: number[], trueDegrees: number[] | null, status: string, selected: boolean}} LegPose */
@@ -73,8 +74,10 @@ export class Scene {
     /** All of the robot: turned as the body is, above a ground that stays level. */
     this.robot = new three.Group();
     this.scene.add(this.robot);
-    this.ghostMaterial = new three.LineBasicMaterial();
+    // Drawn last, and over a leg that is where it was sent.
+    this.ghostMaterial = new three.LineBasicMaterial({ depthTest: false, transparent: true });
     this.ghost = new three.LineSegments(new three.BufferGeometry(), this.ghostMaterial);
+    this.ghost.renderOrder = 1;
     this.robot.add(this.ghost);
 
     this.bodyMaterial = new three.MeshStandardMaterial({ roughness: 0.7, metalness: 0.1 });
@@ -125,12 +128,14 @@ export class Scene {
   /** As the body leans, seen from behind it: which way it heads shows in the floor. @param {import("./types.js").Body | null} body */
   #turn(body) {
     const turned = new three.Quaternion();
+    this.ground.quaternion.identity();
     if (body) {
       turned.set(...body.orientation_xyzw);
       const ahead = new three.Vector3(1, 0, 0).applyQuaternion(turned);
       const heading = new three.Quaternion().setFromAxisAngle(new three.Vector3(0, 0, 1), Math.atan2(ahead.y, ahead.x));
-      turned.premultiply(heading.invert());
-      this.ground.rotation.y = -slopeRad(body.terrain);
+      const slope = new three.Quaternion().setFromAxisAngle(new three.Vector3(0, 1, 0), -slopeRad(body.terrain));
+      this.ground.quaternion.copy(slope.multiply(heading)).premultiply(heading.invert());
+      turned.premultiply(heading);
     }
     this.robot.quaternion.copy(turned);
   }
@@ -143,7 +148,8 @@ export class Scene {
       const line = legPoints(this.geometry, leg, pose.degrees).map((point) => new three.Vector3(...point));
       for (let part = 1; part < line.length; part += 1) points.push(line[part - 1], line[part]);
     }
-    this.ghost.geometry.setFromPoints(points);
+    this.ghost.geometry.dispose();
+    this.ghost.geometry = new three.BufferGeometry().setFromPoints(points); // one that was made for fewer points takes no more
     this.ghost.visible = points.length > 0;
   }
 
@@ -348,16 +354,6 @@ function circle(radius, material) {
     return new three.Vector3(radius * Math.cos(angle), radius * Math.sin(angle), 0);
   });
   return new three.Line(new three.BufferGeometry().setFromPoints(points), material);
-}
-
-/** Of a body above the ground below it. @param {import("./types.js").Body} body */
-function heightAbove({ position_m: [x, , z], terrain }) {
-  return z - x * Math.tan(slopeRad(terrain));
-}
-
-/** @param {string} terrain as `run --terrain` names it */
-function slopeRad(terrain) {
-  return terrain.startsWith("slope:") ? (Number(terrain.slice(6)) * Math.PI) / 180 : 0;
 }
 
 /** @param {string} variable of the style sheet */

@@ -2,6 +2,7 @@
 /** A robot that is simulated with physics: where it really is, in words, and how somebody picks it up. */
 
 import { byId, show, text } from "./dom.js";
+import { heightAbove, upAgainst } from "./terrain.js";
 
 const SLOW = 0.95;
 
@@ -10,10 +11,9 @@ const SLOW = 0.95;
  * @param {import("./types.js").Body} body
  */
 export function inWords(body) {
-  const [x, y] = body.orientation_xyzw;
-  const up = 1 - 2 * (x * x + y * y);
+  const up = upAgainst(body);
   const tilt = Math.round((Math.acos(Math.max(-1, Math.min(1, up))) * 180) / Math.PI);
-  const how = body.upright ? `${Math.round(body.position_m[2] * 100)} cm high, leaning by ${tilt}°` : up < -0.5 ? "It lies on its back" : `It has fallen: it leans by ${tilt}°`;
+  const how = body.upright ? `${Math.round(heightAbove(body) * 100)} cm high, leaning by ${tilt}°` : up < -0.5 ? "It lies on its back" : `It has fallen: it leans by ${tilt}°`;
   const slow = body.real_time_factor < SLOW ? `; this machine simulates ${body.real_time_factor.toFixed(2)} s of each second` : "";
   return `${how}${slow}.`;
 }

@@ -1,0 +1,61 @@
+"""Makes docs/physics-walking.png and docs/physics-fallen.png anew: `python -m tests.console.fall_picture`."""
+
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from playwright.sync_api import Browser, expect, sync_playwright
+
+from gateway.client import Client
+from tests.console.browser import ARGUMENTS, CHROMIUM, Opened, Visitor
+from tests.console.test_fall import PATIENT, STEEP, push_over
+from tests.support.console_process import Console
+from tests.support.gateway_process import Gateway
+
+DOCS: Final = Path(__file__).parents[2] / "docs"
+SIZE: Final = {"width": 980, "height": 560}
+WEAK: Final = ("--sim=physics", "--mass-kg", "6", "--servo-torque-nm", "1.4")
+"""Too heavy for its servos: it walks on its belly."""
+
+
+@contextmanager
+def looked_at(browser: Browser, options: tuple[str, ...]) -> Iterator[tuple[Opened, Client]]:
+    """A page on a robot that is simulated so."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with (
+            Gateway(folder, PATIENT, options=options) as gateway,
+            Console(folder, "--connect", gateway.endpoint) as console,
+            Visitor(browser, console.url, console.sign_in()) as visitor,
+            gateway.client() as client,
+        ):
+            page = visitor.open(webgl=True, viewport=SIZE, color_scheme="light")
+            page.insist_on_three_dimensions()
+            expect(page["see-title"]).to_have_text("Where it is")
+            yield page, client
+
+
+def take(page: Opened, name: str) -> None:
+    page.page.locator("section.see").screenshot(path=DOCS / name)
+
+
+def main() -> None:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        with looked_at(browser, WEAK) as (page, client), client.walk() as walk:
+            walk.stand()
+            for _ in range(100):
+                walk.go(0.05)
+            take(page, "physics-walking.png")
+        with looked_at(browser, STEEP) as (page, client):
+            push_over(client)
+            expect(page["sim-known"]).to_have_text(re.compile("on its back"))
+            take(page, "physics-fallen.png")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
