@@ -71,6 +71,7 @@ def person() -> Iterator[Person]:
     yield here
     for event in here.servos.answers.values():
         event.set()
+    here.servos.fails.clear()  # closing waits for a Stop that is confirmed
     here.held.close(LATE_S)
 
 
