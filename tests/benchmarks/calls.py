@@ -92,6 +92,7 @@ async def _measure(run_s: float, recorder: Recorder) -> tuple[float, float]:
         recorder=recorder,
     )
     conductor.start()
+    conductor.announce_start()
     recorder.open()
     session = open_session(service_config(settings.zenoh))
     outbox.open(session)

@@ -117,8 +117,10 @@ class Executor:
 
 def _batches(transmits: list[Transmit]) -> list[list[Transmit]]:
     """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits."""
-    stops = [effect for effect in transmits if effect.frame.is_stop]
-    first = [effect for effect in stops if effect.cause is not _REPEAT]
-    repeated = [effect for effect in stops if effect.cause is _REPEAT]
-    moves = [effect for effect in transmits if not effect.frame.is_stop]
+    first: list[Transmit] = []
+    repeated: list[Transmit] = []
+    moves: list[Transmit] = []
+    for effect in transmits:
+        batch = moves if not effect.frame.is_stop else repeated if effect.cause is _REPEAT else first
+        batch += [effect]
     return [batch for batch in (first, repeated, moves) if batch]

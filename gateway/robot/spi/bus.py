@@ -241,12 +241,11 @@ class Bus:
         """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
         if self._device is None:
             raise SpiError("the SPI device is closed")
-        gap_us = self._gap_us
         batch = [self._zero] * zeros
-        if self.announces:
-            batch += [transfer for each in data for transfer in ((each[:1], gap_us), (each, gap_us))]
-        else:
-            batch += [(each, gap_us) for each in data]
+        for each in data:
+            if self.announces:
+                batch += [(each[:1], self._gap_us)]
+            batch += [(each, self._gap_us)]
         zeros_before, synchronised = self._zeros + zeros, self._synchronised
         self._synchronised = False  # until it has succeeded
         self._zeros = 0 if data else self._zeros  # a zero that failed may have arrived: one more does no harm
