@@ -64,9 +64,15 @@ def setpoint(key: str) -> dict[str, Any]:
     return legs_payload("set", {3: POSE}) if key == keys.LEGS_COMMAND else leg_payload("set", POSE)
 
 
-@pytest.mark.parametrize("timeout_ms", [250, 400])
-@pytest.mark.parametrize("key", [keys.LEGS_COMMAND, keys.leg_command(3)])
-@pytest.mark.parametrize("stream_hz", [RATE_HZ, 2 * RATE_HZ, 4 * RATE_HZ])
+@pytest.mark.parametrize(
+    ("stream_hz", "key", "timeout_ms"),
+    [
+        (RATE_HZ, keys.LEGS_COMMAND, 250),
+        (2 * RATE_HZ, keys.leg_command(3), 250),
+        (4 * RATE_HZ, keys.LEGS_COMMAND, 400),
+        (4 * RATE_HZ, keys.leg_command(3), 400),
+    ],
+)
 def test_a_stream_that_was_held_back_goes_on(
     tmp_path: Path, stack: ExitStack, stream_hz: int, key: str, timeout_ms: int
 ) -> None:

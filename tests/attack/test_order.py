@@ -26,7 +26,7 @@ SETTINGS = {
     "watchdog": {"timeout_ms": 10_000, "repeats": 0},
     "limits": {"leg_rate_hz": 1000},
 }
-TRIES = 240
+TRIES = 160
 BLOCK = zenoh.CongestionControl.BLOCK
 KEYS = {"legs": LEGS_COMMAND, "leg": leg_command(1), "servo": servo_command(11)}
 STARTS: dict[str, Any] = {

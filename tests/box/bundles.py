@@ -37,6 +37,8 @@ class Bundles:
     def make(self, release: str, key: str) -> Path:
         """A bundle of that release, of the code as it is."""
         filled, to = self.folder / f"wheels-{release}", self.folder / f"{release}-{key}"
+        if made := list(to.glob("*")):
+            return made[0]
         if not filled.exists():
             shutil.copytree(self.wheels, filled)
             requirements = filled / "requirements.txt"

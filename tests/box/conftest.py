@@ -45,10 +45,13 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Box]:
         yield box
 
 
-@pytest.fixture(scope="module")
-def installed(box: Box, wheels: Path) -> Iterator[InstalledGateway]:
-    """A box with the gateway installed from wheels, and an emulated SPI device behind it."""
-    with InstalledGateway(box, wheels) as robot:
+@pytest.fixture(scope="session")
+def installed(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator[InstalledGateway]:
+    """A box with the gateway installed from wheels, and an emulated SPI device behind it; one for several files.
+
+    The last of them, test_systemd_console.py, takes the installation away.
+    """
+    with Box(tmp_path_factory.mktemp("installed")) as box, InstalledGateway(box, wheels) as robot:
         yield robot
 
 

@@ -19,7 +19,7 @@ from tests.box.test_installer import Machine
 
 pytestmark = pytest.mark.systemd
 
-KILLS = int(os.environ.get("HEXAPOD_KILLS", "3"))
+KILLS = int(os.environ.get("HEXAPOD_KILLS", "2"))
 OPT = f"/opt/{NAME}"
 UPGRADE = "upgrade"
 WHOLE = f"cd {OPT}/venv && sha256sum --check --quiet --strict complete"

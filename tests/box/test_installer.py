@@ -17,9 +17,8 @@ STOCK = "#dtparam=i2c_arm=on\n#dtparam=spi=on\n\ndtoverlay=vc4-kms-v3d\n[cm4]\no
 DROP_IN = f"/etc/systemd/system/{NAME}.service.d/simulated.conf"
 KEPT = "/opt/kept"
 _MOVE = """
-for complete in "$1"/venv-*/complete; do
-    venv=$(dirname "$complete")
-    [ ! -e "$complete" ] || [ -e "$2/${venv##*/}" ] || { mkdir -p "$2" && mv "$venv" "$2"; }
+for venv in {venvs}; do
+    [ ! -e "$venv/complete" ] || [ -e "$1/${{venv##*/}}" ] || {{ mkdir -p "$1" && mv "$venv" "$1"; }}
 done
 """
 
@@ -31,11 +30,14 @@ class Machine:
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
         self.wheels = share(box, wheels)
+        self._venv = ""
         box.write(CONFIG_TXT, STOCK)
 
     def install(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
         """Run the installer from the wheels, with a framing; the lines that it printed."""
-        return self.run("--framing", "plain", "--wheels", self.wheels, *options, check=check, python=python)
+        lines = self.run("--framing", "plain", "--wheels", self.wheels, *options, check=check, python=python)
+        self._venv = self.box.run("readlink", f"/opt/{NAME}/venv", check=False).stdout.strip() or self._venv
+        return lines
 
     def run(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
         """Run the installer; the lines that it printed."""
@@ -46,14 +48,19 @@ class Machine:
 
     def keep_venv(self) -> None:
         """Set aside what pip has installed: it takes half a minute on a busy machine, and is always the same."""
-        self._move_venv(f"/opt/{NAME}", KEPT)
+        self._move_venvs(f"/opt/{NAME}/venv-*", KEPT)
 
     def restore_venv(self) -> None:
         """Put it back to where the installer finds it, and nothing else of an installation."""
-        self._move_venv(KEPT, f"/opt/{NAME}")
+        self._move_venvs(f"{KEPT}/{Path(self._venv or 'none').name}", f"/opt/{NAME}")
 
-    def _move_venv(self, whence: str, to: str) -> None:
-        self.box.run("sh", "-c", _MOVE, "sh", whence, to)
+    def newer_release(self) -> str:
+        """Its wheels; its virtual environment is put back beside that of the installed one."""
+        self._move_venvs(f"{KEPT}/venv-*", f"/opt/{NAME}")
+        return other_wheels(self, "newer", "\n# newer\n")
+
+    def _move_venvs(self, venvs: str, to: str) -> None:
+        self.box.run("sh", "-c", _MOVE.format(venvs=venvs), "sh", to)
 
     def simulate(self) -> None:
         """The simulated controller in place of SPI, as deploy/systemd/simulated.conf says."""
@@ -191,6 +198,8 @@ def test_life(bare: Machine) -> None:
 def other_wheels(machine: Machine, name: str, change: str) -> str:
     """The wheels of another release, whose service module begins with `change`."""
     folder = f"/opt/{name}"
+    if machine.box.exists(folder):
+        return folder
     machine.box.run("cp", "-r", machine.wheels, folder)
     program = (
         "import hashlib, pathlib, re, sys, zipfile\n"
@@ -247,7 +256,7 @@ def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine
     machine.simulate()
     machine.unit.systemctl("start")
     first = box.run("readlink", f"/opt/{NAME}/venv").stdout
-    newer = other_wheels(machine, "newer", "\n# newer\n")
+    newer = machine.newer_release()
     held = start_holding(machine, own)
     configuration = box.run("sha256sum", CONFIGURATION, f"/etc/{NAME}/zenoh/gateway.key").stdout
     running = machine.unit.property("MainPID")
@@ -294,7 +303,7 @@ def test_an_installation_that_was_ended_is_noticed(with_venv: Machine) -> None:
     machine.simulate()
     machine.unit.systemctl("start")
     old = machine.unit.property("MainPID")
-    newer = other_wheels(machine, "interrupted", "\n# interrupted\n")
+    newer = machine.newer_release()
     box.write(
         "/run/kill/systemctl",
         '#!/bin/sh\ncase $1 in restart) kill -KILL $PPID; exit 1;; esac\nexec /bin/systemctl "$@"\n',

@@ -9,7 +9,7 @@ TESTS = Path(__file__).parents[1]
 
 
 def test_a_folder_that_shares_a_machine_is_one_group() -> None:
-    assert group("tests/box/test_systemd.py::test_killed") == group("tests/box/test_console.py::test_console")
+    assert group("tests/box/test_systemd.py::test_killed") == group("tests/box/test_systemd_console.py::test_console")
 
 
 def test_a_file_is_one_group() -> None:

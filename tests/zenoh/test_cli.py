@@ -15,6 +15,7 @@ from gateway.people.tools.kept_lease import me
 from gateway.people.tools.send import person_of
 from schemas.telemetry import Kind, Mode
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames
@@ -29,10 +30,6 @@ gateway = gateway_fixture({"telemetry": {"frames": True}})
 def no_emergency_stop(gateway: Gateway) -> None:
     with gateway.client() as client:
         client.reset()
-
-
-def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False, timeout=60)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +111,7 @@ def test_estop_says_how_soon_and_reset_leaves_it(gateway: Gateway) -> None:
     [("send", "leg", "3", "stop"), ("send", "servo", "32", "stop"), ("send", "stop"), ("estop",), ("reset",)],
 )
 def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> None:
-    end = run(*arguments, *NOBODY)
+    end = run_here(*arguments, *NOBODY)
     assert end.returncode == 4
     assert len(end.stderr.splitlines()) == 1
     assert "Traceback" not in end.stderr
@@ -137,68 +134,41 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
     ],
 )
 def test_a_mistake_in_the_arguments_is_2_and_says_what_is_right(arguments: tuple[str, ...], said: str) -> None:
-    end = run(*arguments)
+    end = run_here(*arguments)
     assert end.returncode == 2
     assert said in " ".join(end.stderr.split())
     assert "Traceback" not in end.stderr
 
 
-def test_no_spi_device_is_3_and_one_line(tmp_path: Path) -> None:
-    config = tmp_path / "gateway.toml"
-    config.write_text('spi.device = "/dev/spidev9.9"\nspi.framing = "plain"\n')
-    for command in ("run", "stop-servos"):
-        end = run(command, "--config", str(config))
-        assert end.returncode == 3
-        (line,) = end.stderr.splitlines()
-        assert "/dev/spidev9.9 does not exist" in line
-        assert "--sim" in line
-
-
-SUBCOMMANDS = [
-    "run",
-    "stop-servos",
-    "send",
-    "send leg",
-    "send servo",
-    "send stop",
-    "stop",
-    "estop",
-    "reset",
-    "decode",
-    "certs",
-]
+SUBCOMMANDS = ["run", "stop-servos", "send", "send leg", "send servo", "stop", "estop", "reset", "decode", "certs"]
 
 
 @pytest.mark.parametrize("command", ["", *SUBCOMMANDS])
 def test_help_teaches(command: str) -> None:
-    end = run(*command.split(), "--help")
+    end = run_here(*command.split(), "--help")
     assert end.returncode == 0
     assert len(end.stdout.splitlines()) > 8
     if command in ("run", "stop-servos", "send", "estop", "reset", "decode"):
         assert "Exit codes" in end.stdout
 
 
-def test_version() -> None:
-    end = run("--version")
-    assert re.fullmatch(r"hexapod-gateway \d+\.\d+\.\d+ \(HexapodProtocol 1\.0\.0\)\n", end.stdout)
-
-
-def test_python_m_is_the_same_program() -> None:
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("--version",), 0, r"hexapod-gateway \d+\.\d+\.\d+ \(HexapodProtocol 1\.0\.0\)\n"),
+        (("--help",), 0, r"(?s).*Usage: hexapod-gateway .*"),
+        (("decode", "06", "02", "20", "02", "00", "00"), 0, "06 02 20 02 00 00: ONE SERVO: servo 32 stop\n"),
+        (("decode", "zz"), 1, "'zz' is not hexadecimal\n"),
+    ],
+)
+def test_python_m_is_the_same_program(arguments: tuple[str, ...], code: int, said: str) -> None:
     assert sys.executable in COMMAND
-    assert "Usage: hexapod-gateway" in run("--help").stdout
-
-
-def test_decode_explains_or_says_what_is_wrong() -> None:
-    command = [*COMMAND, "decode"]
-    for arguments, code, line in (
-        (["06", "02", "20", "02", "00", "00"], 0, "06 02 20 02 00 00: ONE SERVO: servo 32 stop"),
-        (["zz"], 1, "'zz' is not hexadecimal"),
-    ):
-        child = Child([*command, *arguments], {**os.environ, "LC_ALL": "C.UTF-8"})
-        assert child.wait() == code
-        child.close()
-        assert child.stdout == f"{line}\n"
-        assert child.stderr == ""
+    environment = {**os.environ, "LC_ALL": "C.UTF-8"}
+    end = subprocess.run(
+        [*COMMAND, *arguments], env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (end.returncode, end.stderr) == (code, "")
+    assert re.fullmatch(said, end.stdout)
 
 
 def test_who_engages_and_leaves_the_emergency_stop_is_named(tmp_path: Path) -> None:

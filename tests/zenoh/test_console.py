@@ -18,6 +18,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from gateway.client import Client
 from schemas.robot import LEGS
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
@@ -310,11 +311,13 @@ def test_the_address_is_taken(console: Console) -> None:
         (["--zenoh-config", "/nonexistent"], "/nonexistent"),
     ],
 )
-def test_what_it_does_not_start_with(console: Console, arguments: list[str], says: str) -> None:
-    child = Child([*COMMAND, "console", "--listen", f"127.0.0.1:{free_port()}", *arguments], console.env)
-    assert child.wait() == 2
-    child.close()
-    assert says in child.stderr
+def test_what_it_does_not_start_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], says: str
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    done = run_here("console", "--listen", f"127.0.0.1:{free_port()}", *arguments)
+    assert done.returncode == 2
+    assert says in done.stderr
 
 
 def test_link_without_a_console(console: Console, tmp_path: Path) -> None:

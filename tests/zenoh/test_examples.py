@@ -90,7 +90,7 @@ def test_the_tripod_gait_moves_all_18_servos_and_nothing_is_rejected(patient: Ga
 
 @pytest.mark.parametrize("start_again", [False, True])
 def test_going_on_after_somebody_elses_stop_is_a_decision(patient: Gateway, start_again: bool) -> None:
-    command = [sys.executable, str(EXAMPLES / "tripod_gait.py"), "--connect", patient.endpoint, "--seconds", "5"]
+    command = [sys.executable, str(EXAMPLES / "tripod_gait.py"), "--connect", patient.endpoint, "--seconds", "3"]
     with patient.client() as client:
         written = frames(client)
         child = Child([*command, *["--start-again"] * start_again], os.environ)

@@ -11,6 +11,7 @@ import pytest
 from gateway.people.recordings import read
 from schemas import keys
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, Gateway
 
 LEG_3 = keys.leg_command(3)
@@ -25,10 +26,8 @@ def gateway(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway
 
 def incidents(gateway: Gateway, *arguments: str) -> tuple[int, list[str]]:
     """Run it with this gateway's configuration; its exit code and what it printed."""
-    child = Child([*COMMAND, "incidents", *arguments, "--config", str(gateway.config)], os.environ)
-    code = child.wait(30)
-    child.close()
-    return code, child.stdout.splitlines()
+    done = run_here("incidents", *arguments, "--config", str(gateway.config))
+    return done.returncode, done.stdout.splitlines()
 
 
 def test_a_stop_is_reported_at_once_and_a_killed_gateways_story_is_still_there(

@@ -106,7 +106,7 @@ def test_while_somebody_drives_all_commands_say_who_and_what_can_be_done(gateway
             assert end.stdout.startswith(f"rejected: {reason}: ")
             assert "anna" in end.stdout
             assert "lease ask` asks for it; `lease take` takes it by force" in end.stderr
-        for stop in ("send leg 3 stop", "send servo 31 stop", "stop", "estop"):
+        for stop in ("send servo 31 stop", "estop"):
             assert gateway.run(*stop.split()).returncode == 0, stop
 
 
