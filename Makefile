@@ -39,15 +39,17 @@ run: $(VENV)/run
 quick: check
 	$(BIN)/pytest -q -n 2 tests/unit
 
-# What measures time runs alone, after all that may run side by side (tests/support/schedule.py).
+# First all that may run side by side, then pages and terminals in pairs, at last what measures time, alone
+# (tests/support/schedule.py).
 WORKERS ?= 4
 test: $(VENV)/dev debian-packages
 ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
 else
 	@$(BIN)/python -m tests.case --begin; \
-	$(BIN)/pytest -n $(WORKERS) -m "not alone" --junitxml=build/case/together.xml; together=$$?; \
-	$(BIN)/pytest -m alone --junitxml=build/case/alone.xml && exit $$together
+	$(BIN)/pytest -n $(WORKERS) -m "not alone and not attended" --junitxml=build/case/together.xml; together=$$?; \
+	$(BIN)/pytest -n 2 -m attended --junitxml=build/case/attended.xml; attended=$$?; \
+	$(BIN)/pytest -m alone --junitxml=build/case/alone.xml && exit $$((together + attended))
 endif
 
 check: $(VENV)/dev

@@ -59,10 +59,7 @@ def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
 
 @pytest.fixture(scope="module", autouse=True)
 def _search_ahead(request: pytest.FixtureRequest) -> None:
-    """Begin the searches, where they are wanted: most tests that run alone leave a processor idle.
-
-    Not beside a browser: a page that stalls for a quarter of a second stops what it drives.
-    """
+    """Begin the searches, where they are wanted: most tests that run alone leave a processor idle."""
     wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
-    if wanted and not schedule.has_pages(request.node.nodeid) and not hasattr(request.config, "workerinput"):
+    if wanted and not hasattr(request.config, "workerinput"):
         request.getfixturevalue("searches")

@@ -23,24 +23,24 @@ ORDER: Final = (
 """Longest chains first; last what is short, and what waits for the searches."""
 ALONE: Final = (
     "net",
-    "console",
     "hil/test_death.py",
     "hil/test_load.py",
     "hil/test_landing.py",
     "attack/test_console_strangers.py",
     "attack/test_console_starved.py",
+    "walking",  # each setpoint counts where a gait is recorded
+    "hil/test_crash_story.py",  # an incident takes in five seconds after the end
+)
+"""What measures time or fills the machine: `make test` runs these last, one at a time."""
+ATTENDED: Final = (
+    "console",
     "zenoh/test_calibrate.py",
     "zenoh/test_calibrate_terminal.py",
     "zenoh/test_walk_command.py",
     "zenoh/test_button_command.py",
     "zenoh/test_watch_terminal.py",
-    "walking",  # each setpoint counts where a gait is recorded
-    "hil/test_crash_story.py",  # an incident takes in five seconds after the end
 )
-"""What measures time or fills the machine, and pages and terminals with a person at them.
-
-`make test` runs these after all others, one at a time.
-"""
+"""Pages and terminals with a person at them, who is slow, but not stalled: two at a time, between the others."""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "console", "net", "ros2")
@@ -54,6 +54,8 @@ def arrange(items: list[pytest.Item]) -> None:
     for item in items:
         if SEARCHES in item.nodeid or _is_among(_file(item.nodeid), ALONE):
             item.add_marker(pytest.mark.alone)
+        elif _is_among(_file(item.nodeid), ATTENDED):
+            item.add_marker(pytest.mark.attended)
 
     def place(item: pytest.Item) -> int:
         if SEARCHES in item.nodeid:
@@ -62,11 +64,6 @@ def arrange(items: list[pytest.Item]) -> None:
         return ORDER.index(folder) if folder in ORDER else -1
 
     items.sort(key=place)
-
-
-def has_pages(nodeid: str) -> bool:
-    """Whether these tests have a browser."""
-    return _file(nodeid).startswith("console/")
 
 
 def give_way() -> None:
