@@ -270,7 +270,10 @@ def console(
     ] = None,
     key: Annotated[Path | None, typer.Option("--key", metavar="PATH", help="The certificate's private key.")] = None,
     role: Annotated[
-        str, typer.Option("--role", metavar="ROLE", help="operator, or observer: pages that only look.")
+        str,
+        typer.Option(
+            "--role", metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."
+        ),
     ] = "operator",
     geometry: Annotated[
         Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")

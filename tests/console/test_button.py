@@ -21,6 +21,17 @@ from tests.support.secured import Secured
 
 pytestmark = pytest.mark.browser
 
+PHONE = """
+window.wakes = 0;
+window.shakes = [];
+WakeLock.prototype.request = ((request) => function (kind) {
+  window.wakes += 1;
+  return request.call(this, kind);
+})(WakeLock.prototype.request);
+Navigator.prototype.vibrate = (pattern) => window.shakes.push(pattern);
+"""
+"""Counts how often the screen was to stay on, and what the phone was to do."""
+LANDSCAPE: dict[str, Any] = {"viewport": {"width": 568, "height": 320}, "has_touch": True, "is_mobile": True}
 SHOW = """
 Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
 document.dispatchEvent(new Event("visibilitychange"));
@@ -60,9 +71,12 @@ def watching(visitor: Visitor, watcher: Client, script: str = "", **options: Any
 
 
 def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
-    page = watching(visitor, watcher)
-    page["button"].click()
-    expect(page["known"]).to_have_text("STOPPED: 6 Stops written")
+    page = watching(visitor, watcher, PHONE, **LANDSCAPE)
+    assert page.page.evaluate("document.fullscreenElement !== null && window.wakes === 1")
+    start = visitor.open()
+    expect(start["buttons"]).to_have_text("1 alive")
+    page["button"].tap()
+    expect(page["known"]).to_have_text("6 Stops written")
     expect(page["word"]).to_have_text("STOPPED")
     state = watcher.state()
     assert state.mode == Mode.ESTOPPED
@@ -73,34 +87,83 @@ def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
     alive(watcher, 0)
 
 
-def test_with_certificates_and_tls_a_tap_stops_by_the_buttons_own_name(browser: Browser, tmp_path: Path) -> None:
+def test_with_a_buttons_certificate_and_tls_a_tap_stops_by_its_own_name(browser: Browser, tmp_path: Path) -> None:
     with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 2000}}) as secured, secured.client("otto") as otto:
         certs.console(secured.folder, "web", ["127.0.0.1"])
+        certs.issue(secured.folder, "kitchen", "button")
         files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
         heard = events(otto)
-        with Console(tmp_path / "console", *files, f"--zenoh-config={secured.folder / 'anna.json5'}") as console:
+        with Console(tmp_path / "console", *files, f"--zenoh-config={secured.folder / 'kitchen.json5'}") as console:
             verify = ssl.create_default_context(cafile=secured.folder / "web-ca.pem")
             with Visitor(browser, console.url, sign_in(console.new_link(), verify)) as visitor:
                 page = watching(visitor, otto, ignore_https_errors=True)
                 (name,) = otto.state().buttons.names
-                assert name.startswith("anna/page ")
-                expect(page["count"]).to_have_text(f"{name} · 1 alive, 1 required")
+                assert name.startswith("kitchen/page ")
+                expect(page["count"]).to_have_text(f"{name} · 1 of 1 alive")
                 page["button"].click()
-                expect(page["known"]).to_have_text("STOPPED: 6 Stops written")
+                expect(page["known"]).to_have_text("6 Stops written")
                 assert heard.wait(lambda event: event.kind == Kind.ESTOP_ENGAGED).source == name
                 assert otto.state().estop_source == name
+
+
+def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_connection(
+    visitor: Visitor, watcher: Client, console: Console
+) -> None:
+    page = watching(visitor, watcher, PHONE, **LANDSCAPE)
+    console.child.send_signal(signal.SIGSTOP)
+    try:
+        expect(page["word"]).to_have_text("NOT HEARD")
+        expect(page["known"]).to_contain_text("use the switch")
+        assert page.page.evaluate("window.shakes.length") > 0
+        assert page.page.evaluate("document.body.scrollHeight <= innerHeight"), "all of it is seen"
+        page["button"].tap()
+        expect(page["known"]).to_have_text("STOPPING …")
+    finally:
+        console.child.send_signal(signal.SIGCONT)
+    expect(page["known"]).to_have_text("6 Stops written")
+    expect(page["word"]).to_have_text("STOPPED")
+
+
+@pytest.mark.parametrize("role", ["button", "observer"])
+def test_a_page_of_a_button_stops_and_drives_nothing_and_one_that_looks_does_neither(
+    browser: Browser, gateway: Gateway, tmp_path: Path, role: str
+) -> None:
+    with (
+        Console(tmp_path, "--connect", gateway.endpoint, "--role", role) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+        gateway.client() as robot,
+    ):
+        if role == "observer":
+            page = visitor.open()
+            page.page.goto(f"{console.url}/button")
+            expect(page["word"]).to_have_text("NO BUTTON")
+            page["button"].click()
+            expect(page["word"]).to_have_text("NO BUTTON")
+            return
+        page = watching(visitor, robot)
+        page["button"].click()
+        expect(page["word"]).to_have_text("STOPPED")
+        page["leave"].click()
+        expect(page["only-looks"]).to_be_visible()
+        expect(page["lease-acquire"]).to_be_hidden()
+        expect(page["reset"]).to_be_hidden()
+        assert robot.reset().accepted
+        page["stop-all"].click()
+        expect(page["stop-known"]).to_contain_text("6 Stops written within")
+        assert robot.reset().accepted
 
 
 def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(visitor: Visitor, watcher: Client) -> None:
     """A phone that is locked, and unlocked."""
     heard = events(watcher)
-    page = watching(visitor, watcher)
+    page = watching(visitor, watcher, PHONE)
     page.page.evaluate(HIDE)
     heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
     expect(page["word"]).to_have_text("NOT HEARD")
     page.page.evaluate(SHOW)
     heard.wait(lambda event: event.kind == Kind.BUTTON_RETURNED)
     expect(page["word"]).to_have_text("STOP")
+    assert page.page.evaluate("window.wakes") == 2, "the browser let go of the screen when it was hidden"
 
 
 def test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter(

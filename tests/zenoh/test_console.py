@@ -306,7 +306,7 @@ def test_the_address_is_taken(console: Console) -> None:
     [
         (["--listen", "0.0.0.0:8080"], "certs console --host"),
         (["--listen", "nonsense:x"], "no HOST:PORT"),
-        (["--role", "admin"], "an operator (drives and watches) or an observer"),
+        (["--role", "admin"], "an operator's (drive, stop), a button's"),
         (["--geometry", "/nonexistent"], "cannot be read"),
         (["--zenoh-config", "/nonexistent"], "/nonexistent"),
     ],

@@ -33,7 +33,9 @@ def console(
     """Serve the page until the process is asked to end, without `listen` on a free port. Raises GatewayError."""
     _need_extra()
     if role not in ROLES:
-        raise ConfigError(f"--role {role}: a page is for an operator (drives and watches) or an observer (only looks)")
+        raise ConfigError(
+            f"--role {role}: pages are an operator's (drive, stop), a button's (only stop) or an observer's (only look)"
+        )
     from gateway.people.console.serve import Options, serve  # noqa: PLC0415 (does not load without them)
 
     serve(

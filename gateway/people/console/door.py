@@ -20,7 +20,7 @@ from urllib.parse import parse_qs
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
-from gateway.people.console.messages import Role
+from gateway.people.console.messages import Role, least
 from gateway.people.console.register import SESSION_S, Entry, Register
 from gateway.people.console.site import Site
 from gateway.people.terminal import this_command
@@ -124,10 +124,10 @@ class Door:
         else:
             entry = self._register.cookie(cookie)
         if entry is None:
-            if path == "/":
+            if path in _PAGES:
                 return self._refused("You are not signed in.")
             return _no(f"You are not signed in. {ANOTHER} {this_command()} console --link")
-        role: Role = "operator" if entry.role == self._role == "operator" else "observer"
+        role = least(entry.role, self._role)
         if path == WEBSOCKET:
             return SignedIn(entry, role)
         if path == "/session":

@@ -30,8 +30,16 @@ def _known_gait(name: str) -> str:
 
 
 Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; the answer repeats it")]
-Role = Literal["operator", "observer"]
+Role = Literal["operator", "button", "observer"]
+"""What a page may do: everything; watch, stop and be a stop button; only watch."""
 ROLES: Final[tuple[Role, ...]] = get_args(Role)
+
+
+def least(first: Role, second: Role) -> Role:
+    """Which of both may do less."""
+    return max(first, second, key=ROLES.index)
+
+
 LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
 ButtonVerb = Literal["register", "alive", "leave"]
 CalibrateVerb = Literal[

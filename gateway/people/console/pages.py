@@ -194,8 +194,8 @@ class Page:
         if isinstance(message, Alive):
             self._is_late(message.now_ms)
             self._is_late(message.now_ms, self._wishes)
-        elif self._role != "operator":
-            raise EndError("this page only looks")
+        elif self._role != "operator" and not (self._role == "button" and isinstance(message, StopAll | StopButton)):
+            raise EndError("this page only looks" + (", and stops" if self._role == "button" else ""))
         else:
             self._do(message)
 

@@ -26,7 +26,7 @@ from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.door import Door
 from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
 from gateway.people.console.link import STACK_BYTES, GatewayLink
-from gateway.people.console.messages import Role
+from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.pages import PagesOfCertificate
 from gateway.people.console.register import LINK_S, Register
 from gateway.people.console.site import DEFAULT_PORT, Site
@@ -73,7 +73,7 @@ def serve(options: Options) -> NoReturn:
     with _listening(options.site) as listening:
         logs.set_up(LogSettings())  # from now on nobody waits for whoever reads what is written here
         found = Register(register.folder(), options.site.port)
-        role = _least(role, options.role)
+        role = least(role, options.role)
         found.begin(options.site.url, role)
         asyncio.run(_run(options, listening, found, person, role, common_name, geometry))
 
@@ -184,15 +184,11 @@ def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role
     certificate = get(config, "transport/link/tls/connect_certificate")
     if certificate:
         holder = certs.describe(Path(certificate))
-        role: Role = "operator" if holder.role.partition(".")[0] == "operator" else "observer"
+        role: Role = next((each for each in ROLES if each == holder.role.partition(".")[0]), "observer")
         return holder.name, role, holder.common_name
     with suppress(OSError, KeyError):
         return getpass.getuser(), "operator", ""
     return "console", "operator", ""
-
-
-def _least(first: Role, second: Role) -> Role:
-    return "operator" if first == second == "operator" else "observer"
 
 
 def _open(file: Path) -> None:

@@ -14,6 +14,8 @@ const SHARE = 4;
 const REFRESH_MS = 100;
 const BUZZ_MS = [200, 100, 200];
 const BUZZ_EVERY_MS = 1500;
+/** Where nothing at all is heard for so long after a tap, a new connection is tried. */
+const DEAF_MS = 1000;
 
 /**
  * @typedef {{id: number, do: string, accepted: boolean | null, reason: string | null, detail: string | null,
@@ -39,10 +41,12 @@ export class StopButton {
     this.trouble = "";
     this.name = "";
     this.count = "";
+    /** The console lets this page only look. */
+    this.looks = false;
     this.mode = "unknown";
     this.stopLine = "";
-    /** @type {number | null} */
-    this.stopId = null;
+    /** @type {{id: number, atMs: number} | null} not confirmed yet */
+    this.stopping = null;
     /** @type {{id: number, sentMs: number} | null} what is under way */
     this.asked = null;
     this.buzzedMs = -Infinity;
@@ -50,8 +54,12 @@ export class StopButton {
     this.wake = null;
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
-    byId("button").addEventListener("pointerdown", (event) => this.#tap(event));
-    byId("button").addEventListener("click", (event) => event.detail === 0 && this.#tap(event)); // of a keyboard
+    // A stop comes with the touch; what begins comes with its end, which alone lets a page have the full screen.
+    byId("button").addEventListener("pointerdown", (event) => this.watches && this.#stop(event));
+    byId("button").addEventListener("click", (event) => {
+      if (!this.watches) this.#begin();
+      else if (event.detail === 0) this.#stop(event); // of a keyboard
+    });
     window.addEventListener("contextmenu", (event) => event.preventDefault());
     window.addEventListener("pagehide", () => this.#leave());
     byId("leave").addEventListener("click", () => this.#leave());
@@ -65,20 +73,22 @@ export class StopButton {
     return this.registered && performance.now() - this.confirmedMs < this.timeoutMs;
   }
 
+  #begin() {
+    if (this.looks) return;
+    this.watches = true;
+    void document.documentElement.requestFullscreen?.().catch(() => {});
+    this.#seen();
+    this.#register();
+    this.#refresh();
+  }
+
   /** @param {Event} event */
-  #tap(event) {
+  #stop(event) {
     event.preventDefault();
-    if (!this.watches) {
-      this.watches = true;
-      void document.documentElement.requestFullscreen?.().catch(() => {});
-      this.#seen();
-      this.#register();
-      return;
-    }
     navigator.vibrate?.(60);
-    this.stopId ??= this.link.nextId();
+    this.stopping ??= { id: this.link.nextId(), atMs: performance.now() };
     this.stopLine = "STOPPING …";
-    this.#press(this.stopId);
+    this.#press(this.stopping.id);
     this.#refresh();
   }
 
@@ -118,7 +128,7 @@ export class StopButton {
 
   #opened() {
     this.asked = null;
-    if (this.stopId !== null) this.#press(this.stopId);
+    if (this.stopping) this.#press(this.stopping.id);
     if (this.watches) this.#register(); // the token belongs to the connection before
   }
 
@@ -131,12 +141,13 @@ export class StopButton {
 
   /** @param {any} message of the console */
   #heard(message) {
-    if (message.type === "state") {
+    if (message.type === "hello") this.looks = message.role === "observer";
+    else if (message.type === "state") {
       this.mode = message.state.mode;
-      if (this.mode !== "estopped" && this.stopId === null) this.stopLine = "";
-    } else if (message.type === "stop" && message.id === this.stopId) {
-      if (message.answered) this.stopId = null;
-      this.stopLine = message.answered ? `STOPPED: ${message.stop_frames} Stops written` : `NOT STOPPED: ${message.error ?? "no answer yet"}`;
+      if (this.mode !== "estopped" && !this.stopping) this.stopLine = "";
+    } else if (message.type === "stop" && message.id === this.stopping?.id) {
+      if (message.answered) this.stopping = null;
+      this.stopLine = message.answered ? `${message.stop_frames} Stops written` : `NOT STOPPED: ${message.error ?? "no answer yet"}`;
     } else if (message.type === "button") this.#answered(message);
     this.#refresh();
   }
@@ -150,7 +161,7 @@ export class StopButton {
       this.trouble = "";
       this.name = answer.name ?? this.name;
       this.timeoutMs = answer.timeout_ms ?? this.timeoutMs;
-      this.count = `${answer.alive ?? 0} alive, ${answer.required ?? 0} required`;
+      this.count = answer.required ? `${answer.alive} of ${answer.required} alive` : `${answer.alive} alive, none required`;
       if (answer.do === "register") {
         this.registered = true;
         this.#ask("alive");
@@ -170,19 +181,31 @@ export class StopButton {
   /** The screen stays on while it watches; a browser lets go of that when the page is hidden. */
   #seen() {
     if (!this.watches || document.visibilityState !== "visible") return;
-    void navigator.wakeLock?.request("screen").then((wake) => (this.wake = wake)).catch(() => {});
+    void navigator.wakeLock
+      ?.request("screen")
+      .then((wake) => {
+        this.wake = wake;
+        wake.addEventListener("release", () => this.wake === wake && (this.wake = null));
+      })
+      .catch(() => {});
   }
 
   #refresh() {
     const { heard } = this;
     const tone = !this.watches ? "off" : !heard ? "unheard" : this.mode === "estopped" ? "stopped" : "watches";
     attribute(document.body, "data-tone", tone);
-    const words = { off: "TAP TO WATCH", unheard: "NOT HEARD", stopped: "STOPPED", watches: "STOP" };
+    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", stopped: "STOPPED", watches: "STOP" };
     text(byId("word"), words[tone]);
-    const unheard = `the gateway does not hear this button: use the switch. ${this.trouble}`;
-    text(byId("known"), this.stopLine || (tone === "unheard" ? unheard : tone === "off" ? "then a tap anywhere stops the robot" : ""));
+    const lines = {
+      off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",
+      unheard: `the gateway does not hear this button: use the switch. ${this.trouble}`,
+      stopped: "",
+      watches: this.wake ? "" : "this screen may go dark by itself, which is a stop: let it stay on in the phone's settings",
+    };
+    text(byId("known"), this.stopLine || lines[tone]);
     text(byId("count"), this.watches ? `${this.name} · ${this.count}` : "");
     const now = performance.now();
+    if (this.stopping && now - this.stopping.atMs > DEAF_MS) this.link.renewIfDeaf(DEAF_MS);
     if (tone === "unheard" && now - this.buzzedMs > BUZZ_EVERY_MS) {
       this.buzzedMs = now;
       navigator.vibrate?.(BUZZ_MS);

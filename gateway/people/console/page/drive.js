@@ -55,7 +55,7 @@ export class Drive {
   }
 
   refresh() {
-    const looks = this.model.hello?.role === "observer";
+    const looks = this.model.looks;
     show(byId("controls"), !looks);
     show(byId("only-looks"), looks);
     const { active } = this.hold;

@@ -34,7 +34,7 @@ export function obstacle({ link, model, told, lastTickMs }, nowMs) {
   if (model.linkStatus === "gone") return "the console has lost the gateway";
   const stateAgeMs = model.ageMs(nowMs);
   if (stateAgeMs > FRESH_MS) return `the newest state is ${(stateAgeMs / 1000).toFixed(1)} s old`;
-  if ((model.hello?.role ?? "observer") === "observer") return "this page may only look";
+  if (!model.hello || model.looks) return "this page may only look";
   const mode = model.state?.mode ?? "unknown";
   if (mode === "estopped") return "STOP ALL is engaged; reset it first";
   if (mode !== "idle" && mode !== "active") return `the gateway is not ready (${mode})`;

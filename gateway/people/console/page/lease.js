@@ -73,7 +73,7 @@ export class Lease {
 
   refresh() {
     const { holder, asker, mine } = this;
-    const looks = this.model.hello?.role === "observer";
+    const looks = this.model.looks;
     const connected = this.link.open && this.model.linkStatus === "connected";
     const unverified = holder && this.model.state?.lease?.verified === false ? ", not verified" : "";
     text(byId("driver"), mine ? "you" : holder ? `${holder}${unverified}` : "nobody");

@@ -112,6 +112,11 @@ export class Model {
     return this.connected && this.linkStatus === "connected" && this.ageMs(nowMs) < SILENT_MS;
   }
 
+  /** It moves nothing; as a button it stops. */
+  get looks() {
+    return this.hello !== null && this.hello.role !== "operator";
+  }
+
   get geometry() {
     return this.hello?.geometry ?? null;
   }

@@ -1,11 +1,12 @@
 // @ts-check
 /** The legs' table, the numbers and the events: text nodes that change only where a number has. */
 
-import { ago, attribute, byId, element, text, worded } from "./dom.js";
+import { ago, attribute, byId, element, show, text, worded } from "./dom.js";
 import { LEGS } from "./kinematics.js";
 import { statusOf } from "./model.js";
 
-/** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").GatewayEvent} GatewayEvent */
+/** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").GatewayEvent} GatewayEvent
+ * @typedef {import("./types.js").GatewayState} GatewayState */
 
 const NAMES = {
   frames: "Frames a second",
@@ -20,7 +21,7 @@ const NAMES = {
   uptime: "Gateway up",
 };
 const MOST_REJECTORS = 5;
-const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "stopped_outside", "stopping"]);
+const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "stopped_outside", "stopping", "button_silent"]);
 
 /** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
 
@@ -50,6 +51,7 @@ export class Numbers {
     const age = model.ageMs(nowMs);
     text(byId("age"), !state ? "none yet" : live ? `${Math.round(age / 10) * 10} ms old` : `the past: ${ago(age)} old`);
     attribute(byId("age"), "data-live", live ? "yes" : "no");
+    this.#buttons(state?.buttons, live);
     text(byId("robot"), model.geometry?.name ?? "");
     if (!state) return;
     for (const leg of state.legs) this.#leg(leg, state.watchdog.timeout_ms, nowMs, live);
@@ -93,6 +95,15 @@ export class Numbers {
     text(row.age, age === null ? "never" : counted ? `${Math.round(age / 10) * 10} of ${timeoutMs} ms` : `${ago(age)} ago`);
     row.bar.style.width = `${counted ? Math.min(100, (100 * age) / timeoutMs).toFixed(0) : 0}%`;
     text(row.by, leg.source ?? "–");
+  }
+
+  /** Who watches; nothing where nobody has to, and nobody does. @param {GatewayState["buttons"]} buttons @param {boolean} live */
+  #buttons(buttons, live) {
+    const { alive, required, names } = buttons ?? { alive: 0, required: 0, names: [] };
+    show(byId("buttons-fact"), alive + required > 0);
+    text(byId("buttons"), !live ? "unknown" : required ? `${alive} of ${required} alive` : `${alive} alive`);
+    attribute(byId("buttons"), "data-enough", live && alive >= required ? "yes" : "no");
+    attribute(byId("buttons"), "title", names.join(", ") || null);
   }
 
   /** @param {string} key @param {string} value */

@@ -125,7 +125,7 @@ export class StopAll {
     });
     text(byId("stop-known"), known.line);
     attribute(byId("stop"), "data-tone", known.tone);
-    show(byId("reset"), latched && !this.#looks && model.live(nowMs));
+    show(byId("reset"), latched && !model.looks && model.live(nowMs));
     enable(/** @type {HTMLButtonElement} */ (byId("stop-all")), !this.#looks);
     const aloud = known.tone === "plain" ? "" : known.line.replace(/asked [\d.]+ s ago/, "asked");
     if (aloud !== this.spoken) {
@@ -134,6 +134,7 @@ export class StopAll {
     }
   }
 
+  /** An observer does not even stop. */
   get #looks() {
     return this.model.hello?.role === "observer";
   }

@@ -10,12 +10,12 @@
  *   spi: {device: string, framing: string, frames: number, errors: number},
  *   watchdog: {timeout_ms: number, expirations: number,
  *              stop_latency_us: {p50: number | null, p99: number | null, max: number | null}},
- *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
+ *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, buttons?: {required: number, alive: number, names: string[]}, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
  * }} GatewayState
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
  *            detail: string, left_out?: number, legs?: number[]}} GatewayEvent
  *
- * @typedef {{type: "hello", role: "operator" | "observer", person: string, source: string, version: string,
+ * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
  *            geometry: Geometry}} Hello
  * @typedef {{type: "state", age_ms: number, state: GatewayState}} StateMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage

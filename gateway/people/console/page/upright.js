@@ -36,7 +36,7 @@ export class Upright {
     text(byId("see-title"), body ? "Where it is" : "As commanded");
     show(byId("sim-body"), body !== null);
     show(byId("see-hint"), body === null);
-    show(byId("set-upright"), body !== null && this.model.hello?.role !== "observer");
+    show(byId("set-upright"), body !== null && !this.model.looks);
     if (body) text(byId("sim-known"), inWords(body));
   }
 

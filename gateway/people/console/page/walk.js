@@ -147,7 +147,7 @@ export class Walk {
     const { report } = this;
     const { x, y, turn } = this.deflection;
     const mine = this.told.mine();
-    show(byId("walk-controls"), this.model.hello?.role !== "observer");
+    show(byId("walk-controls"), !this.model.looks);
     attribute(byId("walk-controls"), "data-mine", mine ? "yes" : "no");
     for (const id of ["stand", "sit", "lower", "higher"]) enable(/** @type {HTMLButtonElement} */ (byId(id)), mine);
     for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", mine ? "false" : "true");
