@@ -1,15 +1,16 @@
-"""Which faults are made: operators of cosmic-ray that each stand for a mistake, and three of this project's own.
+"""Which faults are made: operators of cosmic-ray that each stand for a mistake, and a few of our own.
 
 An operator has `mutation_positions(node)` and `mutate(node, index)` on parso's tree, as cosmic-ray's documentation of
 "operators" describes it.
 """
 
 import ast
+import re
 from collections.abc import Iterator
 from typing import Final, Protocol
 
 from cosmic_ray.operators.provider import OperatorProvider
-from parso.python.tree import Keyword, Newline, Number
+from parso.python.tree import Keyword, Newline, Number, String
 from parso.tree import BaseNode, NodeOrLeaf
 
 Span = tuple[tuple[int, int], tuple[int, int]]
@@ -150,6 +151,27 @@ class Scale:
         return node
 
 
+class Flip:
+    """A `true` or a `false` in a text of several lines, such as the template of a configuration."""
+
+    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
+        """Each of them, but not in docstrings."""
+        if isinstance(node, String) and node.parent is not None and node.parent.type != "simple_stmt":
+            yield from ((node.start_pos, node.end_pos) for _ in _flags(node))
+
+    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
+        """The text with the other word."""
+        assert isinstance(node, String)
+        flag = _flags(node)[index]
+        other = "false" if flag.group() == "true" else "true"
+        node.value = node.value[: flag.start()] + other + node.value[flag.end() :]
+        return node
+
+
+def _flags(text: String) -> list[re.Match[str]]:
+    return list(re.finditer(r"\b(true|false)\b", text.value)) if "\n" in text.value else []
+
+
 def _is_large(number: Number) -> bool:
     value: float = ast.literal_eval(number.value)
     return value >= SCALED_FROM
@@ -205,5 +227,5 @@ def operators() -> dict[str, Operator]:
     """All of them by name."""
     provider = OperatorProvider()
     theirs: dict[str, Operator] = {name: provider[name]() for name in _NAMES}
-    ours: tuple[Operator, ...] = (CatchNothing(), Forget(), IgnoreGuard(), LeaveOut(), Scale(), Step())
+    ours: tuple[Operator, ...] = (CatchNothing(), Flip(), Forget(), IgnoreGuard(), LeaveOut(), Scale(), Step())
     return theirs | {type(operator).__name__: operator for operator in ours}
