@@ -162,20 +162,26 @@ def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:
     assert declared == {*TELEMETRY, ALIVE}
 
 
+FOR_BOTH: list[tuple[str, object]] = [
+    ("scouting/multicast/enabled", False),
+    ("scouting/gossip/enabled", False),
+    ("transport/shared_memory/enabled", False),
+    ("transport/link/protocols", ["tls"]),
+    ("transport/link/tx/lease", 1000),
+    ("transport/link/rx/max_message_size", 65536),
+    ("transport/link/tls/root_ca_certificate", "ca.pem"),
+    ("transport/link/tls/enable_mtls", True),
+    ("transport/link/tls/verify_name_on_connect", True),
+]
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        *FOR_BOTH,
         ("mode", "peer"),
+        ("listen/endpoints", ["tls/[::]:7447"]),
         ("adminspace/enabled", False),
-        ("scouting/multicast/enabled", False),
-        ("scouting/gossip/enabled", False),
-        ("transport/shared_memory/enabled", False),
-        ("transport/link/protocols", ["tls"]),
-        ("transport/link/tx/lease", 1000),
-        ("transport/link/rx/max_message_size", 65536),
-        ("transport/link/tls/root_ca_certificate", "ca.pem"),
-        ("transport/link/tls/enable_mtls", True),
-        ("transport/link/tls/verify_name_on_connect", True),
         ("transport/link/tls/close_link_on_expiration", True),
     ],
 )
@@ -194,19 +200,11 @@ def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(gateway:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        *FOR_BOTH,
         ("mode", "client"),
-        ("scouting/multicast/enabled", False),
-        ("scouting/gossip/enabled", False),
-        ("transport/shared_memory/enabled", False),
         ("transport/unicast/open_timeout", 1000),
-        ("transport/link/protocols", ["tls"]),
-        ("transport/link/tx/lease", 1000),
-        ("transport/link/rx/max_message_size", 65536),
-        ("transport/link/tls/root_ca_certificate", "ca.pem"),
         ("transport/link/tls/connect_certificate", "anna.pem"),
         ("transport/link/tls/connect_private_key", "anna.key"),
-        ("transport/link/tls/enable_mtls", True),
-        ("transport/link/tls/verify_name_on_connect", True),
         ("connect/endpoints", ["tls/robot.local:7447", "tls/[fd00::1]:7447"]),
         ("namespace", "robot1"),
     ],

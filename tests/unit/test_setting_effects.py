@@ -34,7 +34,7 @@ SHOWN_ELSEWHERE = {
     "zenoh.allow_insecure": "test_exposure.py",
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
-    "spi.resync_ms": "test_bus_preamble.py",
+    "spi.resync_ms": "test_bus.py",
     "lease.required": "test_lease_conductor.py",
     "lease.ttl_ms": "test_lease_conductor.py",
     "lease.takeover": "test_lease_conductor.py",

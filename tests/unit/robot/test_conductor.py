@@ -1,17 +1,15 @@
 """Commands from a received message to frames, answers and reports, in virtual time."""
 
 import asyncio
-from itertools import pairwise
 
 import pytest
 
 from gateway.robot.core.message import Verb
-from gateway.robot.core.rejection_limit import SOURCES, TOLD_PER_S
-from gateway.robot.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.robot.protocol.frames import OneLeg, Op, ServoOp, stop_leg
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason, WatchdogState
-from tests.support.robot import Robot, leg, servo, started, started_and_quiet
+from tests.support.robot import Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
@@ -21,13 +19,6 @@ LEG_3 = keys.leg_command(3)
 def moved(op: Op, *angles_deg: float) -> OneLeg:
     first, second, third = (ServoOp(op, round(angle_deg * 100)) for angle_deg in angles_deg)
     return OneLeg(3, (first, second, third))
-
-
-async def test_the_start_stops_all_six_legs_before_anything_else() -> None:
-    robot = started()
-    assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS]
-    assert [event.kind for event in robot.events()] == [Kind.STARTED]
-    assert robot.mode == Mode.IDLE
 
 
 async def test_nothing_is_told_before_commands_are_taken_however_long_that_takes() -> None:
@@ -105,57 +96,6 @@ async def test_what_comes_too_soon_waits_and_the_newest_target_goes_out_as_a_sta
         moved(Op.START, 30, 30, 30),
     ]
     assert [ack.coalesced for ack in first + second] == [True, None]
-
-
-async def test_a_stream_above_the_rate_is_thinned_and_nothing_is_made_up() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("start", 0, 0, 0))
-    begun_ms = robot.now_ns() / 1e6
-    for count in range(300):
-        robot.put(LEG_3, leg("set", count / 10, 0, 0))
-        await asyncio.sleep(1 / 300)
-    frames = robot.frames
-    gaps_ms = [later - earlier for (earlier, _), (later, _) in pairwise(frames)]
-    assert gaps_ms[:3] == pytest.approx([5, 5, 10]), "what the bucket held"
-    assert gaps_ms[3:] == pytest.approx([20] * 48)
-    # What goes out is the newest of its moment (or the one before, where both fall on the same millisecond).
-    for at_ms, frame in frames[1:]:
-        newest = int((at_ms - begun_ms) * 0.3 + 1e-3)
-        assert frame.servos[0][1].angle_cdeg in (newest * 10, (newest - 1) * 10)
-
-
-async def test_a_stream_at_the_rate_passes_unthinned_although_it_jitters() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("start", 0, 0, 0))
-    for count in range(100):
-        await asyncio.sleep(0.005 if count % 2 else 0.035)
-        robot.put(LEG_3, leg("set", count, 0, 0))
-    await asyncio.sleep(0.02)
-    assert len(robot.frames) == 101
-    assert robot.conductor.metrics.coalesced == 0
-
-
-async def test_a_stop_waits_for_no_rate_slot_and_nothing_older_follows_it() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("start", 10, 10, 10))
-    await asyncio.sleep(0.001)
-    waiting = robot.get(LEG_3, leg("set", 20, 20, 20))
-    assert robot.ask(LEG_3, leg("stop")).accepted
-    at_ms = robot.now_ns() / 1e6
-    await asyncio.sleep(0.2)
-    assert robot.frames[1] == (at_ms, stop_leg(3))
-    assert all(frame == stop_leg(3) for _, frame in robot.frames[1:])
-    assert [ack.coalesced for ack in waiting] == [True]
-
-
-@pytest.mark.parametrize(
-    ("key", "stopped"), [(LEG_3, {31, 32, 33}), (keys.servo_command(32), {32}), (keys.LEGS_COMMAND, {31, 32, 33})]
-)
-async def test_a_delete_stops_what_its_key_names(key: str, stopped: set[int]) -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("start", 90, 90, 90))
-    robot.put(key, verb=Verb.DELETE)
-    assert robot.controller.energised == {31, 32, 33} - stopped
 
 
 async def test_a_reset_is_never_taken_from_a_delete_or_a_wildcard() -> None:
@@ -250,14 +190,6 @@ async def test_what_a_deadline_stops_within_a_tick_is_not_started_by_what_the_ti
     assert robot.controller.energised == set()
 
 
-async def test_a_stop_for_one_servo_of_a_leg_stops_only_that() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("start", 1, 1, 1))
-    robot.put(keys.servo_command(32), servo("stop"))
-    assert robot.frames[-1][1] == OneServo(32, STOP)
-    assert robot.controller.energised == {31, 33}
-
-
 async def test_frame_records_say_why_each_frame_was_written() -> None:
     robot = await started_and_quiet(telemetry={"frames": True}, watchdog={"repeats": 1})
     robot.put(LEG_3, leg("start", 1, 1, 1))
@@ -313,23 +245,6 @@ async def test_a_stop_without_a_name_takes_a_leg_from_nobody(stop: str) -> None:
     assert event.detail == "leg 3 is commanded by somebody without a name, and was by my script", "it moves"
 
 
-async def test_a_fight_for_a_leg_is_told_ten_times_a_second_and_source() -> None:
-    robot = Robot()
-    robot.conductor.start()
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
-    for number in range(100):
-        await asyncio.sleep(0.005)
-        robot.put(LEG_3, leg("set", 1, 2, 3, source=("anna", "ben")[number % 2]))
-    events = robot.events(Kind.SOURCE_CHANGED)
-    assert [len([e for e in events if e.source == name]) for name in ("anna", "ben")] == [10, 10]
-    await asyncio.sleep(0.2)
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
-    await asyncio.sleep(0.5)
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
-    robot.put(LEG_3, leg("set", 1, 2, 3, source="ben"))
-    assert robot.events(Kind.SOURCE_CHANGED)[-1].left_out == 40
-
-
 async def test_no_kind_of_event_is_left_out_for_another_kinds_sake() -> None:
     """Two people fight for a leg, and then one of them takes the lease and calibrates."""
     robot = Robot()
@@ -347,17 +262,6 @@ async def test_no_kind_of_event_is_left_out_for_another_kinds_sake() -> None:
     await asyncio.sleep(1)
     robot.put(LEG_3, b"{", source="ben")
     assert robot.events()[-1].left_out == 30, "of its own kind alone"
-
-
-async def test_many_made_up_names_hide_no_other_kind_and_bring_no_more_than_their_share() -> None:
-    robot = Robot()
-    robot.conductor.start()
-    for number in range(2000):
-        robot.lease("ask", f"nobody {number}")  # rejected: nobody holds it
-    assert len(robot.events(Kind.COMMAND_REJECTED)) <= (SOURCES + 1) * TOLD_PER_S
-    robot.lease("acquire", "anna")
-    robot.lease("take", "ben")
-    assert [event.kind for event in robot.events()[-2:]] == [Kind.LEASE_ACQUIRED, Kind.LEASE_TAKEN]
 
 
 @pytest.mark.parametrize(("payload", "source"), [

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.robot.core.message import Verb
-from gateway.robot.protocol.frames import STOP, OneServo, Op, stop_leg
+from gateway.robot.protocol.frames import STOP, OneServo, stop_leg
 from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
@@ -38,31 +38,6 @@ async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it()
     assert state.watchdog.stop_latency_us.max is not None
 
 
-async def test_rejected_commands_do_not_feed_the_watchdog() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    for _ in range(30):
-        await asyncio.sleep(0.01)
-        robot.put(LEG_3, b"{")
-        robot.put(LEG_3, leg("start", 90, 90, 181))
-        robot.put(LEG_1, leg("set", 1, 1, 1))
-    assert robot.frames[1][1] == stop_leg(3)
-    assert robot.frames[1][0] - robot.frames[0][0] == pytest.approx(250, abs=0.01)
-
-
-async def test_after_the_watchdog_only_a_start_moves_and_it_ends_the_repeats() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    await asyncio.sleep(0.255)
-    assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
-    assert robot.ask(LEG_3, START).accepted
-    for _ in range(10):
-        await asyncio.sleep(0.02)
-        robot.put(LEG_3, leg("set", 1, 1, 1))
-    assert [frame.is_stop for _, frame in robot.frames[:3]] == [False, True, False]
-    assert not any(frame.is_stop for _, frame in robot.frames[3:])
-
-
 async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latches() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, START)
@@ -85,14 +60,6 @@ async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latche
     assert robot.events()[-2].kind == Kind.ESTOP_RESET
 
 
-async def test_a_reset_with_nothing_latched_is_accepted_and_changes_nothing() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    assert robot.ask(keys.RESET).accepted
-    assert robot.ask(keys.RESET, {"force": True}).reason == Reason.INVALID
-    assert robot.controller.energised == {31, 32, 33}
-
-
 @pytest.mark.parametrize("each_takes_ms", [0, 3])
 @pytest.mark.parametrize("reset", [{"estop": 1}, {}])
 async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
@@ -107,25 +74,6 @@ async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
     assert robot.mode == Mode.ESTOPPED
 
 
-async def test_a_reset_leaves_only_the_latest_emergency_stop() -> None:
-    robot = await started_and_quiet()
-    assert robot.conductor.state().estop == 0
-    robot.put(keys.ESTOP)
-    robot.put(keys.ESTOP)
-    older = robot.ask(keys.RESET, {"estop": 1})
-    assert (older.reason, older.detail) == (
-        Reason.ESTOPPED,
-        "a newer emergency stop was requested: estop is 1, and the latest is 2",
-    )
-    for payload in (b"", b"{}", {"source": "anna"}):
-        assert robot.ask(keys.RESET, payload).reason == Reason.ESTOPPED
-    await asyncio.sleep(1.99)
-    assert robot.ask(keys.RESET).reason == Reason.ESTOPPED
-    assert robot.mode == Mode.ESTOPPED
-    await asyncio.sleep(0.01)
-    assert robot.ask(keys.RESET).accepted
-
-
 async def test_of_a_put_and_a_get_of_one_key_nobody_knows_which_is_older() -> None:
     robot = await started_and_quiet()
     robot.put_later(LEG_3, leg("stop"))
@@ -136,19 +84,6 @@ async def test_of_a_put_and_a_get_of_one_key_nobody_knows_which_is_older() -> No
     robot.put_later(LEG_3, leg("stop"))
     robot.put(LEG_3, START)
     assert robot.controller.energised == {31, 32, 33}, "two of one channel are in order"
-
-
-async def test_a_servo_that_is_stopped_again_and_again_does_not_keep_its_legs_others_running() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    for _ in range(30):
-        await asyncio.sleep(0.01)
-        robot.put(keys.servo_command(32), {"op": "stop"})
-        robot.put(keys.servo_command(31), verb=Verb.DELETE)
-        robot.put(LEG_1, leg("start", 90, 90, 90))
-    assert robot.controller.energised == {11, 12, 13}
-    (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
-    assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
 
 
 async def test_a_start_of_an_instant_that_is_still_open_does_not_come_after_its_stop() -> None:
@@ -385,12 +320,3 @@ async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_a
     assert [data for _, data in robot.controller.transfers][:18] == first
     assert robot.controller.energised == set()
     assert robot.controller.corruptions.total() == 0
-
-
-async def test_no_servo_is_energised_by_anything_but_a_start() -> None:
-    robot = await started_and_quiet()
-    for op in ("set", "stop"):
-        robot.put(LEG_3, leg(op, *([90] * 3 if op == "set" else [])))
-    robot.put(keys.RESET)
-    assert robot.controller.energised == set()
-    assert not any(op.op is Op.START for _, frame in robot.frames for _, op in frame.servos)

@@ -119,19 +119,6 @@ async def test_a_takeover_whose_stops_cannot_be_written_is_granted_and_the_fault
     assert robot.controller.energised == set()
 
 
-async def test_changes_are_told_ten_times_a_second_source_and_kind() -> None:
-    robot = await started_and_quiet()
-    for _ in range(100):
-        ack = robot.lease("acquire", "anna")
-        robot.lease("release", lease=ack.lease)
-    assert {kind: len(robot.events(kind)) for kind in (Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED)} == {
-        Kind.LEASE_ACQUIRED: 10,
-        Kind.LEASE_RELEASED: 10,
-    }
-    assert len(robot.events()) == 20
-    assert robot.conductor.supervisor.lease.changes[Kind.LEASE_ACQUIRED] == 100
-
-
 async def test_a_restart_forgets_it() -> None:
     robot, ack = await driven_by_anna()
     restarted = await started_and_quiet()

@@ -1,5 +1,6 @@
 """Commands that were delayed: bursts after a stall, drifting clocks, restarts, many sources."""
 
+import asyncio
 import re
 import tracemalloc
 
@@ -8,7 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.robot.core.staleness import CLOCKS, FORGET_MS, SOURCES, STEADY_MS, Staleness
+from schemas import keys
+from schemas.telemetry import Kind, Reason
 from tests.support.delayed import MAX_AGE_MS, MS, NeverStopped, Publisher
+from tests.support.robot import leg, servo, started_and_quiet
 
 
 @pytest.fixture
@@ -192,3 +196,250 @@ def test_memory_is_bounded(staleness: Staleness) -> None:
         assert tracemalloc.get_traced_memory()[0] < 1_500_000
     finally:
         tracemalloc.stop()
+
+
+# ---- delayed commands where several clocks stand behind one name: forgers, programs of one name, restarts
+
+
+@pytest.mark.parametrize("ahead_ms", [MAX_AGE_MS + 1, 600, 1500, 19_000, 3_600_000, -21_000, -3_600_000, 51, 100])
+@pytest.mark.parametrize("times", [1, 100])
+@pytest.mark.parametrize("heard_ms", [20, 400, 10_000])
+def test_a_forged_source_does_not_lock_its_owner_out(
+    staleness: Staleness, ahead_ms: float, times: int, heard_ms: float
+) -> None:
+    owner, forger = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + ahead_ms)
+    assert not any(owner.streams(0, heard_ms))
+    for index in range(times):
+        forger.asks(heard_ms + index * 0.01)
+    assert not any(owner.streams(heard_ms + 2, heard_ms + 3000))
+
+
+@pytest.mark.parametrize("pause_ms", [100, 1000, 5000, 60_000])
+def test_an_owner_who_was_silent_is_not_locked_out_either(staleness: Staleness, pause_ms: float) -> None:
+    owner, forger = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + 600)
+    owner.streams(0, 1000)
+    assert forger.asks(1010) is None
+    assert not any(owner.streams(1000 + pause_ms, 10_000 + pause_ms))
+
+
+def test_a_clock_that_is_pushed_ahead_little_by_little_does_not_lock_its_owner_out(staleness: Staleness) -> None:
+    owner = Publisher(staleness)
+    owner.streams(0, 1000)
+    for ahead_ms in range(40, 4000, 40):
+        Publisher(staleness, zero_ms=5e6 + ahead_ms).asks(1000)
+    assert not any(owner.streams(1001, 9000))
+
+
+def test_a_slow_clocks_owner_is_not_locked_out_after_an_hour_either(staleness: Staleness) -> None:
+    owner = Publisher(staleness, ppm=-100)
+    owner.streams(0, 3_600_000, period_ms=1000)
+    forger = Publisher(staleness, zero_ms=owner.clock_ms(3_600_000) - 3_600_000 + MAX_AGE_MS + 100)
+    forger.asks(3_600_000)
+    assert not any(owner.streams(3_600_001, 3_602_000))
+
+
+@pytest.mark.parametrize("ahead_ms", [600, 19_000, 3_600_000, -21_000, -3_600_000])
+def test_beside_a_forged_clock_the_owners_burst_is_still_known_for_one(staleness: Staleness, ahead_ms: float) -> None:
+    owner, forger = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + ahead_ms)
+    owner.streams(0, 6000)
+    forger.asks(6001)
+    owner.streams(6002, 7000)
+    burst = [owner.arrives(10_000 + index * 0.01, sent_at_ms=7000 + index * 20) for index in range(130)]
+    assert all(late is not None for late in burst)
+
+
+def test_who_invents_clocks_under_a_name_does_not_push_out_the_one_that_has_proven_itself(staleness: Staleness) -> None:
+    owner = Publisher(staleness)
+    owner.streams(0, 1000)
+    for index in range(50 * CLOCKS):
+        Publisher(staleness, zero_ms=7e6 + index * 100_000).asks(1000 + index)
+    assert owner.arrives(3000, sent_at_ms=1020) is not None
+    assert owner.arrives(3001) is None
+
+
+@pytest.mark.parametrize("apart_ms", [3_600_000, 21_000, 600, 51, 0])
+def test_two_programs_of_one_name_on_two_machines_both_work(staleness: Staleness, apart_ms: float) -> None:
+    first, second = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + apart_ms)
+    for index in range(500):
+        assert first.arrives(index * 20) is None
+        assert second.arrives(index * 20 + 10) is None
+    assert first.arrives(15_000, sent_at_ms=10_000) is not None
+    if apart_ms:
+        assert second.arrives(15_000.5, sent_at_ms=10_000) is not None
+
+
+def test_two_machines_that_are_less_than_a_link_can_hold_apart_both_work_after_five_seconds(
+    staleness: Staleness,
+) -> None:
+    """The slower clock's commands look like old ones of the other's until their delay has proven steady."""
+    first, second = Publisher(staleness), Publisher(staleness, zero_ms=5e6 - 3000)
+    rejected = []
+    for index in range(500):
+        assert first.arrives(index * 20) is None
+        rejected.append(second.arrives(index * 20 + 10) is not None)
+    assert sum(rejected) * 20 == pytest.approx(STEADY_MS, abs=40)
+    assert not any(rejected[260:])
+
+
+def test_of_two_programs_on_one_machine_the_burst_of_the_one_that_lost_its_link_is_known(staleness: Staleness) -> None:
+    first, second = Publisher(staleness), Publisher(staleness)
+    second.streams(0, 1000)
+    assert not any(first.streams(0, 5000))
+    burst = [second.arrives(5000 + index * 0.01, sent_at_ms=1000 + index * 20) for index in range(150)]
+    assert all(late is not None for late in burst)
+
+
+def test_a_clock_first_heard_with_a_delay_lets_nothing_as_old_in_later(staleness: Staleness) -> None:
+    publisher = Publisher(staleness)
+    for index in range(150):  # nobody knows this clock, and it is heard for the first time with three seconds' delay
+        publisher.asks(3000 + index * 0.01, sent_at_ms=index * 20)
+    assert not any(publisher.streams(3002, 9000))
+    burst = [publisher.arrives(12_000 + index * 0.01, sent_at_ms=9000 + index * 20) for index in range(140)]
+    assert all(late is not None for late in burst)
+
+
+def test_an_old_command_between_two_clocks_is_judged_by_the_one_heard_last(staleness: Staleness) -> None:
+    behind, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + 600)
+    for index in range(100):
+        assert behind.arrives(index * 20) is None
+        assert ahead.arrives(index * 20 + 10) is None
+    assert ahead.arrives(2000, sent_at_ms=2000 - 650) is not None, "by the other's clock it would be 50 ms old"
+
+
+def test_an_old_command_that_is_let_in_lets_no_older_one_of_another_clock_in(staleness: Staleness) -> None:
+    behind, ahead = Publisher(staleness, zero_ms=5e6 - 600), Publisher(staleness)
+    for index in range(100):
+        assert behind.arrives(index * 20) is None
+        assert ahead.arrives(index * 20 + 10) is None
+    assert behind.arrives(2000) is None
+    assert behind.arrives(2001, sent_at_ms=2001 - 150) is None
+    assert ahead.arrives(2002) is None
+    assert ahead.arrives(2003, sent_at_ms=2003 - 700) is not None
+
+
+# ---- commands that may have waited in a gateway that was stopped itself; and what the gateway says to delayed ones
+
+
+@pytest.fixture
+def stopping() -> Staleness:
+    """One whose loop turns when the test says so."""
+    return Staleness(MAX_AGE_MS)
+
+
+def turn_until(staleness: Staleness, now_ms: float) -> None:
+    for turn_ms in range(0, round(now_ms), 100):
+        staleness.turned(turn_ms * MS)
+
+
+def without_sent_ms(staleness: Staleness, now_ms: float) -> str | None:
+    return staleness.too_old("anybody", None, round(now_ms * MS), round(now_ms * MS))
+
+
+def test_after_a_pause_of_its_own_only_what_is_known_to_be_fresh_is_taken(stopping: Staleness) -> None:
+    known, stranger = Publisher(stopping), Publisher(stopping, name="stranger", zero_ms=0)
+    turn_until(stopping, 1000)
+    assert known.asks(990) is None
+    assert without_sent_ms(stopping, 990) is None
+    stopping.turned(3000 * MS)
+    assert known.arrives(3000, sent_at_ms=1500) is not None
+    assert known.asks(3001) is None, "its clock says that it is fresh"
+    for at_ms in (3001, 3100, 3199):
+        said = stranger.asks(at_ms)
+        assert said == without_sent_ms(stopping, at_ms)
+        assert said == (
+            "the gateway itself was stopped for 2010 ms, so the command may have waited in it; for 200 ms only those "
+            "are accepted whose sent_ms shows that they are fresh"
+        )
+    assert stranger.asks(3201) is None
+    assert without_sent_ms(stopping, 3201) is None
+
+
+def test_a_pause_between_two_commands_of_one_instant_counts_too(stopping: Staleness) -> None:
+    """They were read from the rings before it."""
+    known = Publisher(stopping)
+    turn_until(stopping, 1000)
+    assert known.asks(1000) is None
+    instant_ns = 1000 * MS
+    assert stopping.too_old("anybody", None, 3000 * MS, instant_ns) is not None
+    assert stopping.too_old(known.name, known.clock_ms(1000), 3000 * MS, instant_ns) is not None
+
+
+def test_the_usual_turns_of_the_loop_are_no_pause(stopping: Staleness) -> None:
+    for now_ms in (0, 100, 349, 550, 799):
+        stopping.turned(now_ms * MS)
+        assert without_sent_ms(stopping, now_ms) is None
+
+
+def test_a_pause_that_is_not_longer_than_what_a_command_may_be_delayed_is_none() -> None:
+    staleness = Staleness(2000)
+    for now_ms in (0, 2000, 4000):
+        staleness.turned(now_ms * MS)
+        assert without_sent_ms(staleness, now_ms) is None
+    staleness.turned(6001 * MS)
+    assert without_sent_ms(staleness, 8001) is not None
+    assert without_sent_ms(staleness, 8002) is None
+
+
+# ---- in the gateway
+
+
+@pytest.mark.virtual_time
+async def test_the_gateway_rejects_what_was_delayed_but_never_a_stop() -> None:
+    robot = await started_and_quiet(limits={"max_age_ms": MAX_AGE_MS})
+    key = keys.servo_command(32)
+    assert robot.ask(key, servo("start", 90, source="laptop", sent_ms=1000)).accepted
+    await asyncio.sleep(0.05)
+    await asyncio.sleep(0.45)  # half a second after the first
+    ack = robot.ask(key, servo("set", 80, source="laptop", sent_ms=1001))
+    assert ack.reason == Reason.STALE
+    assert ack.detail == "the command was delayed for 499 ms; at most 200 are allowed"
+    mixed = leg("start", 1, 2, 3, source="laptop", sent_ms=1001)
+    assert robot.ask(keys.leg_command(3), mixed).reason == Reason.STALE
+    assert robot.ask(key, servo("start", 80)).accepted, "nothing is known of a command without sent_ms"
+    assert robot.ask(key, servo("stop", source="laptop", sent_ms=1001)).accepted
+    assert robot.controller.energised == set()
+
+
+@pytest.mark.virtual_time
+async def test_a_reset_that_was_delayed_leaves_no_emergency_stop() -> None:
+    robot = await started_and_quiet()
+    assert robot.ask(keys.servo_command(32), servo("start", 90, source="laptop", sent_ms=1000)).accepted
+    await asyncio.sleep(1)
+    assert robot.ask(keys.ESTOP).estop == 1
+    delayed = robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 1100})
+    assert delayed.reason == Reason.STALE
+    assert robot.mode == "estopped"
+    assert robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 2000}).accepted
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("between", ["ticks", "messages"])
+async def test_a_gateway_that_was_stopped_itself_does_not_execute_what_waited_in_it(between: str) -> None:
+    robot = await started_and_quiet(watchdog={"timeout_ms": 10_000})
+    key = keys.leg_command(3)
+    assert robot.ask(key, leg("start", 1, 2, 3, source="laptop", sent_ms=1000)).accepted
+    if between == "ticks":
+        robot.sleep_through(2)
+    else:
+        robot.put_later(keys.leg_command(1), leg("stop"))
+        robot.each_takes_ns = 2000 * MS
+    robot.put_later(key, leg("set", 4, 5, 6, source="laptop", sent_ms=1010))
+    robot.put_later(keys.leg_command(2), leg("start", 4, 5, 6))
+    robot.put_later(keys.RESET, {"estop": 0})
+    robot.conductor.tick()
+    robot.each_takes_ns = 0
+    assert robot.controller.energised == {31, 32, 33}
+    assert [event.reason for event in robot.events(Kind.COMMAND_REJECTED)] == [Reason.STALE] * 3
+    assert robot.ask(keys.leg_command(2), leg("start", 4, 5, 6)).reason == Reason.STALE
+    assert robot.ask(key, leg("stop")).accepted
+    assert robot.ask(keys.ESTOP).stop_frames == 6
+    await asyncio.sleep(0.6)
+    assert robot.ask(keys.RESET, {"estop": 1}).accepted
+    assert robot.ask(keys.leg_command(2), leg("start", 4, 5, 6)).accepted
+
+
+@pytest.mark.virtual_time
+async def test_without_an_age_limit_a_pause_changes_nothing() -> None:
+    robot = await started_and_quiet(limits={"max_age_ms": 0})
+    robot.sleep_through(2)
+    assert robot.ask(keys.leg_command(2), leg("start", 4, 5, 6)).accepted
