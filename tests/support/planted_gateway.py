@@ -7,48 +7,47 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from gateway import cli
 from gateway.robot import service
-from gateway.robot.core.events import Announce, Command, Effect, EmergencyStop, Reset, Transmit
+from gateway.robot.core.events import Announce, Command, Effect, EmergencyStop, Event, Reset, Transmit
 from gateway.robot.core.lease import Lease
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import STOP, OneLeg, OneServo, Op, ServoOp
+from gateway.robot.protocol.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
+from tests.fuzz.planted import Make, losing, taking, wanting
 
 NS_PER_MS: Final = 1_000_000
 
 
-class NoWatchdog(Supervisor):
-    """Silence stops nobody."""
-
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(replace(rules, timeout_ns=3_600_000 * NS_PER_MS))
+def _later(by_ms: int, of: str = "timeout_ns") -> Make:
+    """A silence is noticed later than it is set to."""
+    return lambda rules: Supervisor(replace(rules, **{of: getattr(rules, of) + by_ms * NS_PER_MS}))
 
 
-class LateWatchdog(Supervisor):
-    """The watchdog is 100 ms late."""
+def _accepting(what: Reason) -> Make:
+    """What is to be rejected for this reason is accepted."""
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(replace(rules, timeout_ns=rules.timeout_ns + 100 * NS_PER_MS))
+    class Accepting(Supervisor):
+        def _rejection(self, command: Command) -> tuple[Reason, str] | None:
+            found = super()._rejection(command)
+            return None if found is not None and found[0] is what else found
 
-
-class EarlyWatchdog(Supervisor):
-    """The watchdog stops a leg that is not silent yet."""
-
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(replace(rules, timeout_ns=rules.timeout_ns - 100 * NS_PER_MS))
+    return Accepting
 
 
-class SetEnergises(Supervisor):
-    """A Set for a servo that does not run starts it."""
+def _five_stops(_robot: Supervisor, event: Event, effects: list[Effect]) -> list[Effect]:
+    """A leg is forgotten by an emergency stop, and by the Stops for a button that falls silent."""
+    fell = any(isinstance(each, Announce) and each.kind is Kind.BUTTON_SILENT for each in effects)
+    return effects[1:] if isinstance(event, EmergencyStop) or fell else effects
 
-    def _rejection(self, command: Command) -> tuple[Reason, str] | None:
-        found = super()._rejection(command)
-        return None if found is not None and found[0] is Reason.SERVO_STOPPED else found
+
+def _late_stops(_robot: Supervisor, event: Event, effects: list[Effect]) -> list[Effect]:
+    """An emergency stop takes its time."""
+    time.sleep(0.15 if isinstance(event, EmergencyStop) else 0)
+    return effects
 
 
 class EstopIgnored(Supervisor):
@@ -60,37 +59,11 @@ class EstopIgnored(Supervisor):
         return []
 
 
-class EstopStopsFive(Supervisor):
-    """An emergency stop forgets a leg."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        effects = super()._emergency_stop(event, now_ns)
-        last = next(effect for effect in reversed(effects) if isinstance(effect, Transmit))
-        return [effect for effect in effects if effect is not last]
-
-
-class EstopLate(Supervisor):
-    """An emergency stop takes its time."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        time.sleep(0.15)
-        return super()._emergency_stop(event, now_ns)
-
-
-class EstopNotLatched(Supervisor):
+def _unlatched(robot: Supervisor, event: Event, effects: list[Effect]) -> list[Effect]:
     """After an emergency stop, starts are taken as ever."""
-
-    def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        effects = super()._emergency_stop(event, now_ns)
-        self._latched_ns = None
-        return effects
-
-
-class AnyReset(Supervisor):
-    """A reset may name any emergency stop."""
-
-    def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
-        return super()._reset(replace(event, estop=self.estops), now_ns)
+    if isinstance(event, EmergencyStop):
+        robot._latched_ns = None
+    return effects
 
 
 class MovesAfterReset(Supervisor):
@@ -106,61 +79,23 @@ class MovesAfterReset(Supervisor):
         return [*starts, *effects]
 
 
-class WrongAngle(Supervisor):
+def _any_number(robot: Supervisor, reset: Reset) -> Reset:
+    return replace(reset, estop=robot.estops)
+
+
+def _turned(_robot: Supervisor, _event: Event, effects: list[Effect]) -> list[Effect]:
     """What is written is ten degrees off."""
 
-    def step(self, *arguments: Any) -> list[Effect]:
-        return [_turned(effect) for effect in super().step(*arguments)]
+    def turned(op: ServoOp) -> ServoOp:
+        return op if op == STOP else ServoOp(op.op, (op.angle_cdeg + 1000) % 18001)
 
+    def wrong(frame: Frame) -> Frame:
+        if isinstance(frame, OneServo):
+            return OneServo(frame.servo_id, turned(frame.command))
+        first, second, third = (turned(op) for _, op in frame.servos)
+        return OneLeg(frame.leg, (first, second, third))
 
-class NothingWritten(Supervisor):
-    """A command is accepted and not written."""
-
-    def step(self, *arguments: Any) -> list[Effect]:
-        effects = super().step(*arguments)
-        return [each for each in effects if not (isinstance(each, Transmit) and each.cause is Cause.COMMAND)]
-
-
-def _turned(effect: Effect) -> Effect:
-    if not isinstance(effect, Transmit):
-        return effect
-    ops = [op if op == STOP else ServoOp(op.op, (op.angle_cdeg + 1000) % 18001) for _, op in effect.frame.servos]
-    frame = effect.frame
-    wrong = (
-        OneServo(frame.servo_id, ops[0]) if isinstance(frame, OneServo) else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
-    )
-    return Transmit(wrong, effect.cause, effect.deadline_ns, effect.numbers)
-
-
-class ButtonIgnored(Supervisor):
-    """A button that falls silent stops nobody."""
-
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(replace(rules, buttons_timeout_ns=3_600_000 * NS_PER_MS))
-
-
-class ButtonLate(Supervisor):
-    """A button counts for 100 ms too long."""
-
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(replace(rules, buttons_timeout_ns=rules.buttons_timeout_ns + 100 * NS_PER_MS))
-
-
-class ButtonStopsFive(Supervisor):
-    """A button that falls silent stops all legs but one."""
-
-    def step(self, *arguments: Any) -> list[Effect]:
-        effects = super().step(*arguments)
-        fell = any(isinstance(each, Announce) and each.kind is Kind.BUTTON_SILENT for each in effects)
-        return effects[1:] if fell else effects
-
-
-class NobodyWatches(Supervisor):
-    """While too few buttons are alive, starts are taken as ever."""
-
-    def _rejection(self, command: Command) -> tuple[Reason, str] | None:
-        found = super()._rejection(command)
-        return None if found is not None and found[0] is Reason.NO_BUTTON else found
+    return [replace(each, frame=wrong(each.frame)) if isinstance(each, Transmit) else each for each in effects]
 
 
 def _old_is_fresh() -> None:
@@ -173,33 +108,33 @@ def _anybody_drives() -> None:
     Lease.rejection = lambda *_, **__: None  # type: ignore[method-assign]
 
 
-def _supervisor(planted: type[Supervisor]) -> Callable[[], None]:
+def _supervisor(planted: Make) -> Callable[[], None]:
     def plant() -> None:
-        service.Supervisor = planted  # type: ignore[attr-defined]
+        vars(service)["Supervisor"] = planted
 
     return plant
 
 
 MISTAKES: Final[dict[str, tuple[Callable[[], None], str]]] = {
-    "no watchdog": (_supervisor(NoWatchdog), "silence"),
-    "watchdog late by 100 ms": (_supervisor(LateWatchdog), "silence"),
-    "watchdog early by 100 ms": (_supervisor(EarlyWatchdog), "silence"),
-    "a Set energises": (_supervisor(SetEnergises), "set-while-stopped"),
-    "a Set energises after a reset": (_supervisor(SetEnergises), "after-reset"),
+    "no watchdog": (_supervisor(_later(3_600_000)), "silence"),
+    "watchdog late by 100 ms": (_supervisor(_later(100)), "silence"),
+    "watchdog early by 100 ms": (_supervisor(_later(-100)), "silence"),
+    "a Set energises": (_supervisor(_accepting(Reason.SERVO_STOPPED)), "set-while-stopped"),
+    "a Set energises after a reset": (_supervisor(_accepting(Reason.SERVO_STOPPED)), "after-reset"),
     "emergency stop ignored": (_supervisor(EstopIgnored), "estop"),
-    "emergency stop for five legs": (_supervisor(EstopStopsFive), "estop"),
-    "emergency stop late by 150 ms": (_supervisor(EstopLate), "estop"),
-    "emergency stop not latched": (_supervisor(EstopNotLatched), "until-reset"),
-    "any reset leaves it": (_supervisor(AnyReset), "until-reset"),
+    "emergency stop for five legs": (_supervisor(wanting(_five_stops)), "estop"),
+    "emergency stop late by 150 ms": (_supervisor(wanting(_late_stops)), "estop"),
+    "emergency stop not latched": (_supervisor(wanting(_unlatched)), "until-reset"),
+    "any reset leaves it": (_supervisor(taking(Reset, _any_number)), "until-reset"),
     "a reset lets it move": (_supervisor(MovesAfterReset), "after-reset"),
     "old commands are taken": (_old_is_fresh, "cut-link"),
     "the lease is ignored": (_anybody_drives, "lease"),
-    "a silent button stops nobody": (_supervisor(ButtonIgnored), "button"),
-    "a button counts too long by 100 ms": (_supervisor(ButtonLate), "button"),
-    "a silent button stops five legs": (_supervisor(ButtonStopsFive), "button"),
-    "starts need no button": (_supervisor(NobodyWatches), "button"),
-    "another angle is written": (_supervisor(WrongAngle), "command"),
-    "nothing is written": (_supervisor(NothingWritten), "command"),
+    "a silent button stops nobody": (_supervisor(_later(3_600_000, "buttons_timeout_ns")), "button"),
+    "a button counts too long by 100 ms": (_supervisor(_later(100, "buttons_timeout_ns")), "button"),
+    "a silent button stops five legs": (_supervisor(wanting(_five_stops)), "button"),
+    "starts need no button": (_supervisor(_accepting(Reason.NO_BUTTON)), "button"),
+    "another angle is written": (_supervisor(wanting(_turned)), "command"),
+    "nothing is written": (_supervisor(losing(cause=Cause.COMMAND)), "command"),
 }
 """What is planted, and the step of the drill that has to fail."""
 
