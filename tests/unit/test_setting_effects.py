@@ -25,6 +25,8 @@ from schemas.robot import LEGS
 from schemas.telemetry import Reason
 from tests.support.robot import leg, servo, started_and_quiet
 
+pytestmark = pytest.mark.virtual_time
+
 LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
 START = leg("start", 90, 90, 90)
 SHOWN_ELSEWHERE = {
@@ -50,7 +52,6 @@ SHOWN_ELSEWHERE = {
 }
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(("leg_rate_hz", "frames"), [(1, 4), (10, 13), (50, 53), (100, 101)])
 async def test_leg_rate_hz(leg_rate_hz: float, frames: int) -> None:
     robot = await started_and_quiet(limits={"leg_rate_hz": leg_rate_hz})
@@ -61,7 +62,6 @@ async def test_leg_rate_hz(leg_rate_hz: float, frames: int) -> None:
     assert len(robot.frames) == frames
 
 
-@pytest.mark.virtual_time
 async def test_max_age_ms() -> None:
     for max_age_ms, accepted in ((0, True), (100, False), (1000, True)):
         robot = await started_and_quiet(limits={"max_age_ms": max_age_ms})
@@ -70,7 +70,6 @@ async def test_max_age_ms() -> None:
         assert robot.ask(LEG_3, leg("set", 2, 2, 2, sent_ms=501)).accepted is accepted
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("start_stagger_ms", [0, 30])
 async def test_start_stagger_ms(start_stagger_ms: float) -> None:
     robot = await started_and_quiet(limits={"start_stagger_ms": start_stagger_ms})
@@ -80,7 +79,6 @@ async def test_start_stagger_ms(start_stagger_ms: float) -> None:
     assert times_ms == pytest.approx([times_ms[0] + start_stagger_ms * index for index in range(6)], abs=0.01)
 
 
-@pytest.mark.virtual_time
 async def test_servos() -> None:
     limits = {"32": {"min_deg": 20, "max_deg": 160}, "11": {"max_deg": 45.5}}
     robot = await started_and_quiet(limits={"servos": limits})
@@ -98,7 +96,6 @@ async def test_servos() -> None:
     assert robot.ask(LEG_3, leg("stop")).accepted
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(("speed", "first_deg", "last_deg"), [(0, 100, 100), (60, 91.2, 97.8), (50, 91, 96.5)])
 async def test_max_speed_deg_s(speed: float, first_deg: float, last_deg: float) -> None:
     robot = await started_and_quiet(limits={"servos": {"31": {"max_speed_deg_s": speed}}})
@@ -111,7 +108,6 @@ async def test_max_speed_deg_s(speed: float, first_deg: float, last_deg: float) 
     assert robot.conductor.state().legs[2].servos[0].angle_deg == pytest.approx(last_deg, abs=0.6)
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(
     ("spi", "angle_deg", "accepted"),
     [
@@ -131,7 +127,6 @@ async def test_avoid_deg(spi: dict[str, object], angle_deg: float, accepted: boo
     assert (ack.accepted, ack.reason) == (accepted, None if accepted else Reason.JOINT_LIMIT)
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(("landing_ms", "landing_deg"), [(0, 30), (500, 30), (500, 120)])
 async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> None:
     robot = await started_and_quiet(watchdog={"landing_ms": landing_ms, "landing": {"31": landing_deg}, "repeats": 0})
@@ -144,7 +139,6 @@ async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> 
     assert told[-1:] == ([landing_deg * 100] if landing_ms else [])
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("timeout_ms", [20, 250, 1000])
 async def test_timeout_ms(timeout_ms: float) -> None:
     robot = await started_and_quiet(watchdog={"timeout_ms": timeout_ms, "repeats": 0})
@@ -155,7 +149,6 @@ async def test_timeout_ms(timeout_ms: float) -> None:
     assert robot.conductor.state().watchdog.timeout_ms == timeout_ms
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(("scope", "stopped"), [("leg", [3]), ("robot", [1, 2, 3, 4, 5, 6])])
 async def test_scope(scope: str, stopped: list[int]) -> None:
     robot = await started_and_quiet(watchdog={"scope": scope, "repeats": 0})
@@ -166,7 +159,6 @@ async def test_scope(scope: str, stopped: list[int]) -> None:
     assert [frame for _, frame in robot.frames if frame.is_stop] == [stop_leg(number) for number in stopped]
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(("repeats", "repeat_interval_ms"), [(0, 20), (3, 20), (5, 7)])
 async def test_repeats_and_repeat_interval_ms(repeats: int, repeat_interval_ms: float) -> None:
     robot = await started_and_quiet(watchdog={"repeats": repeats, "repeat_interval_ms": repeat_interval_ms})
@@ -178,7 +170,6 @@ async def test_repeats_and_repeat_interval_ms(repeats: int, repeat_interval_ms: 
     assert stops_ms == pytest.approx(expected_ms, abs=0.01)
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("frames", [False, True])
 async def test_frames(frames: bool) -> None:
     robot = await started_and_quiet(telemetry={"frames": frames})

@@ -23,6 +23,8 @@ from tests.support.robot import WALL_NS
 from tests.unit.people.test_incidents import LEG_3, START, records, silence
 from tests.unit.people.test_recorder import recorded
 
+pytestmark = pytest.mark.virtual_time
+
 
 def filled(folder: Path, count: int, size: int = 10) -> None:
     folder.mkdir(parents=True)
@@ -70,7 +72,6 @@ def test_which_is_the_newest_is_what_happened_last_and_not_what_a_clock_said(tmp
         assert len(archive.kept(folder)) == 100
 
 
-@pytest.mark.virtual_time
 async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -99,7 +100,6 @@ async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last
     assert capsys.readouterr().out.startswith(in_ring)
 
 
-@pytest.mark.virtual_time
 async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(folder: Path) -> None:
     robot = recorded(folder)
     keeper = IncidentWatcher(folder, clock=robot.now_ns)
@@ -118,7 +118,6 @@ async def test_the_keeper_waits_until_nothing_can_be_added_and_keeps_it_once(fol
     assert path.stem.endswith("-estop"), "a gateway that has ended adds nothing"
 
 
-@pytest.mark.virtual_time
 async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_looks(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -138,7 +137,6 @@ async def test_the_keeper_misses_no_gateway_that_was_killed_between_two_of_its_l
     assert len([entry for entry in caplog.records if "is kept" in entry.message]) == 1, "the log names it once"
 
 
-@pytest.mark.virtual_time
 async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> None:
     robot = recorded(folder)
     await silence(robot)
@@ -152,7 +150,6 @@ async def test_once_keeps_what_is_there_and_more_comes_later(folder: Path) -> No
     assert path.stat().st_size > before
 
 
-@pytest.mark.virtual_time
 async def test_a_full_disk_is_reported_once_and_leaves_nothing_behind(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

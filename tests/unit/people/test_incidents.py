@@ -36,6 +36,8 @@ from tests.support.robot import WALL_NS, Robot, leg, servo
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
 
+pytestmark = pytest.mark.virtual_time
+
 LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
@@ -69,7 +71,6 @@ async def estop(robot: Robot) -> None:
     robot.put(keys.leg_command(4), START)
 
 
-@pytest.mark.virtual_time
 async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     robot = recorded(folder)
     await asyncio.sleep(1)
@@ -91,7 +92,6 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     ]
 
 
-@pytest.mark.virtual_time
 async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
     robot = recorded(folder)
     await estop(robot)
@@ -108,7 +108,6 @@ async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
     assert [line for line in lines if line in wanted] == wanted, lines
 
 
-@pytest.mark.virtual_time
 async def test_a_gateway_that_stood_still_is_not_reported_as_a_silent_leg(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(LEG_3, START)
@@ -119,7 +118,6 @@ async def test_a_gateway_that_stood_still_is_not_reported_as_a_silent_leg(folder
     assert ": the gateway stood still for 4.1 s; commands kept coming, at " in told(folder)[0]
 
 
-@pytest.mark.virtual_time
 async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(keys.leg_command(2), START)
@@ -158,7 +156,6 @@ def stop_servos(robot: Robot) -> None:
     robot.conductor._step(StoppedOutside(at_work=True))
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(("what", "happens", "line"), [
     ("overflow", overflow, "overflow: messages were lost on the way to the gateway"),
     ("lease-taken", takeover, "lease taken: bert has stopped all legs and taken the lease from anna"),
@@ -179,7 +176,6 @@ async def test_what_else_stops_legs_is_an_incident(
     assert [each for each in lines if "Stop written to" in each and "startup" not in each], lines
 
 
-@pytest.mark.virtual_time
 async def test_the_story_of_a_landing(folder: Path) -> None:
     robot = recorded(folder, **LANDING)
     robot.put(LEG_3, START)
@@ -206,7 +202,6 @@ async def test_the_story_of_a_landing(folder: Path) -> None:
 TRIMMED = Calibration(1, {32: ServoCalibration(10_00, inverted=True)}, {})
 
 
-@pytest.mark.virtual_time
 async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
     robot = recorded(folder, **LANDING)
     robot.conductor.supervisor.calibrating.load(TRIMMED)
@@ -231,7 +226,6 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
 
 
-@pytest.mark.virtual_time
 async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Path) -> None:
     robot = recorded(folder, **LANDING)
     for _ in range(2):
@@ -246,7 +240,6 @@ async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Pa
     ] * 2
 
 
-@pytest.mark.virtual_time
 async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began_it(folder: Path) -> None:
     robot = recorded(folder, watchdog={"landing_ms": 5000, "repeats": 0})
     robot.put(LEG_3, START)
@@ -260,7 +253,6 @@ async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began
     assert first.end_ns - first.zero_ns > 12 * SECOND, "and what follows within the 5 s prolongs it"
 
 
-@pytest.mark.virtual_time
 async def test_the_story_of_a_bus_fault_and_of_a_mistake(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = recorded(folder)
 
@@ -277,7 +269,6 @@ async def test_the_story_of_a_bus_fault_and_of_a_mistake(folder: Path, monkeypat
     assert "a command of anna is rejected: bus_fault" in lines
 
 
-@pytest.mark.virtual_time
 async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_none(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(LEG_3, START)
@@ -304,7 +295,6 @@ async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_no
     assert [each.name for each in incidents(folder)[0]] == [crash.name, later.name]
 
 
-@pytest.mark.virtual_time
 async def test_a_kill_soon_after_a_stop_belongs_to_it(folder: Path) -> None:
     robot = recorded(folder)
     await silence(robot)
@@ -317,7 +307,6 @@ async def test_a_kill_soon_after_a_stop_belongs_to_it(folder: Path) -> None:
 # ---- files
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("happens", [silence, estop])
 async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas_hold(
     folder: Path, happens: Callable[[Robot], Any]
@@ -340,7 +329,6 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     assert_ordered(path)
 
 
-@pytest.mark.virtual_time
 async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happened_to(folder: Path) -> None:
     first = recorded(folder, watchdog={"timeout_ms": 300})
     first.conductor.recorder.beat(0)

@@ -26,6 +26,8 @@ from schemas.telemetry import Cause, Kind, Mode
 from tests.support.one_record import writers
 from tests.support.robot import WALL_NS, Robot, leg
 
+pytestmark = pytest.mark.virtual_time
+
 LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna", sent_ms=0)
 
@@ -44,7 +46,6 @@ def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
     return [record.content for record in records if not types or isinstance(record.content, types)]
 
 
-@pytest.mark.virtual_time
 async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder: Path) -> None:
     robot = recorded(folder)
     revisions = {}
@@ -74,7 +75,6 @@ def in_force(records: ring_reader.Records, ns: int) -> int | None:
     return None if found is None else found.revision
 
 
-@pytest.mark.virtual_time
 async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> None:
     robot = recorded(folder)
     before = len(contents(folder))
@@ -90,7 +90,6 @@ async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> N
     assert record.ns == 77, "the command's own time is its arrival"
 
 
-@pytest.mark.virtual_time
 async def test_the_start_and_the_end_are_there(folder: Path) -> None:
     robot = recorded(folder)
     robot.conductor.shut_down()
@@ -102,7 +101,6 @@ async def test_the_start_and_the_end_are_there(folder: Path) -> None:
     assert found[-1] == form.End("asked to")
 
 
-@pytest.mark.virtual_time
 async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
     robot = recorded(folder)
     for angle in (90, 91, 92):
@@ -123,7 +121,6 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
     assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("only_stops", [True, False])
 async def test_nothing_is_recorded_before_a_frame_is_written(
@@ -140,7 +137,6 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
     assert after - {form.ModeChange} == {form.CommandRecord, form.FrameWritten}
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("batch", [True, False])
 async def test_a_setpoint_is_one_record(folder: Path, framing: Framing, batch: bool) -> None:
@@ -162,7 +158,6 @@ async def test_a_setpoint_is_one_record(folder: Path, framing: Framing, batch: b
         assert (frame.content.number, frame.content.cause) == (command.content.number, Cause.COMMAND)
 
 
-@pytest.mark.virtual_time
 async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     robot = recorded(folder)
     await asyncio.sleep(6)
@@ -177,7 +172,6 @@ async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     assert [frame.number for frame in found[1::2]] == [1, 2, 3]
 
 
-@pytest.mark.virtual_time
 async def test_what_waits_is_recorded_at_once(folder: Path) -> None:
     """Its frame may come much later, or never."""
     robot = recorded(folder)
@@ -188,7 +182,6 @@ async def test_what_waits_is_recorded_at_once(folder: Path) -> None:
     assert [frame.number for frame in contents(folder, form.FrameWritten) if frame.number] == [1, 2]
 
 
-@pytest.mark.virtual_time
 async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_targets(folder: Path) -> None:
     robot = recorded(folder)
     leg_4 = keys.leg_command(4)
@@ -207,7 +200,6 @@ async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_tar
     assert all(decode(frame.data).servos == commands[frame.number].targets for frame in accepted)
 
 
-@pytest.mark.virtual_time
 async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = recorded(folder)
     monkeypatch.setattr(robot.controller, "transfer", lambda _: 1 / 0)
@@ -217,7 +209,6 @@ async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypat
     assert contents(folder, form.CommandRecord)[-1].source == "anna"
 
 
-@pytest.mark.virtual_time
 async def test_many_stops_within_seconds_are_one_incident(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(LEG_3, START)
@@ -241,7 +232,6 @@ async def test_many_stops_within_seconds_are_one_incident(folder: Path) -> None:
     assert [stop.source for stop in stops] == ["bert", "bert"]
 
 
-@pytest.mark.virtual_time
 async def test_an_incident_does_not_grow_for_ever(folder: Path) -> None:
     robot = recorded(folder)
     for _ in range(12):
@@ -250,7 +240,6 @@ async def test_an_incident_does_not_grow_for_ever(folder: Path) -> None:
     assert len(contents(folder, form.IncidentBegun)) == 2
 
 
-@pytest.mark.virtual_time
 async def test_a_fault_of_the_bus_is_an_incident(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = recorded(folder)
 
@@ -264,7 +253,6 @@ async def test_a_fault_of_the_bus_is_an_incident(folder: Path, monkeypatch: pyte
     assert contents(folder, form.ModeChange)[-1] == form.ModeChange(Mode.BUS_FAULT)
 
 
-@pytest.mark.virtual_time
 async def test_stops_of_a_batch_that_failed_are_there_as_they_were_written(folder: Path) -> None:
     """Also the one behind zeros that failed again and again: it is on the wire, but counts as failed."""
     robot = recorded(folder, spi={"framing": Framing.LENGTH_PREFIXED}, telemetry={"frames": True})
@@ -289,7 +277,6 @@ def a_folder_in_its_place(folder: Path) -> None:
     (folder / place.RING).mkdir(parents=True)
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -313,7 +300,6 @@ async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
     assert said[0].startswith("the black box is off: ")
 
 
-@pytest.mark.virtual_time
 async def test_a_full_disk_is_met_at_the_start(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

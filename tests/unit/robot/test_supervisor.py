@@ -115,14 +115,6 @@ def test_what_comes_sooner_waits_and_only_the_newest_is_sent() -> None:
     assert robot.time(140) == []
 
 
-def test_three_slots_are_kept_for_a_stream_that_jitters() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(101, leg_to(1, "set 80")) == []
-    assert robot.due_ms == 105
-    assert robot.command(106, leg_to(1, "set 70")) == ["completed 2 coalesced", "command 1 set 70", "completed 3"]
-
-
 def test_the_newest_of_each_servo_is_sent_in_one_frame() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))
@@ -162,23 +154,6 @@ def test_a_command_that_finds_a_rate_slot_is_sent_with_what_waited() -> None:
     robot.command(100, leg_to(1, "start 90"))
     robot.command(101, leg_to(1, "set 10"))
     assert robot.command(125, leg_to(1, "set 20")) == ["completed 2 coalesced", "command 1 set 20", "completed 3"]
-
-
-def test_slots_that_nobody_used_are_skipped() -> None:
-    """Five periods of silence: three slots, a quarter of a period apart, and then one a period."""
-    robot = without_slots()
-    sent_ms = []
-    for at_ms in range(200, 300):
-        if "command 1 set 10" in robot.command(at_ms, leg_to(1, "set 10")):
-            sent_ms.append(at_ms)
-    assert sent_ms == [200, 205, 210, 220, 240, 260, 280]
-
-
-def test_the_period_is_a_setting() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=100 * NS_PER_MS))
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(110, leg_to(1, "set 80"))
-    assert robot.due_ms == 125
 
 
 # ---- Stops never wait
@@ -375,15 +350,6 @@ def test_a_stream_above_the_rate_that_keeps_a_servo_stopped_leaves_it_to_the_rep
     assert "command 11 stop" in robot.command(101, leg_to(1, "stop", "set 80", "set 80"))
     assert "command 11 stop" not in robot.command(102, leg_to(1, "stop", "set 70", "set 70"))
     assert "repeat 11 stop" in robot.time(121)
-
-
-# ---- a fault
-
-
-def test_a_bus_that_was_never_open_is_at_fault_and_told() -> None:
-    robot = Steps(opened=False)
-    assert robot.fail(0) == ["announce bus_fault"]
-    assert robot.fail(10) == []
 
 
 # ---- an instant in which time passes: what was collected together has no order, however long it takes to deal with it

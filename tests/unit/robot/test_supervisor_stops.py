@@ -242,22 +242,6 @@ def test_a_reset_leaves_the_latch_and_nothing_moves() -> None:
     assert robot.command(410, leg_to(1, "set 90")) == ["rejected 3 servo_stopped"]
 
 
-def test_a_reset_with_nothing_latched_changes_nothing() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.reset(110) == ["completed 2"]
-    assert robot.running == [11, 12, 13]
-    assert robot.due_ms == 350
-
-
-def test_a_reset_in_the_same_instant_is_rejected() -> None:
-    robot = Steps()
-    robot.estop(100)
-    assert robot.reset(100) == ["rejected 1 estopped"]
-    assert robot.supervisor.mode is Mode.ESTOPPED
-    assert robot.reset(100.001) == ["announce estop_reset", "completed 2"]
-
-
 def test_of_one_instant_an_emergency_stop_is_the_newer_however_long_it_takes_to_deal_with_it() -> None:
     robot = Steps()
     robot.instant_ms = 100
