@@ -339,11 +339,13 @@ def check_size(size: int) -> None:
 
 def _free_common_name(directory: Path, ca: KeyPair, role: str, robot: str) -> str:
     """The first of the pool that nobody has, or had; the role alone where the rules list no pool."""
-    listed = [pool.holder(name) for name in listed_names(directory / "gateway.json5")]
+    config = directory / "gateway.json5"
+    listed = [pool.holder(name) for name in listed_names(config)]
     if listed and role not in {each.role for each in listed}:
+        anew = zenoh_files.command_for_new_rules(str(config), *_port_and_namespace(config))
         raise ConfigError(
-            f"{directory / 'gateway.json5'} was made before there was the role {role}, and lets nobody in as one: make "
-            "another folder with `hexapod-gateway certs init`, or write its subject and policy into it by hand"
+            f"{config} was made before there was the role {role}, and lets nobody in as one: make it anew, here and on "
+            f"the robot: {anew}"
         )
     numbers = sorted(each.number for each in listed if each.role == role and each.number is not None)
     if not numbers:

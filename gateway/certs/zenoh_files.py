@@ -150,6 +150,13 @@ def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "", size: in
     )
 
 
+def command_for_new_rules(file: str, port: int, namespace: str = "", program: str = "hexapod-gateway") -> str:
+    """For a shell: makes a gateway.json5 anew, with this release's rules; certificates and keys stay what they are."""
+    named = f" --namespace {namespace}" if namespace else ""
+    made = f"d=$(mktemp -d) && {program} certs init --dir $d --host $(hostname) --port {port}{named}"
+    return f"{made} && sudo cp $d/gateway.json5 {file} && rm -r $d"
+
+
 def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str = "") -> bytes:
     """A laptop's Zenoh configuration: one endpoint for each host; `namespace` is its robot's, if that has one."""
     endpoints = json.dumps([endpoint(host, port) for host in hosts])

@@ -80,6 +80,22 @@ def test_one_that_was_made_by_hand_key_by_key_passes_but_for_what_it_lacks(tmp_p
     assert f"does not let {ESTOP} through (put, delete, query, reply, declare_subscriber, " in result.sentence
 
 
+def test_a_file_of_before_there_were_buttons_is_named_with_the_command_that_makes_it_anew() -> None:
+    folder = Path(__file__).parents[2] / "data" / "certs" / "1.1"
+    older = zenoh.Config.from_file(str(folder / "gateway.json5"))
+    found = passes(older, "/etc/x.json5")[-1]
+    assert (found.verdict, found.name) == (Verdict.WARNING, "stop buttons")
+    assert "does not let a certificate of the role button through (put, query, reply, " in found.sentence
+    assert "certs init --dir $d --host $(hostname) --port 7447 && sudo cp $d/gateway.json5 /etc/x.json5" in found.fix
+
+
+@pytest.mark.parametrize("namespace", ["", "robot1"])
+def test_a_rule_that_buttons_lack_is_named(tmp_path: Path, namespace: str) -> None:
+    (found,) = checked(re.sub(r'"presses and check-ins \(in\)",(?! permission)', "", made(namespace)), tmp_path)
+    assert (found.verdict, found.name) == (Verdict.WARNING, "stop buttons")
+    assert "(query)" in found.sentence
+
+
 def test_without_access_control_there_is_nothing_to_say(tmp_path: Path) -> None:
     assert checked("{}", tmp_path) == []
     assert checked(robot_json5("robot-1", "router.local", 7447), tmp_path) == [], "the fleet's router has it"

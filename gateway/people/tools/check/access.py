@@ -11,6 +11,7 @@ import zenoh
 
 from gateway.certs import BUTTON
 from gateway.certs.access import TRAFFIC, Traffic
+from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.people.terminal import this_command
 from gateway.people.tools.check.result import Result, ok, warning
 from gateway.zenoh_config import get, listen_endpoints
@@ -26,8 +27,9 @@ def passes(config: zenoh.Config, file: str) -> list[Result]:
     if get(config, "access_control/enabled") is not True or get(config, "access_control/default_permission") != "deny":
         return []
     dropped = _dropped(config)
+    buttons = _buttons(config, file, dropped)
     if not dropped:
-        return [ok(_NAME, "lets all of this gateway's keys through")]
+        return [*([] if buttons else [ok(_NAME, "lets all of this gateway's keys through")]), *buttons]
     keys = list(dropped)
     more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
     messages = list(dict.fromkeys(message for key in keys for message in dropped[key]))
@@ -35,22 +37,42 @@ def passes(config: zenoh.Config, file: str) -> list[Result]:
         f"{file} does not let {', '.join(keys[:_SHOWN])}{more} through ({', '.join(messages)}): what is said there is "
         "lost without a word"
     )
-    return [warning(_NAME, sentence, _fix(config, file, keys))]
+    return [warning(_NAME, sentence, _fix(config, file, keys)), *buttons]
 
 
-def _dropped(config: zenoh.Config) -> dict[str, list[str]]:
-    """The keys that something is dropped on, each with the messages."""
+def _buttons(config: zenoh.Config, file: str, known: dict[str, list[str]]) -> list[Result]:
+    """Whether a button's certificate reaches what it is for; a file of a release before there were any knows none."""
+    dropped = {key: messages for key, messages in _dropped(config, BUTTON).items() if messages != known.get(key)}
+    if not dropped:
+        return []
+    messages = dict.fromkeys(message for each in dropped.values() for message in each)
+    sentence = (
+        f"{file} does not let a certificate of the role button through ({', '.join(messages)}): until it does, a stop "
+        "button needs an operator's"
+    )
+    return [warning("stop buttons", sentence, f"make it anew: {_anew(config, file)}")]
+
+
+def _dropped(config: zenoh.Config, role: str = "") -> dict[str, list[str]]:
+    """The keys that something is dropped on, each with the messages: of what this role says and reads, or the others.
+
+    What only a button may say is little, and an operator's rules must let all of it through.
+    """
     namespace = get(config, "namespace") or ""
     policies = get(config, "access_control/policies") or []
-    # What only a button may say is little, and an operator's rules must let all of it through.
-    named = {name for policy in policies if policy["subjects"] != [BUTTON] for name in policy["rules"]}
+    named = {
+        name
+        for policy in policies
+        if (role in policy["subjects"] if role else policy["subjects"] != [BUTTON])
+        for name in policy["rules"]
+    }
     rules = [
         rule
         for rule in get(config, "access_control/rules") or []
         if rule["id"] in named and rule["permission"] == "allow"
     ]
     dropped: dict[str, list[str]] = {}
-    for traffic in (each for each in TRAFFIC if each.roles != (BUTTON,)):
+    for traffic in (each for each in TRAFFIC if (role in each.roles if role else each.roles != (BUTTON,))):
         flow = "ingress" if traffic.from_people else "egress"
         for key, message in _said(traffic):
             whole = f"{namespace}/{key}" if namespace else key
@@ -77,14 +99,15 @@ def _lets(rule: dict[str, Any], flow: str, message: str, key: str) -> bool:
 
 def _fix(config: zenoh.Config, file: str, keys: list[str]) -> str:
     namespace = get(config, "namespace")
-    port = next((found[1] for each in listen_endpoints(config) if (found := re.search(r":(\d+)$", each))), "7447")
-    anew = (
-        f"d=$(mktemp -d) && {this_command()} certs init --dir $d --host $(hostname) --port {port}"
-        f"{f' --namespace {namespace}' if namespace else ''} && sudo cp $d/gateway.json5 {file} && rm -r $d && "
-        "sudo systemctl restart hexapod-gateway"
-    )
     before = f"{namespace}/" if namespace else ""
     if {key.removeprefix(before) for key in keys} <= set(PUBLISHED):
         by_hand = ", ".join(f'"{key}"' for key in keys)
+        anew = _anew(config, file)
         return f'in its rules, write {by_hand} beside each "{before}{STATE}", and restart; or make it anew: {anew}'
-    return f"make it anew: {anew}"
+    return f"make it anew: {_anew(config, file)}"
+
+
+def _anew(config: zenoh.Config, file: str) -> str:
+    ports = (int(found[1]) for each in listen_endpoints(config) if (found := re.search(r":(\d+)$", each)))
+    rules = command_for_new_rules(file, next(ports, 7447), get(config, "namespace") or "", this_command())
+    return f"{rules} && sudo systemctl restart hexapod-gateway"
