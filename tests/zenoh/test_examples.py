@@ -2,7 +2,9 @@
 
 import os
 import re
+import runpy
 import signal
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -18,6 +20,7 @@ from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import Heard, events, frames
+from tests.unit.people.test_recordings import recorded
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ELKAPOD: Final = EXAMPLES / "elkapod" / "gateway.toml"
@@ -102,6 +105,28 @@ def test_going_on_after_somebody_elses_stop_is_a_decision(patient: Gateway, star
         assert (f"starting again: {said}" in child.stdout) == start_again
         assert (said in child.stderr) != start_again
         assert not any(servo.running for leg in client.state().legs for servo in leg.servos)
+
+
+def test_a_recording_in_rerun_shows_what_its_blueprint_names(tmp_path: Path) -> None:
+    ride, made = tmp_path / "ride.mcap", tmp_path / "ride.rrd"
+    recorded(ride).close()
+    example = EXAMPLES / "rerun_view.py"
+    subprocess.run([sys.executable, example, ride, "--save", made], capture_output=True, check=True)
+    rerun = Path(sys.executable).with_name("rerun")
+    found = subprocess.run([rerun, "rrd", "print", made], capture_output=True, text=True, check=True).stdout
+    entities = set(re.findall(r" - (/\S*) - data columns", found))
+    assert any(each.startswith("/off/") for each in entities), "servos that are off"
+    blueprint = runpy.run_path(str(example))["blueprint"]("elkapod", is_simulated=True)
+    views = [view for column in blueprint.root_container.contents for view in column.contents]
+    assert len(views) == 4
+    for view in views:
+        wanted = (
+            [view.origin] if isinstance(view.contents, str) else [each.removeprefix("+ ") for each in view.contents]
+        )
+        for path in wanted:
+            name = path.removesuffix("/**")
+            assert any(each == name or each.startswith(f"{name}/") for each in entities), path
+    assert "ViewportBlueprint:root_container" in found, "the file brings its blueprint"
 
 
 def test_the_same_with_nothing_but_zenoh(gateway: Gateway) -> None:

@@ -1,18 +1,21 @@
 """docs/recordings.md: its program runs, and its table of channels is complete."""
 
+import json
 import re
 import runpy
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
 from gateway.people.recordings import REPORTS
-from gateway.people.recordings.drawing import DRAWN
-from tests.unit.people.test_recordings import recorded
+from gateway.people.recordings.drawing import DRAWN, FRAMES
+from tests.support.mcap_file import checked
+from tests.unit.people.test_recordings import frames_of, recorded
 
-PAGE: Final = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text()
+DOCS: Final = Path(__file__).parents[3] / "docs"
+PAGE: Final = (DOCS / "recordings.md").read_text()
 
 
 def test_the_pages_program_reads_a_recording(
@@ -28,6 +31,33 @@ def test_the_pages_program_reads_a_recording(
     printed = capsys.readouterr().out
     assert "'watchdog': " in printed
     assert "11: 90.0" in printed
+
+
+def test_the_viewers_layout_names_only_what_a_recording_has(tmp_path: Path) -> None:
+    path = tmp_path / "ride.mcap"
+    recorded(path).close()
+    samples: dict[str, Any] = dict(checked(path))
+    layout = json.loads((DOCS / "viewers" / "lichtblick.json").read_text())
+    panels: dict[str, dict[str, Any]] = layout["configById"]
+    assert sorted(_panels(layout["layout"])) == sorted(panels)
+    named = 0
+    for panel in panels.values():
+        topics = [*panel.get("topics", ()), *([panel["topicToRender"]] if "topicToRender" in panel else ())]
+        assert set(topics) <= samples.keys()
+        for series in panel.get("paths", ()):
+            topic, *fields = re.split(r"\.|(?=\[)", series["value"])
+            value = samples[topic]
+            for field in fields:
+                value = value[int(field[1:-1])] if field.startswith("[") else getattr(value, field)
+            number = int(series["label"].removeprefix("joint_"))
+            assert samples[topic].name[int(fields[-1][1:-1])] == f"joint_{number}", series
+        named += len(topics) + len(panel.get("paths", ()))
+    assert named == 10
+    assert panels["3D!robot"]["followTf"] in frames_of(samples[FRAMES])
+
+
+def _panels(node: Any) -> list[str]:
+    return [node] if isinstance(node, str) else [*_panels(node["first"]), *_panels(node["second"])]
 
 
 def test_the_pages_table_has_every_channel() -> None:
