@@ -9,15 +9,15 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from gateway import certs
 from gateway.people.console.register import Register
 from tests.net.namespaces import Network
 from tests.support.child import Child
+from tests.support.closing import Closing
 from tests.support.console_process import LINK, SignedIn
 from tests.support.gateway_process import COMMAND, Gateway
 
@@ -45,7 +45,7 @@ FLOODS: Final = (("pings", 1), ("pings", 8), ("pongs", 4), ("fragments", 4), ("m
 """What pages that are signed in do, and how many of them."""
 
 
-class PagePresses(AbstractContextManager["PagePresses"]):
+class PagePresses(Closing):
     """A page that is signed in, on a laptop."""
 
     def __init__(self, laptop: Sequence[str], link: str, authority: Path) -> None:
@@ -62,16 +62,11 @@ class PagePresses(AbstractContextManager["PagePresses"]):
         """How long each took, in ms."""
         return [float(each) for each in json.loads(self.child.ask(str(times), 120))]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.child.close()
 
 
-class DoorStand(AbstractContextManager["DoorStand"]):
+class DoorStand(Closing):
     """The robot with gateway and console, and a page that is signed in."""
 
     def __init__(self, folder: Path, prefix: Sequence[str] = ()) -> None:
@@ -144,12 +139,7 @@ class DoorStand(AbstractContextManager["DoorStand"]):
         status = Path(f"/proc/{self.console.pid}/status").read_text()
         return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmRSS"))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self._stack.close()
 
 

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import pytest
@@ -21,6 +20,7 @@ from gateway.client import Client
 from gateway.robot.host.log_writer import KEPT
 from schemas import keys
 from schemas.telemetry import Ack, Cause
+from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, free_port, write_settings
 from tests.support.heard import frames
 from tests.zenoh.test_metrics import read, value
@@ -29,7 +29,7 @@ ANSWER_S = 3.0
 """For an answer, or a Stop, that takes some milliseconds: without the fix, neither came at all."""
 
 
-class Stuck:
+class Stuck(Closing):
     """Something to write to that nobody reads."""
 
     def __init__(self, ours: int, theirs: int, more: socket.socket | str) -> None:
@@ -54,12 +54,7 @@ class Stuck:
         ours, theirs = socket.socketpair()
         return cls(ours.detach(), os.dup(theirs.fileno()), theirs)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self._let_go()
         self._reader.close()
 

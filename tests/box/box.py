@@ -14,10 +14,9 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from tests.support.child import Child
+from tests.support.closing import Closing
 
 PROGRAM = Path(__file__).with_name("systemd-box")
 SHARED_INSIDE = Path("/box-out")
@@ -48,7 +47,7 @@ def lacks() -> str:
     return f"a systemd in a box needs namespaces: {namespaces.stderr.strip()}" if namespaces.returncode else ""
 
 
-class Box:
+class Box(Closing):
     """A booted box; its end is the end of everything in it."""
 
     def __init__(self, folder: Path, *, disk: Path | None = None) -> None:
@@ -73,14 +72,6 @@ class Box:
             os.close(up)
         self._end = os.open(self.shared / "end", os.O_WRONLY)
         self._pid = (self.shared / ".pid").read_text().strip()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Shut the system down."""

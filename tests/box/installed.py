@@ -4,8 +4,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import pytest
 
@@ -14,6 +12,7 @@ from schemas.robot import LEGS
 from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.hil.bed import SpiTestbed
 from tests.support.child import Child
+from tests.support.closing import Closing
 
 REPOSITORY = Path(__file__).parents[2]
 NAME = "hexapod-gateway"
@@ -33,7 +32,7 @@ def share(box: Box, folder: Path) -> str:
     return str(SHARED_INSIDE / folder.name)
 
 
-class InstalledGateway:
+class InstalledGateway(Closing):
     """An installed gateway whose SPI device is emulated outside the box, so that it outlives every process inside."""
 
     def __init__(self, box: Box, wheels: Path) -> None:
@@ -53,12 +52,7 @@ class InstalledGateway:
         """The variables by which a program inside sees the device."""
         self.drop_in("emulated", f"Environment={' '.join(self.emulated)}\nReadWritePaths={root}")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.bed.close()
 
     def allow_device(self) -> None:

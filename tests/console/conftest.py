@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, Playwright, sync_playwright
 from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor, put_to_rest
 from tests.hil.bed import missing_packages
 from tests.support.console_process import Console, SignedIn
+from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
 from tests.support.gateway_process import Gateway
 
 
@@ -38,22 +39,9 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
     running.close()
 
 
-@pytest.fixture(scope="package")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    """With a simulated controller."""
-    with Gateway(tmp_path_factory.mktemp("gateway")) as running:
-        yield running
-
-
-@pytest.fixture(scope="package")
-def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
-        yield running
-
-
-@pytest.fixture(scope="package")
-def session(console: Console) -> SignedIn:
-    return console.sign_in()
+gateway = gateway_fixture(scope="package")
+console = console_fixture("package")
+session = session_fixture("package")
 
 
 @pytest.fixture

@@ -25,10 +25,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self, cast
+from typing import Any, Literal, cast
 
 from tests.support.child import Child, without_file_privileges
+from tests.support.closing import Closing
 
 DEVICE = "/dev/spidev0.0"
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to
@@ -123,7 +123,7 @@ class Opened:
 Event = Transfer | Setting | Opened
 
 
-class SpiTestbed:
+class SpiTestbed(Closing):
     """An emulated `/dev/spidev0.0`, which outlives the programs started on it."""
 
     def __init__(self) -> None:
@@ -149,14 +149,6 @@ class SpiTestbed:
         self._reader.start()
         if not self._wait(lambda: self._ready is not None, REPLY_TIMEOUT_S):
             raise RuntimeError(f"the emulated device did not start: {self.close()}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> str:
         """Kill what still runs and end the emulation; what it said on its standard error."""

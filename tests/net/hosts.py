@@ -7,10 +7,9 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from gateway import certs
@@ -19,6 +18,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord
 from tests.net.namespaces import Network
 from tests.support.child import Child
+from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 
@@ -30,7 +30,7 @@ LEASE_MS = 5000
 """How long a laptop waits for a sign of life from the gateway before it opens a new session."""
 
 
-class RobotHost(AbstractContextManager["RobotHost"]):
+class RobotHost(Closing):
     """A gateway that laptops reach over their links, and an observer that stands on the robot itself.
 
     The observer's way is a Unix socket, which network namespaces leave alone: it sees what happens while links are cut.
@@ -81,12 +81,7 @@ class RobotHost(AbstractContextManager["RobotHost"]):
             self._close = opened.pop_all()
         self.forget()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self._close.close()
 
     def at_rest(self) -> None:
@@ -216,7 +211,7 @@ def _leg(frame: FrameRecord) -> int:
     return bytes.fromhex(frame.bytes)[2] // 10
 
 
-class LaptopHost(AbstractContextManager["LaptopHost"]):
+class LaptopHost(Closing):
     """A publisher in its namespace; see `tests.net.publisher` for what can be asked of it."""
 
     def __init__(self, network: Network, number: int, *, port: int = PORT, zenoh_config: Path | None = None) -> None:
@@ -231,12 +226,7 @@ class LaptopHost(AbstractContextManager["LaptopHost"]):
         command = [*network.laptop(number), sys.executable, "-m", "tests.net.publisher", endpoint, *options]
         self.child = Child(command, os.environ)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.child.close()
 
     def ready(self) -> Self:

@@ -16,18 +16,18 @@ import itertools
 import os
 import shutil
 import subprocess
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+
+from tests.support.closing import Closing
 
 MARK = "hexapod-net"
 BUFFER_BYTES = 16_384
 _numbers = itertools.count()
 
 
-class Network(AbstractContextManager["Network"]):
+class Network(Closing):
     """A robot, and `laptops` laptops (numbered from 0), each linked to the robot and to nobody else."""
 
     def __init__(self, laptops: int = 2) -> None:
@@ -53,14 +53,6 @@ class Network(AbstractContextManager["Network"]):
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Remove it all; end the programs in it before, a namespace lives as long as they do."""

@@ -7,11 +7,10 @@ import ssl
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import httpx
 from websockets.sync.client import ClientConnection, connect
@@ -20,12 +19,13 @@ from websockets.typing import Subprotocol
 from gateway.people.console.door import KEY_HEADER, KEY_PREFIX, SUBPROTOCOL
 from gateway.people.console.register import Register
 from tests.support.child import Child
+from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, free_port
 
 LINK: Final = "The console is at "
 
 
-class Console(AbstractContextManager["Console"]):
+class Console(Closing):
     """A running console; its sessions are kept in `folder`. It listens when the constructor returns."""
 
     def __init__(
@@ -66,12 +66,7 @@ class Console(AbstractContextManager["Console"]):
         """Open a page."""
         return Page(self.url, session)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.child.close()
 
 
@@ -104,7 +99,7 @@ def sign_in(link: str, verify: ssl.SSLContext | bool = True) -> SignedIn:
     return SignedIn(answer.headers["set-cookie"].partition(";")[0], key)
 
 
-class Page(AbstractContextManager["Page"]):
+class Page(Closing):
     """A page's WebSocket. What it hears is read when it is waited for."""
 
     def __init__(self, url: str, session: SignedIn, origin: str = "", verify: ssl.SSLContext | None = None) -> None:
@@ -187,10 +182,5 @@ class Page(AbstractContextManager["Page"]):
         self.send(type="reset", id=number, estop=estop, sent_ms=self.now_ms())
         return self.wait("ack", lambda message: message["id"] == number)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self._stack.close()

@@ -1,23 +1,28 @@
 """Fixtures that many modules have: `gateway = gateway_fixture(SETTINGS)`, `anna = client_fixture("anna")`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal
 
 import pytest
 
 from gateway.client import Client
+from tests.support.console_process import Console, SignedIn
 from tests.support.gateway_process import Gateway
+
+Scope = Literal["package", "module", "function"]
 
 
 def gateway_fixture(
-    settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}), scope: Literal["module", "function"] = "module"
+    settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    scope: Scope = "module",
+    options: Sequence[str] = ("--sim",),
 ) -> Any:
     """A fixture: a gateway with these settings, for a module or for each test of it."""
 
     @pytest.fixture(scope=scope)
     def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-        with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+        with Gateway(tmp_path_factory.mktemp("gateway"), settings, options=options) as running:
             yield running
 
     return gateway
@@ -35,3 +40,24 @@ def client_fixture(source: str | None, *, rests: bool = False) -> Any:
             yield connected
 
     return client
+
+
+def console_fixture(scope: Scope = "module") -> Any:
+    """A fixture: a console of the fixture `gateway`."""
+
+    @pytest.fixture(scope=scope)
+    def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+        with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
+            yield running
+
+    return console
+
+
+def session_fixture(scope: Scope = "module") -> Any:
+    """A fixture: a session of the fixture `console`."""
+
+    @pytest.fixture(scope=scope)
+    def session(console: Console) -> SignedIn:
+        return console.sign_in()
+
+    return session

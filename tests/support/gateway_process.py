@@ -7,14 +7,14 @@ import secrets
 import socket
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from gateway.client import Client
 from tests.hil.bed import SpiTestbed
 from tests.support.child import Child
+from tests.support.closing import Closing
 
 READY = "hexapod-gateway is ready"
 COMMAND = (sys.executable, "-m", "gateway")
@@ -56,7 +56,7 @@ def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Pat
     return path
 
 
-class Gateway(AbstractContextManager["Gateway"]):
+class Gateway(Closing):
     """A running gateway: on the simulated controller, or with `bed` on the emulated kernel device.
 
     `settings` are its sections, `{"watchdog": {"timeout_ms": 100}}`; without a `zenoh.listen` among them, a free port
@@ -91,13 +91,8 @@ class Gateway(AbstractContextManager["Gateway"]):
         if wait:
             self.child.wait_for_output(READY, timeout_s=20)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.child.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def client(self, *, source: str | None = "test") -> Client:
         """A client of it, in this process."""

@@ -11,12 +11,13 @@ from gateway import certs
 from gateway.client import Client
 from gateway.zenoh_config import load_config
 from tests.hil.bed import SpiTestbed
+from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway, free_port
 
 HOST = "127.0.0.1"
 
 
-class Secured:
+class Secured(Closing):
     """The gateway, an operator (anna) and an observer (otto)."""
 
     def __init__(
@@ -39,10 +40,7 @@ class Secured:
         listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}
         self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix, options=options)
 
-    def __enter__(self) -> "Secured":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self.gateway.child.close()
 
     def client(self, name: str) -> Client:

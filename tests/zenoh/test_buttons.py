@@ -18,6 +18,7 @@ from schemas import keys
 from schemas.button import ButtonAck, signed_text
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.secured import Secured
@@ -30,10 +31,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), SETTINGS) as running:
-        yield running
+gateway = gateway_fixture(SETTINGS)
 
 
 @pytest.fixture

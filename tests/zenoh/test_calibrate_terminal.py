@@ -15,24 +15,14 @@ import pytest
 from gateway.client import Client
 from gateway.people.tools.drill.cut_link import CutLink
 from schemas.telemetry import GatewayState
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
 from tests.support.tmux import LATE_S, Terminal, need_tmux
 
-
-@pytest.fixture(scope="module")
-def patient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    """Its watchdog has nothing to do with what is stopped within ten seconds."""
-    settings = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
-    with Gateway(tmp_path_factory.mktemp("patient"), settings) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    """As it is by default: 250 ms."""
-    with Gateway(tmp_path_factory.mktemp("quick")) as running:
-        yield running
+# Its watchdog has nothing to do with what is stopped within ten seconds.
+patient = gateway_fixture({"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}})
+quick = gateway_fixture()  # as it is by default: 250 ms
 
 
 @pytest.fixture(autouse=True)

@@ -11,16 +11,12 @@ from gateway.client import Client
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
 from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import Heard, frames
 
-
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    # Patient, for a busy machine: no servo is stopped but by command.
-    settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}}
-    with Gateway(tmp_path_factory.mktemp("move"), settings) as running:
-        yield running
+# Patient, for a busy machine: no servo is stopped but by command.
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}})
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from schemas.robot import LEGS
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
@@ -32,15 +32,8 @@ STOP = {"servos": [{"op": "stop"}] * 3}
 gateway = gateway_fixture()
 
 
-@pytest.fixture(scope="module")
-def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def session(console: Console) -> SignedIn:
-    return console.sign_in()
+console = console_fixture()
+session = session_fixture()
 
 
 @pytest.fixture

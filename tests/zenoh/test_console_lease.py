@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 
 from tests.support.console_process import Console, Page, SignedIn
-from tests.support.gateway_process import Gateway
+from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
 from tests.support.secured import Secured
 
 LEG_3: Final = "hexapod/leg/3/cmd"
@@ -19,18 +19,10 @@ STOP: Final = {"servos": [{"op": "stop"}] * 3}
 TTL_MS: Final = 1500
 
 
-@pytest.fixture(scope="module")
-def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    """At a gateway whose lease a busy machine's pages can keep."""
-    folder = tmp_path_factory.mktemp("lease")
-    settings = {"lease": {"ttl_ms": TTL_MS}, "watchdog": {"timeout_ms": 5000}}
-    with Gateway(folder, settings) as gateway, Console(folder, "--connect", gateway.endpoint) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def session(console: Console) -> SignedIn:
-    return console.sign_in()
+# A busy machine's pages can keep its lease.
+gateway = gateway_fixture({"lease": {"ttl_ms": TTL_MS}, "watchdog": {"timeout_ms": 5000}})
+console = console_fixture()
+session = session_fixture()
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 from gateway.client import Client
 from schemas.telemetry import Mode
 from tests.support.console_process import Console, Page, SignedIn
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
 from tests.support.gateway_process import Gateway
 
 FORWARD: Final = {"forward_m_s": 0.06}
@@ -70,15 +70,8 @@ class Pad(threading.Thread):
 gateway = gateway_fixture(PATIENT)
 
 
-@pytest.fixture(scope="module")
-def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def session(console: Console) -> SignedIn:
-    return console.sign_in()
+console = console_fixture()
+session = session_fixture()
 
 
 @pytest.fixture(autouse=True)

@@ -5,7 +5,6 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +16,7 @@ from gateway.people.recordings import read
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Kind
 from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import Heard, events
 
@@ -25,10 +25,7 @@ PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_00
 """A machine that is busy with other tests stops no walk."""
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("physics"), PATIENT, options=PHYSICS) as running:
-        yield running
+gateway = gateway_fixture(PATIENT, options=PHYSICS)
 
 
 def bodies(client: Client) -> Heard[BodyReport]:

@@ -20,7 +20,7 @@ from gateway.people.recordings import is_cut_off, read
 from gateway.people.recordings.drawing import FRAMES, JOINT_STATES, LOG
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
-from tests.support.fixtures import client_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames, states
 from tests.support.mcap_file import checked
@@ -30,12 +30,8 @@ KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
 HZ: Final = 50
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    # On a busy machine a setpoint may come late, but hardly by two seconds.
-    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}}
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
-        yield running
+# On a busy machine a setpoint may come late, but hardly by two seconds.
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}})
 
 
 robot = client_fixture("a gait")
