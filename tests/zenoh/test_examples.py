@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -30,14 +29,17 @@ SWUNG_DEG: Final = 95
 """The first joint of leg 3 goes so far when it walks, and stays at 90 while the robot stands up."""
 
 
-gateway = gateway_fixture({"telemetry": {"frames": True}}, scope="function")
+gateway = gateway_fixture({"telemetry": {"frames": True}})
+# It outlasts a moment in which this machine is busy.
+patient = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}})
 
 
-@pytest.fixture
-def patient(tmp_path: Path) -> Iterator[Gateway]:
-    """One that outlasts a moment in which this machine is busy."""
-    with Gateway(tmp_path, {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}}) as running:
-        yield running
+@pytest.fixture(autouse=True)
+def _at_rest(gateway: Gateway) -> None:
+    """Whatever the example before left behind."""
+    with gateway.client() as client:
+        client.reset()
+        assert client.stop().accepted
 
 
 def run(name: str, gateway: Gateway, *arguments: str) -> str:

@@ -27,11 +27,14 @@ PATIENT = {"watchdog": {"timeout_ms": 10_000, "repeats": 0}}
 
 
 @pytest.fixture(autouse=True)
-def _tmux() -> None:
+def _at_rest(gateway: Gateway) -> None:
     need_tmux()
+    with gateway.client() as client:
+        client.reset()
+        assert client.stop().accepted
 
 
-gateway = gateway_fixture(PATIENT, scope="function")
+gateway = gateway_fixture(PATIENT)
 
 
 @contextmanager
