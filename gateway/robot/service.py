@@ -24,33 +24,34 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge import simulated_body
-from gateway.robot.edge.button_request_reader import ButtonRequestReader
-from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
 from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.lease_request_reader import LeaseRequestReader
 from gateway.robot.edge.older_ca import OlderCa
 from gateway.robot.edge.outbox import ZenohOutbox
 from gateway.robot.edge.proofs import checker_of
-from gateway.robot.edge.revocation_request_reader import RevocationRequestReader
+from gateway.robot.edge.request_reader import (
+    ButtonRequestReader,
+    CalibrationRequestReader,
+    LeaseRequestReader,
+    RevocationRequestReader,
+)
 from gateway.robot.edge.revoked import Kept, kept, leave_out
 from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.edge.upkeep import Upkeep
 from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
-from gateway.robot.host.calibration_writer import CalibrationWriter
+from gateway.robot.host.calibration_file import CalibrationWriter
 from gateway.robot.host.descriptors import Spare
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.runtime import prometheus as exposition
-from gateway.robot.runtime.button_answers import ButtonAnswers
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.lease_answers import LeaseAnswers
 from gateway.robot.runtime.report import wall_clock
+from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
 from gateway.robot.settings import Settings, ZenohSettings

@@ -72,9 +72,7 @@ JUDGES: Final = {
     "gateway/robot/edge/inbox.py": _INBOX,
     "gateway/robot/edge/rings.py": _INBOX,
     "gateway/robot/edge/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
-    "gateway/robot/edge/request_reader.py": ("tests/zenoh/test_calibration.py", "tests/zenoh/test_lease.py"),
-    "gateway/robot/edge/lease_request_reader.py": (*_CHECKER, "tests/zenoh/test_lease.py"),
-    "gateway/robot/edge/calibration_request_reader.py": _CALIBRATION_REQUESTS,
+    "gateway/robot/edge/request_reader.py": (*_CHECKER, *_CALIBRATION_REQUESTS, "tests/zenoh/test_lease.py"),
     "gateway/robot/host/ownership.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
     "gateway/robot/core/message.py": _INBOX,
     "gateway/robot/core/intake.py": (

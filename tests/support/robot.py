@@ -16,14 +16,11 @@ from pydantic import BaseModel
 from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge.button_request_reader import ButtonRequestReader
-from gateway.robot.edge.calibration_request_reader import CalibrationRequestReader
-from gateway.robot.edge.lease_request_reader import LeaseRequestReader
+from gateway.robot.edge.request_reader import ButtonRequestReader, CalibrationRequestReader, LeaseRequestReader
 from gateway.robot.protocol.frames import Frame, decode
-from gateway.robot.runtime.button_answers import ButtonAnswers
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.lease_answers import LeaseAnswers
+from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import bus_for

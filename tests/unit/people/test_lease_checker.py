@@ -21,8 +21,8 @@ from gateway.people.client.requests import Identity
 from gateway.robot.core.events import LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import MOST_NONCES, NONCE_NS, Nonces
-from gateway.robot.edge.lease_request_reader import LeaseRequestReader
 from gateway.robot.edge.proofs import CHECKS_PER_S
+from gateway.robot.edge.request_reader import LeaseRequestReader
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from gateway.robot.core.calibration import Calibration
-from gateway.robot.edge.calibration_request_reader import PAUSE_S
+from gateway.robot.edge.request_reader import PAUSE_S
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.protocol.frames import OneLeg, Op
 from gateway.robot.runtime.calibrations import HANGS
