@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.bridge import command as bridge
-from gateway.people.tools import certs_changes, incidents, lease, recordings
+from gateway.people.tools import certs, incidents, lease, recordings
 from gateway.people.tools.button import command as button
 from gateway.people.tools.calibrate import command as calibrate
 from gateway.people.tools.drill import command as drill
@@ -361,7 +361,7 @@ def decode(
     sys.exit(decode.decode(hex_bytes))
 
 
-app.add_typer(certs_changes.app, name="certs")
+app.add_typer(certs.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")

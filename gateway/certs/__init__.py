@@ -16,10 +16,10 @@ CONSOLE_DAYS: Final = 459
 if TYPE_CHECKING:
     from gateway.certs import revocation
     from gateway.certs.authority import first_number, is_issued
+    from gateway.certs.files import read_certificate, read_certificates, read_file
     from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, issue, renew
     from gateway.certs.moving import drop_ca, reissue, replace_ca, revoke, set_pool, states
     from gateway.certs.proof import ProofChecker
-    from gateway.certs.reading import read_certificate, read_certificates, read_file
 
 _HOMES: Final = {
     **dict.fromkeys(
@@ -29,7 +29,7 @@ _HOMES: Final = {
     **dict.fromkeys(("drop_ca", "reissue", "replace_ca", "revoke", "set_pool", "states"), "gateway.certs.moving"),
     **dict.fromkeys(("first_number", "is_issued"), "gateway.certs.authority"),
     "ProofChecker": "gateway.certs.proof",
-    **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.reading"),
+    **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.files"),
 }
 
 

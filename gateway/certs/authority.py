@@ -160,6 +160,14 @@ def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
     return True
 
 
+def is_ca(certificate: x509.Certificate) -> bool:
+    """Whether it may sign others."""
+    try:
+        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    except x509.ExtensionNotFound:
+        return False
+
+
 def parse_host(text: str) -> str:
     """`text` as a host name in lower case or a plain IP address; raises ConfigError for anything else."""
     host = text.strip().strip("[]").lower()
@@ -199,11 +207,7 @@ def common_name_and_name(certificate: x509.Certificate) -> tuple[str, str]:
     """
     common = _attribute(certificate.subject, NameOID.COMMON_NAME)
     unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
-    try:
-        is_ca = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
-    except x509.ExtensionNotFound:
-        is_ca = False
-    if is_ca:
+    if is_ca(certificate):
         return CA, common
     if common == GATEWAY:
         return GATEWAY, next(iter(hosts_of(certificate)), unit)

@@ -1,6 +1,6 @@
 """A folder of certificates on one machine: `init` once, `issue` for each laptop, `expiries` lists them.
 
-Everything is made in memory, then written together (publish.py), so nothing is left half made.
+Everything is made in memory, then written together (files.py), so nothing is left half made.
 """
 
 import datetime as dt
@@ -30,8 +30,16 @@ from gateway.certs import (
     zenoh_files,
 )
 from gateway.certs.authority import KeyPair, is_issued
-from gateway.certs.publish import SECRET, Content, publish, replace
-from gateway.certs.reading import read_certificate, read_certificates, read_file, read_key
+from gateway.certs.files import (
+    SECRET,
+    Content,
+    publish,
+    read_certificate,
+    read_certificates,
+    read_file,
+    read_key,
+    replace,
+)
 from gateway.errors import ConfigError
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
@@ -82,7 +90,7 @@ def init(
     `directory` is made (0700) if missing.
     Raises ConfigError if it has a CA already, or any file of the same name.
     """
-    now = now or _now()
+    now = now or now_utc()
     names = _dialled_hosts(hosts)
     if not names:
         raise ConfigError(
@@ -128,7 +136,7 @@ def issue(
     `robot` is the one robot of a fleet that it is for, as `add_robots` named it.
     `absolute`: NAME.json5 names the files by their full paths; in the zip it never does.
     """
-    now = now or _now()
+    now = now or now_utc()
     _check_name(name)
     if role not in LAPTOP_ROLES:
         raise ConfigError(
@@ -173,7 +181,7 @@ def console(
 
     NAME-ca.pem is what people import into a browser: it is good for these hosts and nothing else, as ca.pem is not.
     """
-    now = now or _now()
+    now = now or now_utc()
     _check_name(name)
     _check_days(days)
     names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
@@ -202,7 +210,7 @@ def add_robots(
     The router's certificate is the one that `init` made: its hosts are the router's,
     and robots dial the first of them.
     """
-    now = now or _now()
+    now = now or now_utc()
     _check_days(days)
     ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
@@ -241,7 +249,7 @@ def renew(
 
     `hosts`: further names and addresses for the robot's, or a console's.
     """
-    now = now or _now()
+    now = now or now_utc()
     _check_days(days)
     if name != authority.GATEWAY:
         _check_name(name)
@@ -466,5 +474,6 @@ def _check_days(days: int) -> None:
         raise ConfigError(f"--days {days} is not between 1 and {CA_DAYS}, the days a CA lives")
 
 
-def _now() -> dt.datetime:
+def now_utc() -> dt.datetime:
+    """The time that new certificates begin at."""
     return dt.datetime.now(dt.UTC)

@@ -9,9 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, folder, pool, revocation
+from gateway.certs.files import SECRET, Content, read_certificate, read_certificates, read_file, replace
 from gateway.certs.folder import EARLIER, ROUTER_FILE, Certificate
-from gateway.certs.publish import SECRET, Content, replace
-from gateway.certs.reading import read_certificate, read_certificates, read_file
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
@@ -33,7 +32,7 @@ def revoke(
     laptop's files go to `earlier`, so that its name can be issued anew.
     `others_too`: also where others share the common name, as in the layout before.
     """
-    now = now or _now()
+    now = now or folder.now_utc()
     ca, known = folder.load_ca(directory, now), folder.revoked(directory)
     before = {entry.common_name: entry for each in (known, known_there) if each is not None for entry in each.entries}
     present = [each for each in folder.expiries(directory) if _is_laptop(each)]
@@ -67,7 +66,7 @@ _NO_SERIAL = 1
 
 def merge(directory: Path, known_there: RevocationList, *, now: dt.datetime | None = None) -> RevocationList:
     """The folder's list, made newer than the one that a robot has, with everybody whom either shuts out."""
-    now = now or _now()
+    now = now or folder.now_utc()
     known = folder.revoked(directory)
     entries = {entry.common_name: entry for each in (known, known_there) if each for entry in each.entries}
     return _sign(directory, folder.load_ca(directory, now), entries.values(), (known, known_there), now)
@@ -88,7 +87,7 @@ def reissue(
     found = next((each for each in folder.expiries(directory) if each.path.stem == name and _is_laptop(each)), None)
     if found is None:
         raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
-    folder.load_ca(directory, now or _now())
+    folder.load_ca(directory, now or folder.now_utc())
     holder = pool.holder(found.common_name)
     if not any(pool.holder(each).number is not None for each in folder.listed_names(directory / "gateway.json5")):
         raise ConfigError(
@@ -120,7 +119,7 @@ def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
 
 def replace_ca(directory: Path, *, now: dt.datetime | None = None) -> list[Path]:
     """Makes a new CA beside the old one, which stays good until `drop_ca`; returns what has to go to the robot."""
-    now = now or _now()
+    now = now or folder.now_utc()
     old, pem = folder.load_ca(directory, now), directory / "ca.pem"
     if len(read_certificates(pem)) > 1:
         raise ConfigError(f"{pem} has two CAs already: finish with `hexapod-gateway certs drop-ca --dir {directory}`")
@@ -144,7 +143,7 @@ def replace_ca(directory: Path, *, now: dt.datetime | None = None) -> list[Path]
 
 def drop_ca(directory: Path, *, others_too: bool = False, now: dt.datetime | None = None) -> Path:
     """Ends the time of two CAs: only the new one stays. Raises ConfigError while somebody needs the old one."""
-    ca, pem = folder.load_ca(directory, now or _now()), directory / "ca.pem"
+    ca, pem = folder.load_ca(directory, now or folder.now_utc()), directory / "ca.pem"
     if len(read_certificates(pem)) == 1:
         raise ConfigError(f"{pem} has one CA only")
     left = sorted(each.name for each in of_older_ca(directory))
@@ -229,7 +228,3 @@ def _put_away(directory: Path, certificate: Certificate) -> None:
         path = certificate.path.with_suffix(suffix)
         if path.exists():
             path.rename(target / f"{path.stem}-{certificate.serial[:8]}{suffix}")
-
-
-def _now() -> dt.datetime:
-    return dt.datetime.now(dt.UTC)

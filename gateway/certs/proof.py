@@ -16,8 +16,8 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from gateway.certs import BUTTON, OPERATOR, pool
-from gateway.certs.authority import common_name_and_name, is_issued
-from gateway.certs.reading import read_certificate, read_certificates
+from gateway.certs.authority import common_name_and_name, is_ca, is_issued
+from gateway.certs.files import read_certificate, read_certificates
 from gateway.certs.revocation import RevocationList
 from schemas import button, lease
 from schemas.lease import Proof
@@ -43,7 +43,7 @@ class ProofChecker:
     def __init__(self, cas: Sequence[x509.Certificate], robot: str = "", revoked: RevocationList | None = None) -> None:
         """`robot`: its name in a fleet, whose people have certificates for one robot each."""
         self._revoked = revoked
-        self._cas = [ca for ca in cas if _is_ca(ca)]
+        self._cas = [ca for ca in cas if is_ca(ca)]
         self._robot = robot
 
     @classmethod
@@ -123,13 +123,6 @@ def _signed(certificate: x509.Certificate, signature: str, text: bytes) -> bool:
     except (ValueError, InvalidSignature):
         return False
     return True
-
-
-def _is_ca(certificate: x509.Certificate) -> bool:
-    try:
-        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
-    except x509.ExtensionNotFound:
-        return False
 
 
 def _minute(now: dt.datetime) -> str:

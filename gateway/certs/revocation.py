@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from gateway.certs.authority import KeyPair
-from gateway.certs.reading import read_file
+from gateway.certs.files import read_file
 from gateway.errors import ConfigError
 
 FILE_NAME: Final = "revoked.crl"

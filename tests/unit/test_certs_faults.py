@@ -10,9 +10,9 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.certs import publish as publishing
+from gateway.certs import files as publishing
 from gateway.certs.authority import parse_host
-from gateway.certs.publish import SECRET, Content, publish
+from gateway.certs.files import SECRET, Content, publish
 from gateway.zenoh_config import load_client_config, load_config
 from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, names
 

@@ -10,7 +10,7 @@ import pytest
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.reading import read_key
+from gateway.certs.files import read_key
 from tests.support.certs_folder import fault, make_folder
 
 __all__ = ["make_folder"]  # a fixture

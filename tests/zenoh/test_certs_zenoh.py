@@ -15,7 +15,7 @@ import pytest
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.reading import read_certificate, read_key
+from gateway.certs.files import read_certificate, read_key
 from gateway.errors import ConfigError
 from gateway.limits import SIZE_LIMIT
 from gateway.zenoh_config import load_client_config

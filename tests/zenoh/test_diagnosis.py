@@ -13,7 +13,7 @@ import pytest
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.reading import read_certificate, read_key
+from gateway.certs.files import read_certificate, read_key
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.tmux import Terminal

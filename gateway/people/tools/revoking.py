@@ -7,7 +7,7 @@ from typing import Final
 
 from gateway import certs
 from gateway.certs import folder, moving, pool, zenoh_files
-from gateway.certs.reading import read_file
+from gateway.certs.files import read_file
 from gateway.certs.revocation import RevocationList, parse, why_not_newer
 from gateway.errors import ConfigError, GatewayError, RejectedError, ZenohError
 from gateway.people.client.blocking import Client

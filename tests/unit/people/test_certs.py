@@ -18,7 +18,7 @@ from gateway import certs
 from gateway.certs import authority
 from gateway.certs.zenoh_files import endpoint
 from gateway.errors import ConfigError
-from gateway.people.tools.certs_changes import app
+from gateway.people.tools.certs import app
 from gateway.zenoh_config import certificate_files, load_client_config, load_config
 from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
 
