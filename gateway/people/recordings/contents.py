@@ -1,17 +1,17 @@
 """What is in a recording: whose it is, when, how many messages of what; and a piece of it as a file of its own."""
 
 import json
+from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
-from mcap.writer import CompressionType, Writer
+from mcap.records import Channel, Header, Message, Metadata
 
 from gateway.errors import ConfigError
 from gateway.people.recordings.pieces import Losses
 from gateway.people.recordings.reading import records
-from gateway.people.recordings.writing import CHUNK_BYTES, LIBRARY, METADATA
+from gateway.people.recordings.writing import METADATA, Copy
 
 
 class Contents(NamedTuple):
@@ -81,42 +81,24 @@ def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
     begin_s = contents(path).begin_s
     from_ns, to_ns = round((begin_s + from_s) * 1e9), round((begin_s + to_s) * 1e9)
     count = 0
+    numbers: Counter[int] = Counter()
+    standing: dict[str, Message] = {}
     with into.open("xb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        schemas: dict[int, int] = {0: 0}
-        channels: dict[int, int] = {}
-        topics: dict[int, str] = {}
-        numbers: dict[int, int] = {}
-        standing: dict[str, Message] = {}
-
-        def add(message: Message, time_ns: int) -> None:
-            number = numbers[message.channel_id] = numbers.get(message.channel_id, 0) + 1
-            writer.add_message(channels[message.channel_id], time_ns, message.data, message.publish_time, number)
-
+        copy = Copy(file)
         for record in records(path):
-            if isinstance(record, Header):
-                writer.start(profile=record.profile, library=record.library or LIBRARY)
-            elif isinstance(record, Schema) and record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            elif isinstance(record, Channel) and record.id not in channels:
-                topics[record.id] = record.topic
-                channels[record.id] = writer.register_channel(
-                    record.topic, record.message_encoding, schemas[record.schema_id]
-                )
-            elif isinstance(record, Attachment):
-                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
-            elif isinstance(record, Metadata):
-                writer.add_metadata(record.name, record.metadata)
-            elif isinstance(record, Message) and record.channel_id in channels:
-                if record.log_time < from_ns and topics[record.channel_id] in _STANDING:
-                    standing[topics[record.channel_id]] = record
-                elif from_ns <= record.log_time <= to_ns:
-                    for each in standing.values():
-                        add(each, from_ns)
-                    standing.clear()
-                    add(record, record.log_time)
-                    count += 1
-        writer.finish()
+            message = copy.take(record)
+            if message is None:
+                continue
+            topic = copy.topics[message.channel_id]
+            if message.log_time < from_ns and topic in _STANDING:
+                standing[topic] = message
+            elif from_ns <= message.log_time <= to_ns:
+                for each, time_ns in (*((each, from_ns) for each in standing.values()), (message, message.log_time)):
+                    numbers[each.channel_id] += 1
+                    copy.add(each, time_ns, numbers[each.channel_id])
+                standing.clear()
+                count += 1
+        copy.finish()
     if not count:
         into.unlink()
         raise ConfigError(f"{path}: has no message from {from_s:g} to {to_s:g} s")

@@ -5,14 +5,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
-from mcap.writer import CompressionType, Writer
-
 from gateway.errors import ConfigError
-from gateway.people.recordings.locking import in_use
 from gateway.people.recordings.pieces import MAGIC, Losses
 from gateway.people.recordings.reading import records
-from gateway.people.recordings.writing import CHUNK_BYTES, LIBRARY
+from gateway.people.recordings.writing import Copy, in_use
 
 
 class Repaired(NamedTuple):
@@ -56,7 +52,7 @@ def repair(path: Path) -> Repaired:
     original = None
     try:
         with partial.open("wb") as file:
-            count, seconds = _copy(path, losses, Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD))
+            count, seconds = _copy(path, losses, Copy(file))
             file.flush()
             os.fsync(file.fileno())
         if losses:
@@ -86,38 +82,19 @@ def _kept_beside(path: Path) -> Path:
             return beside
 
 
-def _copy(path: Path, losses: Losses, writer: Writer) -> tuple[int, float]:
+def _copy(path: Path, losses: Losses, copy: Copy) -> tuple[int, float]:
     """How many messages were copied, and the seconds from the first to the last."""
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
     count, first_ns, last_ns = 0, 0, 0
-    begun = False
     for record in records(path, losses):
-        if not begun:
-            begun = True
-            header = record if isinstance(record, Header) else Header(profile="", library=LIBRARY)
-            writer.start(profile=header.profile, library=header.library)
-        match record:
-            case Schema() if record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            case Channel() if record.id not in channels:
-                schema = schemas.get(record.schema_id, 0)
-                channels[record.id] = writer.register_channel(
-                    record.topic, record.message_encoding, schema, record.metadata
-                )
-            case Message() if record.channel_id in channels:
-                channel = channels[record.channel_id]
-                writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
-                first_ns = record.log_time if count == 0 else min(first_ns, record.log_time)
-                last_ns = max(last_ns, record.log_time)
-                count += 1
-            case Attachment():
-                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
-            case Metadata():
-                writer.add_metadata(record.name, record.metadata)
+        message = copy.take(record)
+        if message is not None:
+            copy.add(message, message.log_time, message.sequence)
+            first_ns = message.log_time if count == 0 else min(first_ns, message.log_time)
+            last_ns = max(last_ns, message.log_time)
+            count += 1
     if count == 0:
         if losses:
             raise ConfigError(f"{path}: no message in it can be read; it is left as it is")
         raise ConfigError(f"{path}: was cut off before its first message; there is nothing in it, and it can go")
-    writer.finish()
+    copy.finish()
     return count, (last_ns - first_ns) / 1e9

@@ -5,25 +5,28 @@ A chunk is handed to the kernel at once, and ends after half a second: so much a
 
 import json
 import os
+import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import datetime
+from io import BufferedWriter, FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, Self
 
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Chunk, McapRecord
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Metadata
+from mcap.records import Message as McapMessage
 from mcap.records import Schema as McapSchema
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel, TypeAdapter
 
 from gateway import __version__
+from gateway.errors import ConfigError
 from gateway.geometry import Geometry, load, urdf
 from gateway.people.recordings.drawing import DRAWN, DRAWN_FROM, Drawing
-from gateway.people.recordings.locking import locked
 from gateway.people.recordings.plain_schema import Schema, plain_schema, without_nulls
 from gateway.people.recordings.reading import LIBRARY_NAME
 from gateway.people.ros2.cdr import Message, encode
@@ -31,6 +34,12 @@ from gateway.people.ros2.definition import definition
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE
 from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+if sys.platform != "win32":
+    import fcntl
 
 CHUNK_BYTES: Final = 1024 * 1024
 """The library's default; a robot that walks does not fill it before it is flushed."""
@@ -87,7 +96,7 @@ class Recording:
             raise
 
     def _begin(self, geometry: Geometry, time_ns: int, reports: Mapping[str, type[BaseModel]]) -> None:
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library=LIBRARY)
         self._channels: dict[str, int] = {}
         self._counts: dict[int, int] = {}
@@ -116,7 +125,7 @@ class Recording:
     @property
     def bytes_written(self) -> int:
         """The size of the file."""
-        return self._file.tell()
+        return self._file.size
 
     def declare(self, topic: str, name: str, schema: Schema) -> None:
         """A further channel of JSON messages; `plain_schema` makes a schema that viewers read.
@@ -208,36 +217,100 @@ def published_ns(report: Mapping[str, Any]) -> int | None:
     return None
 
 
-class _Unbuffered:
-    """A file as mcap's writer needs it. What was written is the kernel's at once: it stays when this process dies."""
+class _Unbuffered(BufferedWriter):
+    """A file that holds nothing back: what was written is the kernel's at once, and stays when this process dies."""
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
-        flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
-        self._fd = os.open(path, flags if overwrite else flags | os.O_EXCL, 0o644)
+        """Begin the file, once nobody else writes it. Raises ConfigError, OSError."""
+        flags = 0 if overwrite else os.O_EXCL
+        file = FileIO(path, "wb", opener=lambda name, usual: os.open(name, usual & ~os.O_TRUNC | flags, 0o644))
+        super().__init__(file)
+        self.size = 0
         try:
-            locked(self._fd)  # so that nobody repairs what is being written
-            os.ftruncate(self._fd, 0)
+            _lock(self.fileno())  # so that nobody repairs what is being written
+            self.truncate(0)
         except BaseException:
-            os.close(self._fd)
+            self.close()
             raise
-        self._size = 0
-        self.closed = False
 
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            written = os.write(self._fd, rest)
-            self._size += written
-            rest = rest[written:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self._size
-
-    def flush(self) -> None:
-        """Nothing is held back."""
+    def write(self, data: "ReadableBuffer", /) -> int:
+        written = super().write(data)
+        self.flush()
+        self.size += written
+        return written
 
     def close(self) -> None:
-        if not self.closed:
-            self.closed = True
-            os.close(self._fd)
+        """Without what the disk did not take."""
+        self.raw.close()
+
+
+def _lock(fd: int) -> None:
+    """Who writes a file holds its lock, where the system has such locks; it ends with its process.
+
+    Raises ConfigError where another program writes this file.
+    """
+    if sys.platform == "win32":
+        return
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise ConfigError("another program is writing this file") from error
+    except OSError:  # a file system without locks
+        return
+
+
+def in_use(fd: int) -> bool:
+    """Whether another program writes this file."""
+    if sys.platform == "win32":
+        return False
+    with suppress(OSError):
+        try:
+            fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        fcntl.flock(fd, fcntl.LOCK_UN)
+    return False
+
+
+class Copy:
+    """A file with what is taken over from another one."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._begun = False
+        self._schemas: dict[int, int] = {}
+        self._channels: dict[int, int] = {}
+        self.topics: dict[int, str] = {}
+        """By the other file's channels."""
+
+    def take(self, record: McapRecord) -> McapMessage | None:
+        """Take over this record of the other file; one of its messages is returned instead, for `add`."""
+        writer = self._writer
+        if not self._begun:
+            self._begun = True
+            header = record if isinstance(record, Header) else Header(profile="", library=LIBRARY)
+            writer.start(profile=header.profile, library=header.library)
+        match record:
+            case McapSchema() if record.id not in self._schemas:
+                self._schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            case Channel() if record.id not in self._channels:
+                self.topics[record.id] = record.topic
+                self._channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, self._schemas.get(record.schema_id, 0), record.metadata
+                )
+            case McapMessage() if record.channel_id in self._channels:
+                return record
+            case Attachment():
+                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+            case Metadata():
+                writer.add_metadata(record.name, record.metadata)
+        return None
+
+    def add(self, message: McapMessage, time_ns: int, number: int) -> None:
+        """Write a message that `take` has returned."""
+        channel = self._channels[message.channel_id]
+        self._writer.add_message(channel, time_ns, message.data, message.publish_time, number)
+
+    def finish(self) -> None:
+        """Write the index."""
+        self._writer.finish()

@@ -3,9 +3,9 @@
 import errno
 import json
 import math
-import os
 import random
 from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -392,10 +392,11 @@ def test_what_is_no_recording_is_reported_and_left_as_it_is(path: Path, content:
 def test_a_disk_that_is_full_from_the_beginning_is_left_without_an_empty_file(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(_fd: int, _data: bytes) -> int:
-        raise OSError(errno.ENOSPC, "No space left on device")
+    class Full(FileIO):
+        def write(self, _data: object, /) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(os, "write", full)
+    monkeypatch.setattr("gateway.people.recordings.writing.FileIO", Full)
     with pytest.raises(OSError, match="No space"):
         Recording(path, time_ns=START_NS)
     assert not path.exists()
