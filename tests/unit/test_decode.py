@@ -1,7 +1,5 @@
 """`hexapod-gateway decode`: the line for each frame, what is wrong with others, and the exit codes."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +11,6 @@ from gateway.cli import app
 from tests.fuzz.targets import check_command
 from tests.unit.robot.test_frames import frames
 
-VECTORS: dict[str, Any] = json.loads((Path(__file__).parents[1] / "data" / "frames.json").read_text())
 STOP_32 = "06 02 20 02 00 00"
 LEG_3 = "0e 01 1f 01 5a 00 20 03 2d 19 21 02 00 00"
 STOP_32_LINE = f"{STOP_32}: ONE SERVO: servo 32 stop"
@@ -45,20 +42,6 @@ def decode(*arguments: str) -> tuple[int, list[str]]:
 ])  # fmt: skip
 def test_legal_frames(arguments: list[str], lines: list[str]) -> None:
     assert decode(*arguments) == (0, lines)
-
-
-@pytest.mark.parametrize("vector", VECTORS["legal"], ids=lambda vector: vector["bytes"])
-def test_the_legal_vectors(vector: dict[str, Any]) -> None:
-    code, (line,) = decode(vector["bytes"])
-    assert code == 0
-    assert line.startswith(f"{vector['bytes']}: {vector['frame']}")
-
-
-@pytest.mark.parametrize("vector", VECTORS["illegal"], ids=lambda vector: vector["why"])
-def test_the_illegal_vectors(vector: dict[str, Any]) -> None:
-    code, lines = decode(vector["bytes"])
-    assert code == 1
-    assert ": not legal: byte " in lines[-1], "what follows a legal frame is looked at by itself"
 
 
 @pytest.mark.parametrize(("arguments", "lines"), [

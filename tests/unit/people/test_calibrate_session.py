@@ -114,17 +114,6 @@ def test_direction_limits_and_taking_back(person: Person) -> None:
     assert person.robot.in_force.revision == 0
 
 
-def test_a_key_that_is_held_down_leaves_no_motion_behind(person: Person) -> None:
-    person.tests(32)
-    person.servos.answers["set"].clear()
-    for _ in range(100):
-        person.press("right")
-    assert person.guide.command_deg <= 91.0
-    person.servos.answers["set"].set()
-    person.servos.wait(lambda asked: asked[-3:] == [(32, "set", person.guide.command_deg)] * 3)
-    assert person.guide.command_deg <= 91.0
-
-
 def test_the_screen_shows_where_the_gateway_let_it_go(person: Person) -> None:
     person.servos.highest_deg = 90.5
     person.tests(32)
@@ -200,14 +189,6 @@ def test_a_stop_before_anything_is_started_ends_it(person: Person, key: str) -> 
     assert person.changed.wait(LATE_S)
     person.sees("Servo: _")
     assert all(asked[1] == "stop" for asked in person.servos.asked)
-
-
-def test_space_stops_all_legs_and_escape_one(person: Person) -> None:
-    for key, asks in ((" ", (None, "stop", None)), ("escape", (3, "stop", None))):
-        person.tests(32)
-        person.press(key)
-        person.sees("stopped")
-        assert person.servos.asked[-1] == asks
 
 
 def test_without_the_lease_nothing_starts(person: Person) -> None:

@@ -166,13 +166,6 @@ def test_stops_are_not_tried_for_ever() -> None:
     assert next(now_ns) < 1_000_000_000
 
 
-def test_plain_has_no_preamble_to_send() -> None:
-    scene = Scene(Framing.PLAIN)
-    scene.device.begin({0})
-    scene.bus.write(STOP_ALL[:2])
-    assert scene.device.seen == scene.transfers(STOP_ALL[0], STOP_ALL[1], STOP_ALL[0])
-
-
 def test_what_failed_is_followed_by_a_preamble_for_all_that_comes() -> None:
     scene = Scene(PREFIXED)
     scene.device.begin({1})
@@ -275,21 +268,14 @@ def test_it_goes_before_a_repeated_run_of_stops_and_never_before_a_first_one() -
     assert bed.written == [*ZEROS, *transfers(STOP, stop_leg(2))]
 
 
-def test_it_is_not_written_twice_where_a_pause_was_filled_with_it() -> None:
+@pytest.mark.parametrize("parts", [1, 2, 3])
+def test_what_a_pause_had_time_for_is_not_written_again_and_the_rest_is_added(parts: int) -> None:
     bed = Bed().opened()
     bed.write(STOP)
-    assert [bed.bus.write_zeros() for _ in range(3)] == [True, False, False]
+    assert [bed.bus.write_zeros() for _ in range(parts)] == [True, False, False][:parts]
     bed.write(STOP, preamble=True)
     assert bed.written == [*transfers(STOP), *ZEROS, *transfers(STOP)]
     assert bed.bus.errors == 0
-
-
-def test_what_a_pause_had_no_time_for_is_added() -> None:
-    bed = Bed().opened()
-    bed.write(STOP)
-    assert bed.bus.write_zeros()
-    bed.write(STOP, preamble=True)
-    assert bed.written == [*transfers(STOP), *ZEROS, *transfers(STOP)]
 
 
 def test_a_first_stop_comes_into_a_preamble_and_a_frame_that_moves_waits_for_its_end() -> None:

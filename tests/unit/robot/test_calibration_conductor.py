@@ -13,8 +13,8 @@ from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.protocol.frames import OneLeg, Op
 from gateway.robot.runtime.calibrations import HANGS
 from schemas import calibration, keys
-from schemas.telemetry import Kind, Mode, Reason
-from tests.support.robot import Robot, leg, servo, started_and_quiet
+from schemas.telemetry import Kind, Reason
+from tests.support.robot import Robot, leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
 START, SET, STOP = leg("start", 90, 90, 90), leg("set", 45, 45, 45), leg("stop")
@@ -90,19 +90,6 @@ async def test_what_is_told_can_be_sent_back() -> None:
     assert told(robot).model_dump() == {**before, "revision": 2}
 
 
-async def test_angles_that_its_servo_cannot_reach_are_rejected_and_both_are_named() -> None:
-    robot = await started_and_quiet()
-    robot.calibrate(OWN)
-    for angles, detail in (
-        ((175, 90, 90), "175 degrees of servo 31 are its own 182.5, with its trim; a servo has 0 to 180"),
-        ((90, 175, 90), "175 degrees of servo 32 are its own -5, with its trim; a servo has 0 to 180"),
-        ((90, 90, 150), "servo 33 is calibrated to go from 0 to 140 degrees; 150 is outside"),
-    ):
-        ack = robot.ask(LEG_3, leg("start", *angles))
-        assert (ack.reason, ack.detail) == (Reason.JOINT_LIMIT, detail)
-    assert robot.frames == []
-
-
 async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
     robot = await on_disk(disk := Disk())
     answers = robot.calibrate(OWN)
@@ -114,18 +101,6 @@ async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
     assert robot.conductor.state().calibration.kept
     assert robot.ask(LEG_3, START).accepted
     assert robot.frames[-1][1].servos[0][1].angle_cdeg == 97_50
-
-
-async def test_a_disk_that_does_not_take_it_leaves_the_old_one_in_force() -> None:
-    robot = await on_disk(disk := Disk())
-    answers = robot.calibrate(OWN)
-    disk.write("/var/lib/calibration.toml: cannot be written (No space left on device); the old calibration stays")
-    assert (answers[0].accepted, answers[0].reason) == (False, Reason.INVALID)
-    assert "No space left" in str(answers[0].detail)
-    assert not robot.events(Kind.CALIBRATED)
-    assert told(robot).revision == 0
-    assert robot.ask(LEG_3, START).accepted
-    assert robot.frames[-1][1].servos[0][1].angle_cdeg == 90_00
 
 
 async def test_while_it_is_being_kept_stops_and_the_watchdog_are_in_time() -> None:
@@ -167,29 +142,6 @@ async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     assert caplog.text.count("is not kept yet") == 1, "and ended in time"
 
 
-async def test_a_servo_that_runs_is_not_calibrated_and_others_are() -> None:
-    robot = await started_and_quiet()
-    robot.ask(keys.servo_command(31), servo("start", 90))
-    (ack,) = robot.calibrate(OWN)
-    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
-    assert "servo 31 runs" in str(ack.detail)
-    assert robot.events(Kind.COMMAND_REJECTED)[-1].key == keys.CALIBRATION_CMD
-    assert robot.calibrate({"servos": {"32": {"trim_deg": 5}}})[0].accepted
-
-
-async def test_of_two_who_change_the_same_revision_one_is_rejected() -> None:
-    robot = await started_and_quiet()
-    assert robot.calibrate({**OWN, "revision": 0})[0].accepted
-    (ack,) = robot.calibrate({**OWN, "revision": 0})
-    assert ack.reason == Reason.STALE
-    robot = await on_disk(disk := Disk())
-    first, second = robot.calibrate(OWN), robot.calibrate({"landing": {"11": 20}})
-    assert second[0].reason == Reason.STALE
-    disk.write()
-    assert first[0].accepted
-    assert disk.waiting == []
-
-
 async def test_it_needs_the_lease_like_a_start() -> None:
     robot = await started_and_quiet()
     ack = robot.lease("acquire", "anna")
@@ -206,20 +158,6 @@ async def test_what_was_delayed_on_the_way_is_rejected() -> None:
     (ack,) = robot.calibrate({**OWN, "sent_ms": 501, "source": "anna"})
     assert ack.reason == Reason.STALE
     assert told(robot).revision == 0
-
-
-@pytest.mark.parametrize("mode", [Mode.ESTOPPED, Mode.BUS_FAULT, Mode.STOPPING])
-async def test_in_no_other_mode(mode: Mode) -> None:
-    robot = await started_and_quiet()
-    if mode is Mode.ESTOPPED:
-        robot.put(keys.ESTOP)
-    elif mode is Mode.BUS_FAULT:
-        robot.controller.fail_next(1000)
-        robot.put(LEG_3, STOP)
-    else:
-        robot.conductor.shut_down()
-    (ack,) = robot.calibrate(OWN)
-    assert (robot.mode, ack.reason) == (mode, Reason(mode.value))
 
 
 async def test_what_comes_after_the_end_changes_nothing() -> None:
@@ -290,10 +228,3 @@ async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_setti
     await asyncio.sleep(2)
     landed = [frame for _, frame in robot.frames if isinstance(frame, OneLeg) and not frame.is_stop][-1]
     assert [op.angle_cdeg for op in landed.commands if op.op is not Op.STOP][:2] == [120_00, 40_00]
-
-
-async def test_changes_are_told_ten_times_a_second_and_source() -> None:
-    robot = await started_and_quiet()
-    for angle in range(30):
-        assert robot.calibrate({"landing": {"11": angle}, "source": "anna"})[0].accepted
-    assert len(robot.events(Kind.CALIBRATED)) == 10

@@ -95,20 +95,6 @@ async def test_ttl_ms(ttl_ms: float) -> None:
     assert robot.ask(LEG_3, with_token(START, ack)).reason == Reason.NOT_HOLDER
 
 
-async def test_a_handover_while_the_legs_go_on() -> None:
-    robot, anna = await driven_by_anna()
-    assert robot.lease("ask", "bert").holder == "anna"
-    assert robot.conductor.state().lease.asked_by == "bert"
-    assert robot.lease("release", lease=anna.lease, to="bert").holder == "bert"
-    state = robot.conductor.state().lease
-    assert (state.holder, state.held_s) == ("bert", None)
-    bert = robot.lease("acquire", "bert")
-    await asyncio.sleep(0.1)
-    assert robot.ask(LEG_3, with_token(SET, bert)).accepted
-    assert not [frame for _, frame in robot.frames if frame.is_stop]
-    assert robot.ask(LEG_3, with_token(SET, anna)).reason == Reason.NOT_HOLDER
-
-
 async def test_a_takeover_whose_stops_cannot_be_written_is_granted_and_the_fault_told() -> None:
     robot, _ = await driven_by_anna()
     robot.controller.fail_next(1)

@@ -156,14 +156,3 @@ async def test_a_zero_that_fails_is_a_fault_of_the_bus() -> None:
     await asyncio.sleep(0.019)
     assert robot.mode == Mode.IDLE, "opened again at once"
     assert [event.kind for event in robot.events()][-2:] == [Kind.BUS_FAULT, Kind.BUS_RECOVERED]
-
-
-async def test_plain_has_none_of_it() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    for _ in range(200):
-        await asyncio.sleep(0.02)
-        robot.put(LEG_3, SET)
-    robot.put(keys.ESTOP)
-    await asyncio.sleep(1)
-    assert not any(data == ZERO for _, data in robot.controller.transfers)
