@@ -1,5 +1,7 @@
 """A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle."""
 
+from typing import TypeVar
+
 from gateway.robot.core.calibration import Calibration, Change
 from gateway.robot.core.events import (
     Announce,
@@ -33,6 +35,7 @@ from gateway.robot.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids
 from tests.support.oracle import Oracle
 
 Targets = tuple[tuple[int, ServoOp], ...]
+T = TypeVar("T", bound=Effect)
 
 
 def op(word: str) -> ServoOp:
@@ -136,6 +139,16 @@ class Steps:
             instant_ns=instant_ns,
         )
         return [said(effect) for effect in self.effects]
+
+    def only(self, kind: type[T]) -> T:
+        """The only effect of this kind that the latest step has."""
+        (found,) = [effect for effect in self.effects if isinstance(effect, kind)]
+        return found
+
+    @property
+    def detail(self) -> str:
+        """What the only rejection of the latest step states."""
+        return self.only(Rejected).detail
 
     def command(self, at_ms: float, targets: Targets, channel: str = "leg", *, lease: str | None = None) -> list[str]:
         """A command with the next number."""

@@ -1,15 +1,9 @@
 """`hexapod-gateway decode`: the line for each frame, what is wrong with others, and the exit codes."""
 
-from typing import Any
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from tests.fuzz.targets import check_command
-from tests.unit.robot.test_frames import frames
 
 STOP_32 = "06 02 20 02 00 00"
 LEG_3 = "0e 01 1f 01 5a 00 20 03 2d 19 21 02 00 00"
@@ -71,14 +65,3 @@ def test_what_is_not_legal(arguments: list[str], lines: list[str]) -> None:
 
 def test_no_argument_is_a_mistake_of_usage() -> None:
     assert CliRunner().invoke(app, ["decode"]).exit_code == 2
-
-
-@given(st.lists(frames, min_size=1, max_size=4))
-def test_any_legal_frames_are_explained(sent: list[Any]) -> None:
-    assert check_command([frame.to_bytes().hex(" ") for frame in sent]) == "typed: exit code 0"
-    assert check_command(["".join(frame.to_bytes().hex() for frame in sent)]) == "typed: exit code 0"
-
-
-@given(st.lists(st.text(), min_size=1) | st.lists(st.text("0123456789abcdefx, "), min_size=1))
-def test_anything_typed_is_explained_or_rejected(typed: list[str]) -> None:
-    check_command(typed)

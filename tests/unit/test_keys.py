@@ -6,36 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas import keys
 from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, parse, servo_command
 from schemas.robot import LEGS, SERVO_IDS
-
-CONTRACT = {
-    "hexapod/legs/cmd": (Target.LEGS, 0),
-    **{f"hexapod/leg/{leg}/cmd": (Target.LEG, leg) for leg in (1, 2, 3, 4, 5, 6)},
-    **{
-        f"hexapod/servo/{servo_id}/cmd": (Target.SERVO, servo_id)
-        for servo_id in (11, 12, 13, 21, 22, 23, 31, 32, 33, 41, 42, 43, 51, 52, 53, 61, 62, 63)
-    },
-    "hexapod/estop/cmd": (Target.ESTOP, 0),
-    "hexapod/reset/cmd": (Target.RESET, 0),
-}
-
-
-def test_the_command_keys() -> None:
-    assert {key: tuple(parsed) for key, parsed in COMMAND_KEYS.items()} == CONTRACT
 
 
 def test_commands_of_one_instant_apply_in_this_order() -> None:
     targets = [parsed.target for parsed in COMMAND_KEYS.values()]
     assert targets == [Target.LEGS, *[Target.LEG] * 6, *[Target.SERVO] * 18, Target.ESTOP, Target.RESET]
-
-
-def test_the_keys_that_go_out() -> None:
-    assert (keys.STATE, keys.EVENT, keys.FRAME, keys.ALIVE) == (
-        "hexapod/state", "hexapod/event", "hexapod/frame", "hexapod/alive"
-    )  # fmt: skip
-    assert keys.ALL_COMMANDS == "hexapod/**/cmd"
 
 
 def test_what_is_built_is_parsed() -> None:

@@ -42,11 +42,6 @@ def at_ns(at_ms: float) -> int:
     return round((60_000 + at_ms) * NS_PER_MS)
 
 
-def answer(robot: Steps) -> ButtonAnswer:
-    (found,) = [effect for effect in robot.effects if isinstance(effect, ButtonAnswer)]
-    return found
-
-
 # ---- fewer than required
 
 
@@ -297,7 +292,7 @@ def test_one_that_is_older_than_the_timeout_is_rejected() -> None:
     robot.button(22, "alive", "kitchen", 1, sent_ms=20)
     robot.time(1022)
     assert robot.button(3000, "alive", "kitchen", 2, sent_ms=1500) == ["button stale, 0 alive"]
-    assert answer(robot).detail == "the check-in is 1497 ms old; it counts for 1000 ms"
+    assert robot.only(ButtonAnswer).detail == "the check-in is 1497 ms old; it counts for 1000 ms"
     assert robot.button(3001, "alive", "kitchen", 3, sent_ms=2999) == ["announce button_returned", *ALIVE]
 
 
@@ -351,7 +346,7 @@ def test_at_the_end_requests_are_rejected() -> None:
 def test_a_gateway_that_was_started_anew_knows_no_button() -> None:
     robot = Steps(rules())
     assert robot.button(1, "alive", "kitchen", 7) == ["button unknown_button, 0 alive"]
-    assert answer(robot).reason is Reason.UNKNOWN_BUTTON
+    assert robot.only(ButtonAnswer).reason is Reason.UNKNOWN_BUTTON
     assert robot.command(2, START) == [REFUSED]
 
 

@@ -23,14 +23,9 @@ def driven_by_anna(rules: Rules | None = None) -> Steps:
     return robot
 
 
-def answer(robot: Steps) -> LeaseAnswer:
-    (found,) = [effect for effect in robot.effects if isinstance(effect, LeaseAnswer)]
-    return found
-
-
 def answer_to(robot: Steps, at_ms: float, request: LeaseRequest) -> LeaseAnswer:
     robot.take(at_ms, request)
-    return answer(robot)
+    return robot.only(LeaseAnswer)
 
 
 def told(robot: Steps) -> list[tuple[Kind, str | None, str]]:
@@ -102,7 +97,7 @@ def test_it_is_not_acquired_twice_not_even_by_its_holder() -> None:
     robot = driven_by_anna()
     for name in ("bert", "anna"):
         assert robot.lease(2, f"acquire {name}", fresh=BERT) == ["lease lease_held"]
-        assert answer(robot).holder == "anna"
+        assert robot.only(LeaseAnswer).holder == "anna"
     assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"]
 
 
@@ -224,7 +219,7 @@ def test_a_handover_goes_to_one_who_has_asked_and_the_legs_go_on() -> None:
     assert robot.lease(4, "release to nobody", ANNA) == ["lease lease_denied"]
     assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"], "it is still hers"
     assert robot.lease(31, "release to bert", ANNA) == ["announce lease_released", GRANTED]
-    assert answer(robot).holder == "bert"
+    assert robot.only(LeaseAnswer).holder == "bert"
     for token in (ANNA, BERT, None):
         assert robot.command(60, SET, lease=token)[0].endswith("not_holder")
     assert robot.lease(61, "acquire carl", fresh=CARL) == ["lease lease_held"]
@@ -269,7 +264,7 @@ def test_a_takeover_stops_all_six_legs_first() -> None:
     robot.command(2, SET, lease=ANNA)
     taken = robot.lease(3, "take bert", fresh=BERT)
     assert taken == [*all_stopped("command"), "rejected 2 not_holder", "announce lease_taken", GRANTED]
-    assert answer(robot).token == BERT
+    assert robot.only(LeaseAnswer).token == BERT
     assert told(robot) == [(Kind.LEASE_TAKEN, "bert", "bert has stopped all legs and taken the lease from anna")]
     assert robot.command(30, START, lease=ANNA) == ["rejected 3 not_holder"]
     assert robot.command(31, SET, lease=BERT) == ["rejected 4 servo_stopped"]
@@ -324,7 +319,7 @@ def test_no_repr_shows_a_token() -> None:
     robot = driven_by_anna()
     seen = [*robot.effects, *robot.lease(2, "renew", ANNA), robot.supervisor.lease]
     robot.lease(3, "take bert", fresh=BERT)
-    seen += [*robot.effects, answer(robot)]
+    seen += [*robot.effects, robot.only(LeaseAnswer)]
     for each in seen:
         assert ANNA not in repr(each)
         assert BERT not in repr(each)

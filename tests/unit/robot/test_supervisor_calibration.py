@@ -42,12 +42,6 @@ TURN_32 = Change({32: ServoChange(trim_cdeg=-5_00, inverted=True)}, {})
 NOTHING = Change({}, {})
 
 
-def detail(steps: Steps) -> str:
-    """Of the only rejection in the latest step."""
-    (rejected,) = [effect for effect in steps.effects if isinstance(effect, Rejected)]
-    return rejected.detail
-
-
 def announced(steps: Steps) -> list[Announce]:
     return [effect for effect in steps.effects if isinstance(effect, Announce)]
 
@@ -78,20 +72,20 @@ def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
 def test_what_the_calibration_excludes_is_rejected_with_the_whole_command(word: str, why: str) -> None:
     steps = Steps(calibration=MIRRORED)
     assert steps.command(0.5, leg_to(3, "start 90", word, "start 90")) == ["rejected 1 joint_limit"]
-    assert detail(steps) == why
+    assert steps.detail == why
 
 
 def test_an_angle_that_the_servo_does_not_have_is_rejected_naming_both() -> None:
     steps = Steps(calibration=Calibration(1, {32: ServoCalibration(20_00)}))
     assert steps.command(0.5, servo_to(32, "start 160.01")) == ["rejected 1 joint_limit"]
-    assert detail(steps) == "160.01 degrees of servo 32 are its own 180.01, with its trim; a servo has 0 to 180"
+    assert steps.detail == "160.01 degrees of servo 32 are its own 180.01, with its trim; a servo has 0 to 180"
     assert steps.command(1, servo_to(32, "start 160")) == ["command 32 start 180", "completed 2"]
 
 
 def test_the_settings_limits_hold_as_well_and_count_as_users_do() -> None:
     steps = Steps(Rules(repeats=0, joint_limits_cdeg={32: (80_00, 100_00)}), calibration=MIRRORED)
     assert steps.command(0.5, servo_to(32, "start 79")) == ["rejected 1 joint_limit"]
-    assert detail(steps) == "servo 32 may go from 80 to 100 degrees; 79 is outside"
+    assert steps.detail == "servo 32 may go from 80 to 100 degrees; 79 is outside"
     assert steps.command(1, servo_to(32, "start 80")) == ["command 32 start 107", "completed 2"]
 
 
@@ -106,7 +100,7 @@ def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
     calibration = Calibration(1, {32: ServoCalibration(-3_00)})
     steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=calibration)
     assert steps.command(0.5, servo_to(32, "start 5")) == ["rejected 1 joint_limit"]
-    assert detail(steps) == (
+    assert steps.detail == (
         "5 degrees of servo 32 are its own 2, with its calibration; angles on the wire from 1 up to 4 are never sent "
         "(spi.avoid_deg): where one byte is lost, the published firmware dies of whole degrees 1 to 3, with its "
         "servos on"
@@ -119,7 +113,7 @@ def test_a_landing_pose_of_angles_that_are_never_sent_is_rejected() -> None:
     steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=Calibration(1, {}, {32: 5_00}))
     assert steps.calibrate(1, Change({}, {31: 3_00})) == ["rejected 1 joint_limit"]
     assert steps.calibrate(2, Change({32: ServoChange(trim_cdeg=-3_00)}, {})) == ["rejected 2 joint_limit"]
-    assert detail(steps).startswith("the landing pose cannot be sent: 5 degrees of servo 32 are its own 2, ")
+    assert steps.detail.startswith("the landing pose cannot be sent: 5 degrees of servo 32 are its own 2, ")
 
 
 def test_a_landing_goes_to_the_calibrations_pose_on_the_servos_way() -> None:
@@ -160,7 +154,7 @@ def test_a_change_that_the_disk_does_not_take_changes_nothing() -> None:
     steps = Steps(calibration=MIRRORED)
     steps.calibrate(0, TURN_32)
     assert steps.kept(50, "the disk is full; the old calibration stays") == ["rejected 1 invalid"]
-    assert detail(steps) == "the disk is full; the old calibration stays"
+    assert steps.detail == "the disk is full; the old calibration stays"
     assert steps.supervisor.calibrating.in_force == MIRRORED
     assert steps.command(51, servo_to(32, "start 90")) == ["command 32 start 97", "completed 2"]
 
@@ -172,7 +166,7 @@ def test_a_servo_that_runs_or_waits_to_be_started_is_not_changed() -> None:
     for at_ms, servo_id in ((2, 32), (3, 11)):
         assert steps.calibrate(at_ms, Change({servo_id: ServoChange(trim_cdeg=1)}, {}))[0].endswith("invalid")
         expected = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
-        assert detail(steps) == expected
+        assert steps.detail == expected
     assert steps.calibrate(4, Change({31: ServoChange(trim_cdeg=1)}, {32: 90_00})) == ["keep 5"]
 
 
@@ -197,7 +191,7 @@ def test_nothing_that_is_changed_starts_meanwhile() -> None:
     steps = Steps()
     steps.calibrate(0, TURN_32)
     assert steps.command(1, leg_to(3, "start 90")) == ["rejected 2 servo_stopped"]
-    assert detail(steps) == "servo 32 is being calibrated; start it once that is kept"
+    assert steps.detail == "servo 32 is being calibrated; start it once that is kept"
     assert steps.command(2, servo_to(31, "start 90"))[0] == "command 31 start 90"
     assert steps.command(3, servo_to(32, "stop"))[0] == "command 32 stop"
 
@@ -208,7 +202,7 @@ def test_one_change_at_a_time() -> None:
     assert steps.calibrate(1, NOTHING) == ["rejected 2 stale"]
     steps.kept(2)
     assert steps.calibrate(3, NOTHING, revision=0) == ["rejected 3 stale"]
-    assert detail(steps) == "revision 0 is changed, and 1 is in force; look at it first"
+    assert steps.detail == "revision 0 is changed, and 1 is in force; look at it first"
     assert steps.calibrate(4, NOTHING, revision=1) == ["keep 4"]
 
 
@@ -216,7 +210,7 @@ def test_what_is_no_calibration_is_rejected_as_a_whole() -> None:
     steps = Steps()
     change = Change({32: ServoChange(trim_cdeg=1), 33: ServoChange(trim_cdeg=90_01)}, {})
     assert steps.calibrate(0, change) == ["rejected 1 invalid"]
-    assert detail(steps) == "servo 33: trim_deg is 90.01; it is -90 to 90"
+    assert steps.detail == "servo 33: trim_deg is 90.01; it is -90 to 90"
     assert steps.calibrate(1, NOTHING, accept_default=True) == ["rejected 2 invalid"]
 
 
@@ -298,9 +292,9 @@ def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
         "/var/lib/x/calibration.toml: is not TOML; nothing is started until `hexapod-gateway calibrate "
         "--accept-default` takes the default calibration as this robot's"
     )
-    assert detail(steps) == why
+    assert steps.detail == why
     assert steps.calibrate(1, TURN_32) == ["rejected 2 servo_stopped"]
-    assert detail(steps) == why
+    assert steps.detail == why
     assert steps.command(2, leg_to(1, "stop")) == ["command 1 stop", "completed 3"]
     assert steps.estop(3)[:6] == all_stopped("estop")
 

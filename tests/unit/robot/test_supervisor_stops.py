@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.core.events import Rejected, Transmit
+from gateway.robot.core.events import Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Mode, WatchdogState
@@ -266,9 +266,9 @@ def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None
         robot.estop(100 + number)
         assert robot.supervisor.estops == number
     assert robot.reset(110, newer=-1) == ["rejected 1 estopped"]
-    assert _detail(robot) == "a newer emergency stop was requested: estop is 1, and the latest is 2"
+    assert robot.detail == "a newer emergency stop was requested: estop is 1, and the latest is 2"
     assert robot.reset(111, newer=1) == ["rejected 2 estopped"]
-    assert _detail(robot) == "no such emergency stop was requested: estop is 3, and the latest is 2"
+    assert robot.detail == "no such emergency stop was requested: estop is 3, and the latest is 2"
     assert robot.supervisor.mode is Mode.ESTOPPED
     assert robot.reset(112) == ["announce estop_reset", "completed 3"]
     robot.estop(113)
@@ -280,7 +280,7 @@ def test_a_reset_without_a_number_is_taken_2_s_after_the_latest_emergency_stop()
     robot.estop(100)
     robot.estop(1000)
     assert robot.reset_without_number(2999.999) == ["rejected 1 estopped"]
-    assert _detail(robot) == (
+    assert robot.detail == (
         "the emergency stop was requested 2.0 s ago; a reset without its number (estop) is accepted after 2 s"
     )
     assert robot.reset_without_number(3000) == ["announce estop_reset", "completed 2"]
@@ -295,11 +295,6 @@ def test_with_nothing_latched_a_reset_changes_nothing_whatever_it_names(newer: i
     assert robot.reset(103, newer=newer) == ["completed 3"]
     assert robot.reset_without_number(104) == ["completed 4"]
     assert robot.running == [11, 12, 13]
-
-
-def _detail(robot: Steps) -> str:
-    (rejected,) = [effect for effect in robot.effects if isinstance(effect, Rejected)]
-    return rejected.detail
 
 
 def test_repeats_of_an_emergency_stop_outlast_the_reset() -> None:
