@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from gateway.geometry import load
 from gateway.people.walking.motion import travelled
-from tests.walking.physics import Assumed, Setpoint, Track, World, setpoints, went
+from tests.walking.physics import SINKS_S, Assumed, Setpoint, Track, World, setpoints, went
 from tests.walking.recorded import Recording, Walked
 
 OFF: Final = 0.10
@@ -104,7 +104,7 @@ def stopped_at(recording: Recording, time_s: float, assumed: Assumed) -> Track:
     """All servos go slack at that time, as after an emergency stop: what becomes of the robot."""
     before = [each for each in setpoints(recording.records, load()) if each.time_s < time_s]
     servos = dict.fromkeys(each.servo_id for each in before)
-    return World(assumed).run([*before, *(Setpoint(time_s, servo_id, None) for servo_id in servos)], more_s=2.0)
+    return World(assumed).run([*before, *(Setpoint(time_s, servo_id, None) for servo_id in servos)], more_s=SINKS_S)
 
 
 def table(results: Sequence[Result]) -> str:

@@ -22,6 +22,14 @@ from schemas.telemetry import FrameRecord
 
 LOOK_S: Final = 0.02
 FALLEN_DEG: Final = 30.0
+SUNK_M: Final = 0.09
+"""The middle of a body with slack servos comes below this height. It stands at 0.154, and lies flat at 0.058.
+
+Slack legs fold below it: tibias lie under one side, their femurs at their end stops, and hold that side up, while a
+corner of the belly is on the ground. That corner is 0.236 m from the middle, which a lean of 8 degrees lifts by 0.03.
+"""
+SINKS_S: Final = 4.0
+"""Slack legs brake it, and most of it is done in half a second; then it creeps into its last centimetre."""
 _CARRIES: Final = 0.15
 """Of the robot's weight: a foot that carries less is being put down or lifted, and is not in its stance."""
 

@@ -11,7 +11,7 @@ from gateway.geometry import load
 from gateway.people.walking import GAITS, Velocity
 from tests.walking.__main__ import SPEEDS_M_S, TURNS_RAD_S
 from tests.walking.judge import OFF, judge, stopped_at, table
-from tests.walking.physics import FALLEN_DEG, VARIATIONS, Assumed, World, setpoints, went
+from tests.walking.physics import FALLEN_DEG, SUNK_M, VARIATIONS, Assumed, World, setpoints, went
 from tests.walking.recorded import Leg, Recording, record, record_live
 
 WORLDS: Final = (VARIATIONS[0], Assumed(mass=1.3, force=0.7), Assumed(friction=0.7))
@@ -66,7 +66,7 @@ def test_a_stop_in_any_phase_of_a_stride_lets_it_sink_and_never_topple(
     for eighth in range(PHASES):
         track = stopped_at(recording, begin_s + eighth * GAITS[gait].period_s / PHASES, WORLDS[0])
         assert max(pose.tilt_deg for pose in track.poses) < FALLEN_DEG
-        assert track.poses[-1].height_m < 0.08
+        assert track.poses[-1].height_m < SUNK_M
 
 
 def test_a_walk_by_the_clock_goes_as_far_as_its_own_odometry(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ from gateway.geometry.masses import MASSES
 from gateway.people.physics.assumed import TORQUE_NM, Assumed, Terrain
 from schemas.robot import SERVO_IDS
 
+_FRICTION_RATIO: Final = 10.0
+"""How much harder a contact is along the ground than across it; models of walking robots have 10 to 100."""
 TIMESTEP_S: Final = 0.002
 _STIFFNESS_NM_RAD: Final = 50.0
 """The usual servo gives way by 2.3 degrees under its full load. A stronger one is as much stiffer; a weaker one is no
@@ -48,6 +50,8 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
     _set_up_servos(model, geometry, max(1.0, assumed.torque_nm / TORQUE_NM))
     model.opt.timestep = TIMESTEP_S
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # With the default cone a foot that is loaded creeps over the ground, far below its limit of friction.
+    model.opt.cone, model.opt.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _FRICTION_RATIO
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what explodes is reported first
     return model
 

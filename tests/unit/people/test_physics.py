@@ -20,6 +20,7 @@ from gateway.people.physics.world import World
 from gateway.people.walking import Engine, Posture, Robot, Velocity
 from gateway.robot.core.calibration import Calibration, ServoCalibration
 from schemas.robot import SERVO_IDS
+from tests.walking.physics import SINKS_S, SUNK_M
 
 GEOMETRY = load()
 TICK_S = 0.02
@@ -48,6 +49,13 @@ def stop(world: World) -> None:
         world.drive(servo_id, None)
 
 
+def touches_the_floor(world: World) -> set[str]:
+    """The names of the links that do."""
+    model = world.model
+    pairs = [world.data.contact[number].geom for number in range(world.data.ncon)]
+    return {model.body(model.geom_bodyid[geom]).name for pair in pairs for geom in pair}
+
+
 def test_it_stands_up_and_without_its_servos_it_sinks() -> None:
     world = World(GEOMETRY)
     engine = stood_up(world)
@@ -55,14 +63,16 @@ def test_it_stands_up_and_without_its_servos_it_sinks() -> None:
     assert standing.position_m[2] == pytest.approx(engine.body.height_m, abs=0.01)
     assert standing.upright
     assert all(standing.feet)
+    assert "base" not in touches_the_floor(world)
     carried_nm = sum(abs(torque_nm) for torque_nm in standing.torques_nm.values())
     assert carried_nm > 1
     stop(world)
     simulate(world, 0.15)
     assert world.body().velocity_m_s[2] < -0.1, "it falls"
-    simulate(world, 2.0)
+    simulate(world, SINKS_S)
     fallen = world.body()
-    assert fallen.position_m[2] < 0.08
+    assert fallen.position_m[2] < SUNK_M
+    assert "base" in touches_the_floor(world), "its legs alone do not carry it"
     assert set(fallen.torques_nm.values()) == {0.0}
 
 
@@ -74,7 +84,7 @@ def test_a_heavy_robot_with_weak_servos_does_not_get_up() -> None:
 
 def test_strong_servos_carry_a_heavy_robot() -> None:
     """Each with more than the newton-metre that the URDF names, which MuJoCo would take for the joint's limit."""
-    world = World(GEOMETRY, Assumed(mass_kg=9, torque_nm=4))
+    world = World(GEOMETRY, Assumed(mass_kg=12, torque_nm=4))
     engine = stood_up(world)
     assert world.body().position_m[2] == pytest.approx(engine.body.height_m, abs=0.01)
     assert max(map(abs, world.body().torques_nm.values())) > 1
@@ -121,14 +131,17 @@ def test_it_lies_on_every_ground(text: str) -> None:
     assert lean_deg == pytest.approx(abs(Terrain.parsed(text).slope_deg), abs=5)
 
 
-def test_it_slides_down_a_slope_of_ice_and_not_one_of_wood() -> None:
+def test_it_slides_down_a_slope_of_ice_and_does_not_creep_down_one_of_wood() -> None:
+    """With MuJoCo's default cone of friction it creeps, with half of what would make it slide."""
     slid_m = []
     for friction in (0.05, 0.8):
         world = World(GEOMETRY, Assumed(friction=friction, terrain=Terrain.parsed("slope:20")))
         simulate(world, 1.5)
-        slid_m.append(-world.body().position_m[0])
+        lay_m = world.body().position_m[0]
+        simulate(world, 3.0)
+        slid_m.append(lay_m - world.body().position_m[0])
     assert slid_m[0] > 0.5
-    assert abs(slid_m[1]) < 0.05
+    assert abs(slid_m[1]) < 0.002
 
 
 @pytest.mark.parametrize(
