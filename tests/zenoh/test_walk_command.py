@@ -1,16 +1,28 @@
 """`hexapod-gateway walk`: without a person, and in a real terminal."""
 
+import os
+import signal
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
+import pytest
+
 from gateway.client import Client
-from schemas.telemetry import GatewayState, Mode
+from gateway.geometry import load
+from gateway.people.walking import STILL, Engine, Robot
+from gateway.robot.protocol.frames import Op, decode
+from schemas.robot import JOINTS, LEGS
+from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
+from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import states
+from tests.support.heard import frames, states
 from tests.support.tmux import Terminal, need_tmux
 
-gateway = gateway_fixture({"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}})
+gateway = gateway_fixture(
+    {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}, "telemetry": {"frames": True}}
+)
 watcher = client_fixture("watcher")
 
 
@@ -28,6 +40,61 @@ def test_a_script_walks_sits_and_stops(gateway: Gateway, watcher: Client) -> Non
     assert end.stdout.endswith("m to the left, turned by 0°; it sits, and its servos are stopped\n")
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
+
+
+def stopped_at(records: list[FrameRecord]) -> dict[int, float]:
+    """Where the servos were sent last before their Stops, in degrees."""
+    found: dict[int, float] = {}
+    for record in records:
+        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
+            if op.op is not Op.STOP:
+                found[servo_id] = op.angle_cdeg / 100
+    return found
+
+
+def seat() -> dict[int, float]:
+    """Where they are in a robot that lies on its belly with its feet on the ground, by the pure engine."""
+    engine = Engine(Robot(load()))
+    for wanted in (engine.stand, engine.sit):
+        wanted()
+        for _ in range(500):
+            engine.step(STILL, 0.02)
+    return {10 * leg + joint: angle for leg in LEGS for joint, angle in zip(JOINTS, engine.pose[leg], strict=True)}
+
+
+def cut_short(gateway: Gateway, watcher: Client, *signals: signal.Signals) -> tuple[Child, list[FrameRecord]]:
+    """A script in mid-walk receives these, each after its answer to the one before; its end, and what was written."""
+    written = frames(watcher)
+    command = [*COMMAND, "walk", "--forward", "0.08", "--seconds", "600", "--connect", gateway.endpoint]
+    with closing(Child(command, os.environ)) as child:
+        written.wait(lambda frame: frame.cause == Cause.COMMAND, count=6 * 200, timeout_s=60)
+        child.send_signal(signals[0])
+        for number in signals[1:]:
+            child.wait_for_output("once more stops it at once")
+            child.send_signal(number)
+        child.wait(60)
+    assert watcher.state().mode == Mode.IDLE
+    assert watcher.state().lease.holder is None
+    return child, written.all
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_script_that_is_ended_early_finishes_its_step_and_sits(
+    gateway: Gateway, watcher: Client, number: signal.Signals
+) -> None:
+    child, records = cut_short(gateway, watcher, number)
+    assert child.returncode == 130
+    assert child.stdout.startswith("ended early: walked 0.")
+    assert child.stdout.endswith("it sits, and its servos are stopped\n")
+    assert child.stderr == "it finishes its step and sits down; once more stops it at once\n"
+    assert stopped_at(records) == pytest.approx(seat(), abs=0.02)
+
+
+def test_a_second_signal_stops_a_script_at_once(gateway: Gateway, watcher: Client) -> None:
+    child, records = cut_short(gateway, watcher, signal.SIGINT, signal.SIGINT)
+    assert child.returncode == 130
+    assert child.stdout == "stopped at once: its servos are slack, wherever its legs were\n"
+    assert stopped_at(records) != pytest.approx(seat(), abs=2)
 
 
 def test_what_it_cannot_do_ends_it_with_a_sentence(gateway: Gateway, watcher: Client) -> None:

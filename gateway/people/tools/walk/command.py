@@ -42,9 +42,11 @@ def walk(
     A terminal does not report that a key is released. So a key counts for 0.7 s when it is pressed, which bridges the
     pause before the terminal repeats it, and for 0.2 s after each repetition. Then the robot finishes its step.
 
-    `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C stops it at once.
+    `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C (or SIGTERM) has it
+    finish its step and sit down before it stops; Ctrl-C again stops it at once, as Ctrl-C does at the keyboard.
 
-    Exit codes: 0 done, 1 rejected or stopped by somebody, 2 it cannot walk so (geometry, limits), 4 no gateway answers.
+    Exit codes: 0 done, 1 rejected or stopped by somebody, 2 it cannot walk so (geometry, limits), 4 no gateway answers,
+    130 ended early by a signal.
     """
     from gateway.people.tools import reach
 

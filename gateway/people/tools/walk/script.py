@@ -1,19 +1,41 @@
-"""`walk --seconds S`: without a person, with progress on one line."""
+"""`walk --seconds S`: without a person, with progress on one line.
+
+Whoever ends it early has it finish its step and sit down; who asks again has it stopped where it is.
+"""
 
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import GatewayError, LeaseError, RejectedError, StoppedError
+from gateway.errors import LeaseError, RejectedError, StoppedError
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import hint, say, visible
+from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line, visible
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
-from gateway.people.walking import Velocity, WalkState
+from gateway.people.walking import Posture, Velocity, WalkState
 
-_LINE_S: Final = 0.2
+_ENDED_EARLY: Final = 130
+"""As a shell reports a program that Ctrl-C has ended."""
+
+
+class _End:
+    """How it is ended early: by Ctrl-C, SIGTERM or the end of its terminal."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._may_cut = True
+
+    def ask(self) -> None:
+        """In the handler of a signal: the second one raises KeyboardInterrupt."""
+        if self.asked and self._may_cut:
+            self.stops()
+            raise KeyboardInterrupt
+        self.asked = True
+
+    def stops(self) -> None:
+        """The Stops are sent now: nothing may come between them."""
+        self._may_cut = False
 
 
 def walk(
@@ -26,39 +48,56 @@ def walk(
 ) -> int:
     """Stand up, walk, sit down and stop. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
     wanted = Velocity.checked(*velocity)
+    end = _End()
     with connect() as client:
         try:
-            with client.lease(source=kept_lease.me()), client.walk(gait, geometry) as robot:
-                _go(robot, wanted, seconds, height_m)
+            with client.lease(source=kept_lease.me()), on_end_signals(end.ask), client.walk(gait, geometry) as robot:
+                whole = _go(robot, wanted, seconds, height_m, end)
         except LeaseError as error:
             return driving.not_acquired(client, error)
         except (StoppedError, RejectedError) as error:
             say(visible(str(error)))
             return 1
-    return 0
+        except KeyboardInterrupt as cut:
+            failed = getattr(cut, "__notes__", [])  # its Stops were not confirmed
+            say(visible("; ".join(failed) or "stopped at once: its servos are slack, wherever its legs were"))
+            return _ENDED_EARLY
+    return 0 if whole else _ENDED_EARLY
 
 
-def _go(robot: Walk, velocity: Velocity, seconds: float, height_m: float | None) -> None:
-    line = _Line()
-    try:
-        line.show("stands up …")
-        robot.stand(height_m)
+def _go(robot: Walk, velocity: Velocity, seconds: float, height_m: float | None, end: _End) -> bool:
+    """Whether it walked for so long, and nobody ended it before."""
+    remarks: set[str] = set()
+
+    def remark(text: str) -> None:
+        if text not in remarks:
+            remarks.add(text)
+            clear_line()
+            hint(text)
+
+    with Progress() as progress:
+        show_line("stands up …")
+        robot.stand(height_m, wait=False)
+        while not end.asked and robot.state.posture is Posture.MOVING:
+            robot.go()  # waits for a tick
         begun_s = time.monotonic()
-        while (elapsed_s := time.monotonic() - begun_s) < seconds:
+        while not end.asked and (elapsed_s := time.monotonic() - begun_s) < seconds:
             robot.go(*velocity)
             state = robot.state
             if state.limit:
-                line.remark(f"it is slower than that: {state.limit}")
-            line.show(f"walks {elapsed_s:.1f} of {seconds:g} s: {went(state)}", often=True)
-        robot.stand()
-        result = went(robot.state)
-        line.show(f"{result}; sits down …")
+                remark(f"it is slower than that: {state.limit}")
+            progress.show(f"walks {elapsed_s:.1f} of {seconds:g} s: {went(state)}")
+        whole = not end.asked
+        if whole:
+            robot.stand()
+        else:
+            remark("it finishes its step and sits down; once more stops it at once")
+        show_line(f"{went(robot.state)}; sits down …")
         robot.sit()
-        line.end()
-        say(f"walked {result}; it sits, and its servos are stopped")
-    except GatewayError:
-        line.end()
-        raise
+        end.stops()
+    early = "" if whole else "ended early: "
+    say(f"{early}walked {went(robot.state)}; it sits, and its servos are stopped")
+    return whole
 
 
 def went(state: WalkState) -> str:
@@ -67,33 +106,3 @@ def went(state: WalkState) -> str:
     return f"{x_m:.2f} m ahead, {y_m:.2f} m to the left, turned by {math.degrees(heading_rad):.0f}°".replace(
         "-0.00", "0.00"
     )
-
-
-class _Line:
-    """One line of a terminal, written again and again; nothing where stderr is none."""
-
-    def __init__(self) -> None:
-        self._shows = sys.stderr.isatty()
-        self._next_s = 0.0
-        self._remarks: set[str] = set()
-
-    def show(self, text: str, *, often: bool = False) -> None:
-        """In place of what it shows; where it comes often, five times a second."""
-        now_s = time.monotonic()
-        if self._shows and (not often or now_s >= self._next_s):
-            self._next_s = now_s + _LINE_S
-            sys.stderr.write(f"\r\x1b[K{text}")
-            sys.stderr.flush()
-
-    def remark(self, text: str) -> None:
-        """A line of its own, once."""
-        if text not in self._remarks:
-            self._remarks.add(text)
-            self.end()
-            hint(text)
-
-    def end(self) -> None:
-        """What comes next is another line."""
-        if self._shows:
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
