@@ -1,5 +1,6 @@
 """Settings from a file and the environment: defaults, what overrides what, ranges, and what is said of faults."""
 
+import json
 import os
 import re
 import tomllib
@@ -25,6 +26,7 @@ from gateway.robot.settings import (
 )
 from tests.support.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
 from tests.support.settings_file import faults, load
+from tests.unit import test_interface
 
 pytestmark = pytest.mark.usefixtures("_clean_environment")
 
@@ -164,25 +166,12 @@ def test_settings_are_frozen() -> None:
 
 
 RANGES: dict[str, tuple[float, float]] = {
-    "spi.speed_hz": (1, 20_000_000),
-    "spi.frame_gap_us": (0, 1000),
-    "spi.resync_ms": (0, 10_000),
-    "limits.leg_rate_hz": (1, 1000),
-    "limits.max_age_ms": (0, 60_000),
-    "limits.start_stagger_ms": (0, 2000),
-    "limits.servos.32.min_deg": (0, 180),
-    "limits.servos.32.max_deg": (0, 180),
-    "limits.servos.32.max_speed_deg_s": (0, 1000),
-    "watchdog.timeout_ms": (20, 10_000),
-    "watchdog.repeats": (0, 100),
-    "watchdog.repeat_interval_ms": (1, 1000),
-    "watchdog.landing_ms": (0, 5000),
-    "lease.ttl_ms": (200, 10_000),
-    "buttons.required": (0, 8),
-    "buttons.timeout_ms": (200, 10_000),
-    "recorder.seconds": (10, 600),
-    "telemetry.state_hz": (0, 1000),
+    name.replace(".N.", ".32."): (json.loads(low), json.loads(high))
+    for name, field in test_interface.settings().items()
+    for low, separator, high in (test_interface.ends(field).partition(" to "),)
+    if separator and name != "watchdog.landing.N"
 }
+"""What docs/interface.md states, as that test compares it."""
 
 
 @pytest.mark.parametrize("place", RANGES)

@@ -243,17 +243,5 @@ def test_every_event_in_every_mode(mode: Mode, kind: type[Event], at_ms: float) 
     assert robot.supervisor.legs._pending == untouched.legs._pending
 
 
-def test_what_may_not_come_when() -> None:
-    illegal = {(mode, kind) for mode in Mode for kind in EVENTS if kind not in TRANSITIONS[mode]}
-    assert illegal == {
-        (Mode.STARTING, Command),
-        (Mode.STARTING, Reset),
-        (Mode.STARTING, StoppedOutside),
-        (Mode.IDLE, BusOpened),
-        (Mode.ACTIVE, BusOpened),
-        (Mode.ESTOPPED, BusOpened),
-    }
-
-
 def test_an_emergency_stop_has_its_place_in_every_mode() -> None:
     assert all(EmergencyStop in events for events in TRANSITIONS.values())
