@@ -47,6 +47,7 @@ from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.protocol.frames import centidegrees
+from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
@@ -54,10 +55,10 @@ from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
-from gateway.robot.settings import Settings, ZenohSettings
+from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
 from gateway.robot.spi import SpiDevice
 from gateway.robot.spi.bus import bus_for
-from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.kernel import RELEASING_DRIVERS, KernelDevice, driver_of
 from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.zenoh_config import open_session
@@ -123,6 +124,18 @@ def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None
         settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
     )
     return lambda: controller
+
+
+def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
+    """A controller of the protocol's document needs chip select released between the transfers of a call."""
+    driver = driver_of(spi.device)
+    needed = spi.batch and spi.framing is Framing.PLAIN and not simulated
+    if needed and driver not in RELEASING_DRIVERS:
+        logger.warning(
+            "nobody has seen whether %s releases chip select between the transfers of one call; where it does not, "
+            "an emergency stop stops one leg. hexapod-gateway check --move shows it",
+            driver or "the driver of this SPI bus",
+        )
 
 
 def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
@@ -221,6 +234,7 @@ async def _run(
         with owner:
             conductor.start()
             recorder.open()
+        _warn_of_driver(settings.spi, simulated=simulated)
         opening = _in_thread(partial(_open, settings, config, conductor))
         ended = asyncio.ensure_future(end.wait())
         first: tuple[asyncio.Future[Any], ...] = (opening, ended)

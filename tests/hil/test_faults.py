@@ -5,6 +5,7 @@ Afterwards the robot stands, whatever was under way has been rejected, and whoev
 
 import errno
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -361,6 +362,22 @@ def test_stop_servos_says_what_failed(tmp_path: Path, wire: Wire) -> None:
 
 
 # ---- lists of transfers
+
+
+NO_CHIP_SELECT = """
+import spidev
+spi = spidev.SpiDev()
+spi.open(0, 0)
+spi.mode = 3
+spi.no_cs = True
+"""
+
+
+def test_a_mode_that_another_program_has_left_behind_is_cleared(tmp_path: Path, wire: Wire) -> None:
+    assert wire.bed.spawn([sys.executable, "-c", NO_CHIP_SELECT]).wait(LATE_S) == 0
+    assert [setting.value for setting in wire.bed.settings if setting.kind == "mode"][-1] == 0x43
+    with start(tmp_path, wire):
+        assert {each.mode for each in wire.bed.transfers} == {0}
 
 
 @pytest.mark.parametrize("code", [errno.EINVAL, errno.EMSGSIZE])

@@ -114,6 +114,33 @@ def test_speed_above_what_the_device_tree_allows(tmp_path: Path) -> None:
     assert device.speed(SpiSettings(speed_hz=500_000), sys_class=tmp_path).verdict is OK
 
 
+@pytest.mark.parametrize(
+    ("driver", "framing", "batch", "verdict"),
+    [
+        ("spi-bcm2835", "plain", True, OK),
+        ("spi-dw", "plain", True, WARNING),
+        (None, "plain", True, WARNING),
+        ("spi-dw", "plain", False, OK),
+        ("spi-dw", "length-prefixed", True, OK),
+    ],
+)
+def test_the_driver_is_asked_whether_it_is_known_to_release_chip_select(
+    driver: str | None, framing: Framing, batch: bool, verdict: Verdict, tmp_path: Path
+) -> None:
+    spi = tmp_path / "devices" / "fe204000.spi"
+    device_of = spi / "spi_master" / "spi0" / "spi0.0"
+    device_of.mkdir(parents=True)
+    (tmp_path / "spidev0.0").mkdir()
+    (tmp_path / "spidev0.0" / "device").symlink_to(device_of)
+    if driver is not None:
+        (tmp_path / driver).mkdir()
+        (spi / "driver").symlink_to(tmp_path / driver)
+    result = device.lists(SpiSettings(framing=framing, batch=batch), sys_class=tmp_path)
+    assert result.verdict is verdict
+    assert ("check --move" in result.fix) is (verdict is WARNING)
+    assert driver is None or not batch or driver in result.sentence
+
+
 def test_a_framing_that_nobody_has_said_comes_before_everything(tmp_path: Path) -> None:
     (tmp_path / "gateway.toml").write_text("[wings]\n")
     said = check("--config", str(tmp_path / "gateway.toml"))

@@ -17,6 +17,9 @@ MOST_TRANSFERS: Final = 32
 """The longest list: 1024 bytes, up to which Python lets other threads run during an `ioctl`."""
 BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
 DEFAULT_BUFSIZ: Final = 4096
+SYS_CLASS: Final = Path("/sys/class/spidev")
+RELEASING_DRIVERS: Final = ("spi-bcm2835",)
+"""Drivers that leave chip select to Linux's spi.c, which releases it where `cs_change` says so."""
 _ALIGNED: Final = 128
 """What a transfer takes of spidev's buffer at least: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
 _LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
@@ -25,6 +28,8 @@ _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 A speed and bits of 0 are the device's own."""
 _MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(MOST_TRANSFERS + 1))
 """SPI_IOC_MESSAGE(count)."""
+_WRITE_MODE: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 1
+"""SPI_IOC_WR_MODE."""
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
@@ -60,9 +65,10 @@ class KernelDevice:
             if exclusive:
                 fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._listener = Listener(self._spi.fileno())
-            self._spi.mode = 0
+            # All flags are cleared: one that another program has set, such as "no chip select", outlives that program,
+            # and spidev's own `mode` changes two bits only.
+            fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
             self._spi.bits_per_word = 8
-            self._spi.lsbfirst = False
             self._spi.max_speed_hz = speed_hz
         except Exception as error:
             self.close()
@@ -140,6 +146,15 @@ def most_transfers(bufsiz: Path = BUFSIZ) -> int:
     except (OSError, ValueError):
         size = DEFAULT_BUFSIZ
     return max(1, min(MOST_TRANSFERS, size // _ALIGNED))
+
+
+def driver_of(path: str, sys_class: Path = SYS_CLASS) -> str | None:
+    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
+    try:
+        device = (sys_class / Path(path).name / "device").resolve(strict=True)
+        return (device.parents[2] / "driver").resolve(strict=True).name
+    except (OSError, IndexError):
+        return None
 
 
 def _cause_of(error: Exception) -> str:

@@ -13,7 +13,7 @@ from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.protocol.frames import ONE_LEG_LEN
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import SpiSettings
-from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.kernel import RELEASING_DRIVERS, SYS_CLASS, KernelDevice, driver_of
 from schemas.robot import LEGS
 
 MEASURED_HZ: Final = 2_500_000
@@ -21,9 +21,6 @@ MEASURED_HZ: Final = 2_500_000
 STOP_BITS: Final = 8 * ONE_LEG_LEN
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
-
-RELEASING_DRIVERS: Final = ("spi-bcm2835",)
-"""Drivers that leave chip select to Linux's spi.c, which releases it where `cs_change` says so."""
 
 _NAME: Final = "SPI device"
 _HELD: Final = "is held by a running gateway"
@@ -86,7 +83,7 @@ def _permission(path: Path) -> Result | None:
     return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)
 
 
-def speed(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
+def speed(spi: SpiSettings, *, sys_class: Path = SYS_CLASS) -> Result:
     """The clock, compared with what was measured, what the device tree allows, and how long a Stop may take."""
     name = "SPI speed"
     wanted = _megahertz(spi.speed_hz)
@@ -134,12 +131,12 @@ def framing(spi: SpiSettings) -> Result:
     return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
 
 
-def lists(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> Result:
+def lists(spi: SpiSettings, *, sys_class: Path = SYS_CLASS) -> Result:
     """Whether the driver is known to release chip select between transfers of one call, as a plain controller needs."""
     name = "SPI lists"
     if not spi.batch:
         return ok(name, "spi.batch is false: one system call for each transfer")
-    driver = _driver_of(sys_class / Path(spi.device).name / "device")
+    driver = driver_of(spi.device, sys_class)
     if driver in RELEASING_DRIVERS:
         return ok(name, f"the driver {driver} releases chip select between the transfers of a call")
     if spi.framing is not Framing.PLAIN:
@@ -151,14 +148,6 @@ def lists(spi: SpiSettings, *, sys_class: Path = Path("/sys/class/spidev")) -> R
         f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
         "hexapod-gateway check --move shows it: set spi.batch = false if servo 61 still holds when all are stopped",
     )
-
-
-def _driver_of(device: Path) -> str | None:
-    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
-    try:
-        return (device.resolve(strict=True).parents[2] / "driver").resolve(strict=True).name
-    except (OSError, IndexError):
-        return None
 
 
 def _most_hz(file: Path) -> int | None:
