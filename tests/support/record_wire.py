@@ -12,6 +12,7 @@ import signal
 import sys
 import tempfile
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from tests.support.gateway_process import Gateway
 
 LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
 SET = {"servos": [{"op": "set", "angle_deg": 90}] * 3}
+TOKENS = {"lease": keys.LEASE, "button": keys.BUTTON}
+"""What is asked on these, with a token of that name."""
 MOST_BURSTS = 100
 BURST = 1000
 """Messages at once: far more than a ring keeps. How many of them wait in it at the same time is chance."""
@@ -30,7 +33,7 @@ BURST = 1000
 def main(folder: Path) -> None:
     """Run a gateway, bring everything about, and write what was heard."""
     changed = threading.Condition()
-    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack", "lease", "calibration")}
+    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack", *TOKENS, "calibration")}
     settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 2}}
     with (
         tempfile.TemporaryDirectory() as scratch,
@@ -53,13 +56,15 @@ def main(folder: Path) -> None:
                 if reply.ok is not None:
                     heard["ack"].append(reply.ok.payload.to_string())
 
-        def lease(do: str, source: str | None = None, **more: str | None) -> str | None:
+        def request(name: str, do: str, source: str | None = None, **more: str | int | None) -> str | None:
             fields = {"do": do, **({} if source is None else {"source": source}), **more}
-            for reply in client.session.get(keys.LEASE, payload=json.dumps(fields), timeout=5):
+            for reply in client.session.get(TOKENS[name], payload=json.dumps(fields), timeout=5):
                 if reply.ok is not None:
-                    heard["lease"].append(reply.ok.payload.to_string())
-            token: str | None = json.loads(heard["lease"][-1]).get("lease")
+                    heard[name].append(reply.ok.payload.to_string())
+            token: str | None = json.loads(heard[name][-1]).get(name)
             return token
+
+        lease, button = partial(request, "lease"), partial(request, "button")
 
         def wait_for(word: str, name: str) -> None:
             with changed:
@@ -102,6 +107,16 @@ def main(folder: Path) -> None:
         wait_for("lease_expired", "event")
         lease("release", lease=carl)
         lease("release", lease=lease("acquire", "anna"))
+        button("challenge")
+        kitchen = button("register", "kitchen")
+        button("alive", button=kitchen, count=1)
+        button("alive", button=kitchen, count=1)
+        wait_for('"names":["kitchen"]', "state")
+        wait_for("button_silent", "event")
+        button("alive", button=kitchen, count=2)
+        button("leave", button=kitchen)
+        button("leave", button=kitchen)
+        wait_for("button_left", "event")
         gateway.child.send_signal(signal.SIGTERM)
         wait_for("stopping", "event")
         for subscriber in subscribers:

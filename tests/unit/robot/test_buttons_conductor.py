@@ -1,6 +1,9 @@
 """Who watches, from the payload on `hexapod/button/cmd` to the answer, the frames, the events and the state."""
 
 import asyncio
+import sys
+from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -109,6 +112,27 @@ async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they
     ack = robot.button("challenge")
     assert (ack.accepted, ack.nonce) == (True, None)
     assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted
+
+
+@pytest.mark.parametrize("required", [0, 1])
+async def test_a_command_calls_nothing_of_the_buttons(required: int) -> None:
+    """Where none is required, and where one that is required is alive."""
+    robot, _ = await watched(required=required)
+    assert robot.ask(LEG_3, START).accepted
+    await asyncio.sleep(0.1)  # the leg's next rate slot
+    called: list[str] = []
+
+    def note(frame: FrameType, event: str, _argument: object) -> None:
+        called.extend([Path(frame.f_code.co_filename).name] if event == "call" else ())
+
+    sys.setprofile(note)
+    try:
+        accepted = robot.ask(LEG_3, SET).accepted
+    finally:
+        sys.setprofile(None)
+    assert accepted
+    assert "supervisor.py" in called
+    assert not [file for file in called if "button" in file and file != Path(__file__).name]
 
 
 async def test_what_waits_in_a_stopped_process_saves_nobody() -> None:
