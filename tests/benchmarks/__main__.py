@@ -22,6 +22,7 @@ from typing import Self
 
 from schemas.keys import leg_command
 from tests.benchmarks.batches import batches
+from tests.benchmarks.button import button
 from tests.benchmarks.calls import calls
 from tests.benchmarks.dense import dense
 from tests.benchmarks.landing import landing, landing_rejected
@@ -227,6 +228,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "calls": calls,
     "batches": batches,
     "lease": lease,
+    "button": button,
     "recorder": recorder,
     "flood": flood,
     "dense": dense,
