@@ -30,7 +30,7 @@ from tests.fuzz.ring_image import image_of
 
 
 class Bounds(NamedTuple):
-    """For each byte of an input: lines of the recorder's Python code, and bytes of memory."""
+    """For each byte of an input: lines of the black box's Python code, and bytes of memory."""
 
     steps: int
     memory: int
@@ -43,6 +43,8 @@ READING: Final = Bounds(steps=1, memory=8)
 TELLING: Final = Bounds(steps=60, memory=20)
 """Unprintable text takes the most: a name is in the lines of six legs, and each of its characters is looked at. Large
 rings, where the memory matters, are in tests/unit/people/test_ring_hostile.py."""
+BOUNDED: Final = ("/blackbox/", "/incidents/")
+"""Folders whose lines are counted."""
 COUNTED: Final = 64
 """One input in so many is counted: it then takes twenty times as long."""
 MEASURED: Final = 4_096
@@ -78,7 +80,7 @@ def _counted(work: Callable[[bytes], Made], data: bytes, most: int) -> Made:
         return line
 
     def call(frame: FrameType, _event: str, _argument: object) -> Any:
-        return line if "recorder" in frame.f_code.co_filename else None
+        return line if any(part in frame.f_code.co_filename for part in BOUNDED) else None
 
     before = sys.gettrace()
     sys.settrace(call)

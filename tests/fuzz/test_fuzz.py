@@ -194,7 +194,7 @@ def test_a_controller_that_forgets_a_step_is_a_finding(broken: str, monkeypatch:
 
 
 def _endless(_: bytes) -> None:
-    exec(compile("while True:\n    pass\n", "/recorder/planted.py", "exec"))  # noqa: S102
+    exec(compile("while True:\n    pass\n", "/blackbox/planted.py", "exec"))  # noqa: S102
 
 
 def _greedy(_: bytes) -> bytes:
