@@ -19,7 +19,7 @@ from gateway.people.tools import certs, incidents, lease, recordings
 from gateway.people.tools.button import command as button
 from gateway.people.tools.calibrate import command as calibrate
 from gateway.people.tools.drill import command as drill
-from gateway.people.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 from gateway.people.tools.walk import command as walk
 from gateway.robot import protocol
 
@@ -275,9 +275,7 @@ def console(
             "--role", metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."
         ),
     ] = "operator",
-    geometry: Annotated[
-        Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")
-    ] = None,
+    geometry: OtherShapeOption = None,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     link: Annotated[
         bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")

@@ -26,7 +26,6 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge import simulated_body
 from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.older_ca import OlderCa
 from gateway.robot.edge.outbox import ZenohOutbox
 from gateway.robot.edge.proofs import checker_of
 from gateway.robot.edge.request_reader import (
@@ -35,7 +34,7 @@ from gateway.robot.edge.request_reader import (
     LeaseRequestReader,
     RevocationRequestReader,
 )
-from gateway.robot.edge.revoked import Kept, kept, leave_out
+from gateway.robot.edge.revoked import Kept, OlderCa, kept, leave_out
 from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys

@@ -154,3 +154,23 @@ def test_ctrl_c_stops_it_at_once(tmp_path: Path, gateway: Gateway, watcher: Clie
         terminal.press("C-c")
         once(watcher, lambda state: state.mode == Mode.IDLE)
         assert terminal.wait_for_end(60) == 0
+
+
+def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed(
+    tmp_path: Path, gateway: Gateway, watcher: Client
+) -> None:
+    need_tmux()
+    command = [*COMMAND, "walk", "--connect", gateway.endpoint]
+    with Terminal(tmp_path, command) as terminal:
+        terminal.wait("Nothing moves before you press a key.")
+        gateway.child.send_signal(signal.SIGSTOP)
+        terminal.press("Space")
+        terminal.wait("NOT STOPPED", "it is tried again")
+        gateway.child.send_signal(signal.SIGCONT)
+        terminal.wait("EMERGENCY STOP: 6 Stop frames written within")
+        assert watcher.state().mode == Mode.ESTOPPED
+        terminal.press("g")
+        terminal.wait("It goes on with the next key.")
+        terminal.press("q")
+        assert terminal.wait_for_end(60) == 0
+    assert watcher.state().mode == Mode.IDLE

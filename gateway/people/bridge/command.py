@@ -1,12 +1,11 @@
 """The command line of `ros2`."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
 
@@ -34,9 +33,7 @@ def ros2(
     tf: Annotated[
         bool, typer.Option("--tf", help="Publish /tf, too: for viewers without a robot_state_publisher.")
     ] = False,
-    geometry: Annotated[
-        Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")
-    ] = None,
+    geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,

@@ -105,9 +105,7 @@ class AsyncClient(_Twin[Client]):
         self._client = await self._threads.run(self._make, too_late=Client.close)
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def close(self) -> None:

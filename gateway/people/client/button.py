@@ -1,6 +1,5 @@
 """A stop button: a program that shows again and again that it is there, and can stop the robot."""
 
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from gateway.errors import DisconnectedError, RejectedError
@@ -40,9 +39,7 @@ class Button:
         self.register()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.leave()
 
     def register(self) -> None:

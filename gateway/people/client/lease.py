@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from enum import Enum, auto
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import zenoh
@@ -106,9 +105,7 @@ class Lease:
         self.acquire()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     @property

@@ -18,7 +18,7 @@ from gateway.people.incidents.page import as_page
 from gateway.people.incidents.story import NoStoryError, headline, story, what
 from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
-from gateway.people.terminal import hint, this_command, visible
+from gateway.people.terminal import hint, say, this_command, visible
 from gateway.robot.blackbox import place
 from gateway.robot.settings import Settings
 
@@ -48,13 +48,13 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
         for each in reversed(found)
     ]
     if as_json:
-        print(json.dumps(rows, indent=1))  # noqa: T201
+        say(json.dumps(rows, indent=1))
         return 0
     for row in rows:
         size = "in the ring" if row["bytes"] is None else f"{row['bytes'] / 1000:.0f} kB"
-        print(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {size:>12}  {row['what']}")  # noqa: T201
+        say(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {size:>12}  {row['what']}")
     if not found:
-        print(f"No incidents in {folder}.")  # noqa: T201
+        say(f"No incidents in {folder}.")
     return 0
 
 
@@ -73,10 +73,10 @@ def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
     found = _one(settings, name)
     _, lines = _told(found)
     if as_json:
-        print(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))  # noqa: T201
+        say(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))
         return 0
     for line in lines:
-        print(line)  # noqa: T201
+        say(line)
     return 0
 
 
@@ -91,7 +91,7 @@ def report(settings: Settings, name: str, file: Path) -> int:
         raise ConfigError(f"{file} exists; name another file") from error
     except OSError as error:
         raise ConfigError(f"{file}: {error.strerror}") from error
-    print(f"{found.name} is in {file}")  # noqa: T201
+    say(f"{found.name} is in {file}")
     return 0
 
 
@@ -122,7 +122,7 @@ def export(settings: Settings, name: str, file: Path) -> int:
         with suppress(OSError):  # half of it is of no use, and its name would be taken
             file.unlink(missing_ok=True)
         raise ConfigError(f"{file}: {error.strerror}") from error
-    print(f"{found.name} is in {file}")  # noqa: T201
+    say(f"{found.name} is in {file}")
     return 0
 
 

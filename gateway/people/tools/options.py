@@ -30,6 +30,9 @@ ZenohConfigOption = Annotated[
         help="A Zenoh configuration (JSON5) with certificates, such as the NAME.json5 that `certs issue` makes.",
     ),
 ]
+OtherShapeOption = Annotated[
+    Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")
+]
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
 ]

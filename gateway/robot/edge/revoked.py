@@ -6,7 +6,7 @@ Zenoh's access control is read when a session opens, so a newer list takes effec
 import json
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 _CA: Final = "transport/link/tls/root_ca_certificate"
 _SUBJECTS: Final = "access_control/subjects"
+
+OLDER_CA: Final = "older-ca"
+"""In the service's runtime directory: the common names since the start, a line each."""
+_RUNTIME: Final = Path("/run/hexapod-gateway")
 
 logger = logging.getLogger(__name__)
 
@@ -109,3 +113,46 @@ def _read(path: Path, cas: "Sequence[x509.Certificate]") -> "RevocationList | No
         # Those whom it shuts out have certificates of a CA that this robot does not know either.
         logger.warning("%s; nobody is shut out by it", error)
         return None
+
+
+class OlderCa:
+    """Who still comes with a certificate of the older of two CAs: counted for the metrics, and in a file for `check`.
+
+    A CA that takes another's place has common names of its own, so the name alone says it. On one thread.
+    """
+
+    def __init__(
+        self, kept: Kept | None, count: Callable[[int], None], environment: Mapping[str, str] = os.environ
+    ) -> None:
+        """`count` is called with how many they are, since the start."""
+        self._first = None if kept is None else kept.first_number
+        self._count = count
+        self._names: set[str] = set()
+        folder = environment.get("RUNTIME_DIRECTORY", "")
+        self._path = Path(folder) / OLDER_CA if folder else None
+        self._write()
+
+    def note(self, common_names: Collection[str]) -> None:
+        """These are connected now."""
+        first = self._first
+        if first is None:
+            return
+        found = {name for name in common_names if pool.is_before(name, first)}
+        if not found <= self._names:
+            self._names |= found
+            self._count(len(self._names))
+            self._write()
+
+    def _write(self) -> None:
+        if self._path is None:
+            return
+        try:
+            self._path.write_text("".join(f"{name}\n" for name in sorted(self._names)))
+        except OSError as error:
+            logger.warning("`check` cannot see who still has a certificate of the older CA: %s", error)
+
+
+def of_older_ca(environment: Mapping[str, str] = os.environ) -> list[str]:
+    """Who has come with one since the start of the service, as it has noted them. Raises OSError."""
+    folder = Path(environment.get("RUNTIME_DIRECTORY") or _RUNTIME)
+    return (folder / OLDER_CA).read_text().split()

@@ -10,7 +10,7 @@ from gateway.people.client.diagnosis import Identity
 from gateway.people.tools.check import holders
 from gateway.people.tools.check.result import Result, Verdict
 from gateway.robot.edge import revoked
-from gateway.robot.edge.older_ca import OlderCa
+from gateway.robot.edge.revoked import OlderCa
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import load_config
 from tests.support.certs_folder import NOW, make_folder

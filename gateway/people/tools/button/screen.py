@@ -48,18 +48,15 @@ class Screen(screen.Screen):
         return 1 if self._check_ins.refused or self.fault is not None else 0
 
     def begin(self) -> None:
-        """See `screen.Screen`."""
         self._check_ins.start()
 
     def end(self) -> None:
-        """See `screen.Screen`."""
         try:
             self._check_ins.end()
         except GatewayError as error:
             hint(f"hexapod-gateway: {visible(str(error))}")
 
     def press(self, keys: list[str]) -> bool:
-        """See `screen.Screen`."""
         if keys == ["ctrl-c"] or self._check_ins.refused:
             return False
         self._pressed = "STOPPING …"
@@ -84,7 +81,6 @@ class Screen(screen.Screen):
     # ---- drawing
 
     def picture(self, columns: int, rows: int) -> Text:
-        """See `screen.Screen`."""
         self._drawn_s = time.monotonic()
         lines, style = self._lines()
         above = max(0, (rows - len(lines)) // 2)

@@ -49,10 +49,10 @@ class Screen(screen.Screen):
         """Whether the Stop at the end was confirmed, if one was needed."""
 
     def begin(self) -> None:
-        """See `screen.Screen`."""
+        """Nothing: the robot is driven already."""
 
     def end(self) -> None:
-        """See `screen.Screen`. The servo is stopped first."""
+        """The servo is stopped first."""
         self.stopped = self.held.close(STOP_S)
         self.robot.release()
 
@@ -60,14 +60,13 @@ class Screen(screen.Screen):
         self.session.lost(error)
 
     def press(self, keys: list[str]) -> bool:
-        """See `screen.Screen`. A Stop among them is all that counts."""
+        """A Stop among them is all that counts."""
         for stop in (" ", "ctrl-c"):
             if stop in keys:
                 return self.session.press(stop)
         return all(self.session.press(key, alone=len(keys) == 1) for key in keys)
 
     def picture(self, columns: int, rows: int) -> Text:
-        """See `screen.Screen`."""
         with self.session.lock:
             self.session.turn()
             return picture(self.session, self._where, rows, columns)

@@ -12,7 +12,7 @@ from gateway.errors import ConfigError
 from gateway.people.client.diagnosis import Identity
 from gateway.people.terminal import this_command
 from gateway.people.tools.check.result import Result, ok, warning
-from gateway.robot.edge import older_ca
+from gateway.robot.edge import revoked
 from gateway.zenoh_config import get
 
 _NAME: Final = "laptops"
@@ -45,7 +45,7 @@ def _of_two_cas(config: zenoh.Config) -> Iterator[Result]:
     except ConfigError:  # another line says it
         return
     try:
-        still = older_ca.names()
+        still = revoked.of_older_ca()
     except OSError:
         yield warning(_NAME, f"{ca} has two CAs; nobody has noted who still uses the older one", "start the service")
         return

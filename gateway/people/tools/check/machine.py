@@ -58,12 +58,10 @@ def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "system
             "none, for this machine does not run systemd",
             "let something start the gateway again when it ends, and run `hexapod-gateway stop-servos` then",
         )
-    command = [systemctl, "show", UNIT, "--property=LoadState,ActiveState,UnitFileState,Result"]
     try:
-        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
+        return unit_result(_shown("LoadState,ActiveState,UnitFileState,Result", systemctl))
     except (OSError, subprocess.SubprocessError) as error:
         return warning("systemd unit", f"systemctl does not tell ({error})", f"try: systemctl status {UNIT}")
-    return unit_result(dict(line.split("=", 1) for line in said.splitlines() if "=" in line))
 
 
 def unit_result(properties: Mapping[str, str]) -> Result:
@@ -117,11 +115,15 @@ def main_process(*, systemctl: str = "systemctl") -> int:
 
 
 def _show(properties: str, systemctl: str) -> dict[str, str]:
-    command = [systemctl, "show", UNIT, f"--property={properties}"]
     try:
-        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
+        return _shown(properties, systemctl)
     except (OSError, subprocess.SubprocessError):
         return {}
+
+
+def _shown(properties: str, systemctl: str) -> dict[str, str]:
+    command = [systemctl, "show", UNIT, f"--property={properties}"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
     return dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
 
 

@@ -1,13 +1,12 @@
 """The command line of `walk`."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
 
@@ -26,9 +25,7 @@ def walk(
         str, typer.Option("--gait", help="tripod (fast), ripple, or wave (slow, one leg at a time).")
     ] = "tripod",
     height: Annotated[float | None, typer.Option("--height", metavar="M", help="Of the body above the ground.")] = None,
-    geometry: Annotated[
-        Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")
-    ] = None,
+    geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,

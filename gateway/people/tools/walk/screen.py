@@ -12,6 +12,7 @@ from rich.text import Text
 
 from gateway.errors import GatewayError, LeaseError
 from gateway.people.client.blocking import Client
+from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.walk import Walk
 from gateway.people.terminal import hint, screen, visible, why_no_screen
 from gateway.people.tools import driving, kept_lease
@@ -19,7 +20,7 @@ from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
 from gateway.people.walking import Velocity
-from schemas.telemetry import Mode
+from schemas.telemetry import Ack, Mode
 
 TICK_S: Final = 0.02
 HOLD_S: Final = 0.25
@@ -48,6 +49,9 @@ class Screen(screen.Screen):
         self._holder = holder
         self._walk: Walk = client.walk(gait, geometry)
         self._height_m = height_m
+        self._stop = UntilConfirmed(client.estop, self._stop_answered)
+        self._stop_wanted = False
+        """Somebody has pressed it, and nobody has confirmed it."""
         self._pad = Keypad()
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._driven = threading.Event()
@@ -64,25 +68,27 @@ class Screen(screen.Screen):
         except GatewayError as error:
             hint(f"hexapod-gateway: {visible(str(error))}")
             return 1
+        finally:
+            if self._stop_wanted:
+                hint("The emergency stop was NOT confirmed: switch the servos' power off.")
         self.hint_at_fault()
         return 0 if self.fault is None else 1
 
     def begin(self) -> None:
-        """See `screen.Screen`."""
         threading.Thread(target=self._drive, name="drive", daemon=True).start()
 
     def end(self) -> None:
-        """See `screen.Screen`."""
         self._driven.set()
         self._walk.close(sits=self._sits)
 
     # ---- keys
 
     def press(self, keys: list[str]) -> bool:
-        """See `screen.Screen`. An emergency stop among them is all that counts."""
+        """An emergency stop among them is all that counts."""
         if " " in keys or "x" in keys:
+            self._stop_wanted = True
+            self._stop.press()
             self._pad.release()
-            threading.Thread(target=self._estop, name="estop").start()
             return True
         for key in keys:
             if key == "ctrl-c":
@@ -114,17 +120,20 @@ class Screen(screen.Screen):
         self._height_m = height_m
 
     def _go_on(self) -> None:
+        self._stop_wanted = False
         if self._client.state().mode == Mode.ESTOPPED:
             self._client.reset()
         self._walk.start_again()
         self._message = "It goes on with the next key."
 
-    def _estop(self) -> None:
-        try:
-            ack = self._client.estop()
-            self._message = f"EMERGENCY STOP: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs"
-        except GatewayError as error:
-            self._message = f"NOT STOPPED: {error}"
+    def _stop_answered(self, ack: Ack | None, _began_ns: int) -> bool:
+        """What came of a request; whether the stop is still wanted."""
+        if ack is None:
+            self._message = "NOT STOPPED: no gateway answered; it is tried again"
+            return self._stop_wanted
+        self._stop_wanted = False
+        self._message = f"EMERGENCY STOP: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs"
+        return False
 
     # ---- the robot
 
@@ -149,7 +158,6 @@ class Screen(screen.Screen):
     # ---- drawing
 
     def picture(self, columns: int, rows: int) -> Text:
-        """See `screen.Screen`."""
         del columns, rows  # it wraps
         text = Text(no_wrap=False)
         text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n\n", "bold")

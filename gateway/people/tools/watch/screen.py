@@ -36,15 +36,14 @@ class Watch(Screen):
         return self._model.stop_wanted_ns is not None
 
     def begin(self) -> None:
-        """See `Screen`."""
         self._link.start()
 
     def end(self) -> None:
-        """See `Screen`. The robot goes on: nothing here moves it."""
+        """The robot goes on: nothing here moves it."""
         self._link.close()
 
     def press(self, keys: list[str]) -> bool:
-        """See `Screen`. A stop among them comes first, whatever else there is."""
+        """A stop among them comes first, whatever else there is."""
         if STOP_KEYS & set(keys):
             self._link.stop()
             return True
@@ -79,7 +78,6 @@ class Watch(Screen):
                 self._link.lease.release()
 
     def picture(self, columns: int, rows: int) -> Text:
-        """See `Screen`."""
         now_ns = time.monotonic_ns()
         with self._lock:
             self._model.look(now_ns, datetime.now().astimezone())
