@@ -16,6 +16,7 @@ While fewer are alive than `buttons_required`, the supervisor starts and sets no
 
 from collections import Counter
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Final
 
 from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest, Effect
@@ -98,13 +99,15 @@ class Buttons:
     def expire(self, now_ns: int, then: str = "") -> list[Effect]:
         """Those whose time has come are silent. `then`: what the supervisor does once they are too few."""
         late = [
-            button for button in self._by_token.values() if button.until_ns is not None and now_ns >= button.until_ns
+            (button.until_ns, button)
+            for button in self._by_token.values()
+            if button.until_ns is not None and now_ns >= button.until_ns
         ]
         effects: list[Effect] = []
-        for button in sorted(late, key=_until):
-            at_ns, button.until_ns, button.silent = button.until_ns, None, True
+        for at_ns, button in sorted(late, key=itemgetter(0)):
+            button.until_ns, button.silent = None, True
             what = f"the button {button.name} was not heard for {self._timeout_ns / NS_PER_MS:g} ms"
-            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns or now_ns, then, key=None)
+            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, then, key=None)
         return effects
 
     # ---- requests
@@ -199,10 +202,6 @@ class Buttons:
 
     def _rejected(self, reason: Reason, detail: str) -> Outcome:
         return [], ButtonAnswer(reason, detail, alive=self.alive)
-
-
-def _until(button: Button) -> int:
-    return button.until_ns or 0
 
 
 _UNKNOWN: Final = (

@@ -2,14 +2,15 @@
 
 import pytest
 
-from gateway.robot.core.buttons import DRIFT_PPM, MOST_BUTTONS
-from gateway.robot.core.events import Announce, ButtonAnswer
+from gateway.robot.core.buttons import DRIFT_PPM, MOST_BUTTONS, Buttons
+from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to
 
 TIMEOUT_MS = 1000
+KITCHEN = "k" * 32
 START, SET, STOP = leg_to(1, "start 90"), leg_to(1, "set 45"), leg_to(1, "stop")
 REGISTERED = ["announce button_registered", "button granted, 0 alive"]
 ALIVE = ["button granted, 1 alive"]
@@ -65,9 +66,12 @@ def test_a_stop_needs_no_button_and_a_reset_does() -> None:
 
 
 def test_the_rejection_names_how_many_are_missing() -> None:
-    robot = Steps(rules(required=2))
-    robot.command(1, START)
-    assert robot.supervisor.buttons.rejection()[1].startswith("0 of the 2 buttons that are required are alive")
+    robot = watched(required=3)
+    found = robot.supervisor.buttons
+    assert found.rejection()[1].startswith("1 of the 3 buttons that are required is alive")
+    robot.button(1, "register", "hall")
+    robot.button(1, "alive", "hall", 0)
+    assert found.rejection()[1].startswith("2 of the 3 buttons that are required are alive")
 
 
 def test_where_none_is_required_buttons_come_and_go_and_stop_nothing() -> None:
@@ -89,7 +93,7 @@ def test_all_six_legs_stop_when_the_last_one_that_counts_falls_silent() -> None:
     assert robot.time(TIMEOUT_MS - 1) == []
     assert robot.time(TIMEOUT_MS) == [*all_stopped("watchdog"), "announce button_silent"]
     told = announced(robot)
-    assert (told.source, told.legs) == ("kitchen", (1, 2, 3, 4, 5, 6))
+    assert (told.source, told.key, told.legs) == ("kitchen", None, (1, 2, 3, 4, 5, 6)), "nobody asked for it"
     assert told.detail == (
         "the button kitchen was not heard for 1000 ms; 0 of the 1 buttons that are required are alive; "
         "all six legs are stopped"
@@ -124,6 +128,7 @@ def test_a_button_that_returns_starts_nothing_and_lets_start() -> None:
     robot.time(TIMEOUT_MS)
     assert robot.button(5000, "alive", "kitchen", 2) == ["announce button_returned", "button granted, 1 alive"]
     assert robot.running == []
+    assert robot.supervisor.buttons.fell_ns is None
     assert robot.command(5001, START) == ["command 1 start 90", "completed 2"]
 
 
@@ -294,6 +299,14 @@ def test_one_that_is_older_than_the_timeout_is_rejected() -> None:
     assert robot.button(3000, "alive", "kitchen", 2, sent_ms=1500) == ["button stale, 0 alive"]
     assert robot.only(ButtonAnswer).detail == "the check-in is 1497 ms old; it counts for 1000 ms"
     assert robot.button(3001, "alive", "kitchen", 3, sent_ms=2999) == ["announce button_returned", *ALIVE]
+
+
+def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
+    found = Buttons(rules())
+    found.grant(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", fresh_token=KITCHEN), 0)
+    check_in = ButtonRequest(ButtonDo.ALIVE, 5, token=KITCHEN, count=1)
+    assert found.grant(check_in, 5 + TIMEOUT_MS * NS_PER_MS)[1].reason is Reason.STALE
+    assert found.alive == 0
 
 
 def test_the_first_check_in_is_judged_by_the_registration() -> None:

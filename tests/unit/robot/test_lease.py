@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.robot.core.events import Announce, Do, LeaseAnswer, LeaseRequest
-from gateway.robot.core.lease import MOST_ASKERS, LeaseState
+from gateway.robot.core.lease import MOST_ASKERS, Lease, LeaseState
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
@@ -98,6 +98,7 @@ def test_it_is_not_acquired_twice_not_even_by_its_holder() -> None:
     for name in ("bert", "anna"):
         assert robot.lease(2, f"acquire {name}", fresh=BERT) == ["lease lease_held"]
         assert robot.only(LeaseAnswer).holder == "anna"
+        assert robot.only(LeaseAnswer).detail == "the lease is held by anna"
     assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"]
 
 
@@ -251,6 +252,8 @@ def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
     assert answer_to(robot, 2, LeaseRequest(Do.ASK, "bert", verified)).verified is False, "anna's is not"
     robot.lease(3, "release to bert", ANNA)
     assert robot.supervisor.lease.verified is verified
+    rejected = answer_to(robot, 3, LeaseRequest(Do.ACQUIRE, "carl", fresh_token=CARL))
+    assert (rejected.detail, rejected.verified) == ("the lease is handed over to bert", verified)
     assert answer_to(robot, 4, LeaseRequest(Do.ACQUIRE, "bert", verified, fresh_token=BERT)).verified is verified
     robot.lease(5, "release", BERT)
     assert robot.supervisor.lease.verified is False
@@ -304,6 +307,17 @@ def test_a_takeover_at_fault_is_granted_and_the_stops_follow() -> None:
     robot.fail(2)
     assert robot.lease(3, "take bert", fresh=BERT) == ["announce lease_taken", GRANTED]
     assert robot.open(4)[:6] == all_stopped("startup")
+
+
+def test_its_states_and_its_end_without_a_supervisor() -> None:
+    lease = Lease(Rules(lease_ttl_ns=100))
+    assert (lease.state, lease.verified, lease.expire(0)) == (LeaseState.FREE, False, [])
+    lease.grant(LeaseRequest(Do.ACQUIRE, "anna", fresh_token=ANNA), 0)
+    assert (lease.state, lease.expire(99)) == (LeaseState.HELD, [])
+    lease.grant(LeaseRequest(Do.ASK, "bert"), 50)
+    assert lease.state is LeaseState.ASKED
+    assert len(lease.expire(100)) == 1
+    assert (lease.state, lease.changes[Kind.LEASE_EXPIRED]) == (LeaseState.FREE, 1)
 
 
 # ---- the table, and secrets
