@@ -315,9 +315,7 @@ def test_its_states_and_its_end_without_a_supervisor() -> None:
     lease.grant(LeaseRequest(Do.ACQUIRE, "anna", fresh_token=ANNA), 0)
     assert (lease.state, lease.expire(99)) == (LeaseState.HELD, [])
     lease.grant(LeaseRequest(Do.ASK, "bert"), 50)
-    assert lease.state is LeaseState.ASKED
-    assert len(lease.expire(100)) == 1
-    assert lease.state is LeaseState.FREE
+    assert [lease.state, len(lease.expire(100)), lease.state] == [LeaseState.ASKED, 1, LeaseState.FREE]
     assert lease.changes == {Kind.LEASE_ACQUIRED: 1, Kind.LEASE_ASKED: 1, Kind.LEASE_EXPIRED: 1}
 
 
