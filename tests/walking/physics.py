@@ -117,7 +117,7 @@ def setpoints(records: Sequence[FrameRecord], geometry: Geometry) -> list[Setpoi
 class World:
     """The robot, lying slack on its belly until its first setpoint."""
 
-    def __init__(self, assumed: Assumed = Assumed(), geometry: Geometry | None = None) -> None:  # noqa: B008
+    def __init__(self, assumed: Assumed = VARIATIONS[0], geometry: Geometry | None = None) -> None:
         self._world = Simulated(
             geometry or load(),
             Assumptions(

@@ -251,6 +251,11 @@ def test_settings_and_calibration_are_kept(tmp_path: Path) -> None:
             walk.start_again()
             walk.stand()
         assert robot.state().commands.rejected == 0
+        mirrored = {10 * leg + 2: ServoChange(inverted=True) for leg in (2, 4, 6)}
+        assert robot.calibrate(mirrored).accepted
+        with pytest.raises(WalkError, match="turned round by the calibration, and by the geometry"), robot.walk():
+            pass
+        assert robot.state().lease.holder is None
         seen = {servo: [a for s, a in angles(written.all) if s == servo] for servo in (11, 21, 31)}
         assert min(seen[11]) >= 80_00
         assert min(seen[31]) >= 70_00

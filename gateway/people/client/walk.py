@@ -13,7 +13,7 @@ from gateway.geometry import Geometry, load
 from gateway.people.client.stream import Stream
 from gateway.people.walking import HOLD_S, REST_S, Body, Posture, Robot, Velocity, Walker, WalkState
 from gateway.people.walking.gaits import gait as gait_named
-from gateway.people.walking.robot import ranges
+from gateway.people.walking.robot import check_mirrored_once, ranges
 from schemas.robot import LEGS
 from schemas.telemetry import Reason
 
@@ -249,6 +249,7 @@ class Walk:
         calibration = None
         with suppress(UnansweredError):  # an older gateway has none
             calibration = self._client.calibration()
+        check_mirrored_once(self._geometry, calibration)
         self._revision = state.calibration.revision
         rate_hz = state.limits.leg_rate_hz
         self._rate_hz = self._hz if self._hz <= rate_hz else _SLOWER * rate_hz

@@ -62,12 +62,14 @@ class Assumed(NamedTuple):
     terrain: Terrain = FLAT
 
 
+USUAL: Final = Assumed()
+
+
 def assumed(mass_kg: float | None, torque_nm: float | None, friction: float | None, terrain: str | None) -> Assumed:
     """From what a command line names; None: the default. Raises ConfigError."""
-    usual = Assumed()
     return Assumed(
-        usual.mass_kg if mass_kg is None else mass_kg,
-        usual.torque_nm if torque_nm is None else torque_nm,
-        usual.friction if friction is None else friction,
-        usual.terrain if terrain is None else Terrain.parsed(terrain),
+        USUAL.mass_kg if mass_kg is None else mass_kg,
+        USUAL.torque_nm if torque_nm is None else torque_nm,
+        USUAL.friction if friction is None else friction,
+        USUAL.terrain if terrain is None else Terrain.parsed(terrain),
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from gateway.geometry import Geometry
 from gateway.geometry.kinematics import Quaternion, Vector, about, rotated
-from gateway.people.physics.assumed import Assumed
+from gateway.people.physics.assumed import USUAL, Assumed
 from gateway.people.physics.model import TIMESTEP_S, built
 from gateway.robot.spi.simulator import MAX_SPEED_DEG_S
 from schemas.robot import LEGS, SERVO_IDS
@@ -77,7 +77,7 @@ class _Depth(NamedTuple):
 class World:
     """The robot, lying slack on its belly at first."""
 
-    def __init__(self, geometry: Geometry, assumed: Assumed = Assumed()) -> None:  # noqa: B008
+    def __init__(self, geometry: Geometry, assumed: Assumed = USUAL) -> None:
         """Raises ConfigError where MuJoCo cannot simulate it."""
         self.model: Any = built(geometry, assumed)
         self.data: Any = mujoco.MjData(self.model)

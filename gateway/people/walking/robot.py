@@ -208,6 +208,25 @@ def ranges(limits: LimitsReport, calibration: Calibration | None) -> dict[int, R
     return {servo_id: _range(str(servo_id), limits, calibration) for servo_id in SERVO_IDS}
 
 
+def check_mirrored_once(geometry: Geometry, calibration: Calibration | None) -> None:
+    """Raises WalkError where both turn the same joint round on some legs: those would go the wrong way.
+
+    A zero that is wrong cannot be noticed: nothing but the file states where it is.
+    """
+    if calibration is None:
+        return
+    for joint in JOINTS:
+        names = [str(10 * leg + joint) for leg in LEGS]
+        turned = [name for name in names if name in calibration.servos and calibration.servos[name].inverted]
+        directions = {name: geometry.servos[int(name)].direction for name in names}
+        ways = {directions[name] for name in turned}, {directions[name] for name in names if name not in turned}
+        if all(len(way) == 1 for way in ways) and ways[0] != ways[1]:
+            raise WalkError(
+                f"servos {', '.join(turned)} are turned round by the calibration, and by the geometry {geometry.name} "
+                "once more; --geometry names a file that counts as commands do, such as examples/elkapod/geometry.json"
+            )
+
+
 def _range(name: str, limits: LimitsReport, calibration: Calibration | None) -> Range:
     setting = limits.servos.get(name, ServoLimitsReport())
     found = Range(setting.min_deg, setting.max_deg, setting.max_speed_deg_s or MAX_SPEED_DEG_S)

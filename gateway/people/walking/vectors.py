@@ -46,8 +46,7 @@ def apply(matrix: Matrix, vector: Vector) -> Vector:
 
 
 def back(matrix: Matrix, vector: Vector) -> Vector:
-    """`vector` before the rotation: the inverse is the transpose."""
-    """By the inverse, which is the transpose."""
+    """`vector` before the rotation: by its inverse, which is the transpose."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     x, y, z = vector
     return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z

@@ -1,6 +1,7 @@
 """The gait engine: what holds at every tick, over all gaits, directions, phases and changes; and literal walks."""
 
 import math
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -14,7 +15,9 @@ from gateway.geometry import load
 from gateway.people.walking import GAITS, STILL, Engine, Posture, Range, Robot, Velocity
 from gateway.people.walking.gaits import gait, phase
 from gateway.people.walking.motion import Body
+from gateway.people.walking.robot import check_mirrored_once
 from gateway.robot.settings import load as load_settings
+from schemas.calibration import Calibration
 from schemas.robot import LEGS
 from tests.support.walked import TICK_S, Walked
 
@@ -128,6 +131,17 @@ def test_limits_that_leave_no_stride_leave_a_robot_that_stands() -> None:
     walked = Walked(Engine(Robot(load(), stiff))).stands()
     with pytest.raises(WalkError, match=r"its limits leave it no stride 0\.15\d* m high: servo 11 would stand at"):
         walked.engine.stance.check_walks()
+
+
+def test_a_geometry_that_mirrors_what_the_calibration_mirrors_is_rejected() -> None:
+    """The default file counts as the wire does, the Elkapod's as commands do; its calibration lies between them."""
+    with (ELKAPOD / "calibration.toml").open("rb") as file:
+        calibration = Calibration(revision=1, landing={}, servos=tomllib.load(file)["servos"])
+    check_mirrored_once(load(), None)
+    check_mirrored_once(load(), calibration.model_copy(update={"servos": {}}))
+    check_mirrored_once(load(ELKAPOD / "geometry.json"), calibration)
+    with pytest.raises(WalkError, match=r"servos 22, 42, 62 are turned round by the calibration, and by the geometry"):
+        check_mirrored_once(load(), calibration)
 
 
 def test_a_tick_that_comes_late_makes_no_leap() -> None:
