@@ -16,7 +16,7 @@ from tests.support.gateway_process import Gateway
 
 pytestmark = pytest.mark.browser
 
-PHONES: Final = {"portrait": (320, 568), "landscape": (568, 320)}
+PHONES: Final = {"portrait": (320, 568), "landscape": (568, 320), "wide": (844, 390)}
 TALL: Final = {"width": 390, "height": 844}
 GAMEPAD: Final = """
 window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
