@@ -72,7 +72,7 @@ def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
     gateway: Gateway, link: CutLink, laptop: Client, bystander: Client, heard: Heard[Event]
 ) -> None:
     del gateway
-    for attempt in range(1, 4):
+    for attempt in (1, 2):
         first = bystander.estop().estop
         link.cut()
         for payload in ({}, {"estop": first}):
@@ -98,7 +98,7 @@ def test_a_start_from_behind_a_cut_link_moves_nothing(
     gateway: Gateway, link: CutLink, laptop: Client, bystander: Client, heard: Heard[Event]
 ) -> None:
     del gateway
-    for attempt in range(1, 4):
+    for attempt in (1, 2):
         link.cut()
         laptop.publish(keys.leg_command(1), START)
         pass_time(HELD_S)

@@ -150,17 +150,6 @@ def test_bad_commands_reach_no_wire(gateway: Gateway, wire: Wire) -> None:
         wire.expect_nothing()
 
 
-def test_a_second_program_holds_a_leg_and_lets_it_go(tmp_path: Path, wire: Wire) -> None:
-    with start(tmp_path, wire, watchdog={"repeats": 0, "timeout_ms": 2000}) as gateway:
-        sent = gateway.run("send", "leg", "3", "start", "90", "45", "120", "--hold", "0.3")
-        assert sent.returncode == 0, str(sent)
-        found = wire.bed.wait_for_data(bytes.fromhex(STOPS[2]), since=len(wire.bed.transfers), timeout_s=LATE_S)
-        frames = [each.data.hex() for each in wire.skip() if len(each.data) == 14]
-        assert frames[0] == START_3
-        assert set(frames[1:-1]) == {"0e011f035a0020032d0021037800"}, "it is started once, and then set"
-        assert frames[-1] == STOPS[2] == found.data.hex()
-
-
 # ---- silence, emergency stop
 
 
@@ -207,14 +196,6 @@ def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway
             assert client.reset().accepted
             assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
             wire.expect_nothing()
-
-
-def test_estop_and_reset_from_the_command_line(gateway: Gateway, wire: Wire) -> None:
-    assert gateway.run("estop").returncode == 0
-    wire.expect(*STOPS)
-    assert gateway.run("send", "leg", "3", "start", "90", "45", "120").returncode == 1
-    assert gateway.run("reset").returncode == 0
-    wire.expect_nothing()
 
 
 # ---- the end

@@ -313,23 +313,24 @@ def turned_away(robot: SecuredRobot, outsider: Remote, overrides: Mapping[str, o
     assert robot.gateway.wait_gone(zid)
 
 
-def test_no_certificate(robot: SecuredRobot, outsider: Remote) -> None:
-    none = {f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None}
-    turned_away(robot, outsider, none)
-
-
-def test_a_certificate_of_another_ca(robot: SecuredRobot, outsider: Remote, tmp_path: Path) -> None:
-    """Even if it trusts the gateway, and calls itself operator."""
+@pytest.mark.parametrize(
+    "how", ["no certificate", "a certificate of another CA", "a gateway of another CA", "plain TCP"]
+)
+def test_who_is_turned_away(robot: SecuredRobot, outsider: Remote, tmp_path: Path, how: str) -> None:
+    """Even who trusts the gateway, and calls himself operator; and a laptop talks to no robot that it does not know."""
     certs.init(tmp_path / "E", [HOST])
     certs.issue(tmp_path / "E", "eve", "operator")
-    eve = absolute(tmp_path / "E", "eve") | {f"{TLS}/root_ca_certificate": str(robot.folder / "ca.pem")}
-    turned_away(robot, outsider, eve)
-
-
-def test_a_gateway_of_another_ca(robot: SecuredRobot, outsider: Remote, tmp_path: Path) -> None:
-    """A laptop does not talk to a robot that it does not know."""
-    certs.init(tmp_path / "E", [HOST])
-    turned_away(robot, outsider, {f"{TLS}/root_ca_certificate": str(tmp_path / "E" / "ca.pem")})
+    overrides: dict[str, dict[str, object]] = {
+        "no certificate": {
+            f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None
+        },
+        "a certificate of another CA": {
+            **absolute(tmp_path / "E", "eve"), f"{TLS}/root_ca_certificate": str(robot.folder / "ca.pem")
+        },
+        "a gateway of another CA": {f"{TLS}/root_ca_certificate": str(tmp_path / "E" / "ca.pem")},
+        "plain TCP": {"connect/endpoints": [f"tcp/{HOST}:{robot.port}"], "transport/link/protocols": ["tcp"]},
+    }  # fmt: skip
+    turned_away(robot, outsider, overrides[how])
 
 
 def test_an_expired_certificate(robot: SecuredRobot, outsider: Remote) -> None:
@@ -337,11 +338,6 @@ def test_an_expired_certificate(robot: SecuredRobot, outsider: Remote) -> None:
     turned_away(robot, outsider, {}, "late")
     with pytest.raises(ConfigError, match=r"late\.pem expired on"):  # what a person gets to read
         load_client_config(robot.folder / "late.json5")
-
-
-def test_plain_tcp_to_the_tls_port(robot: SecuredRobot, outsider: Remote) -> None:
-    plain = {"connect/endpoints": [f"tcp/{HOST}:{robot.port}"], "transport/link/protocols": ["tcp"]}
-    turned_away(robot, outsider, plain)
 
 
 def test_a_host_name_that_is_not_in_the_certificate(robot: SecuredRobot, outsider: Remote) -> None:

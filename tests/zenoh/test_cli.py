@@ -68,6 +68,9 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
         stop = heard.wait(lambda record: record.cause == "watchdog")
         commands = [record for record in heard.all if record.cause == "command"]
         assert len(commands) > 3, "more often than it must"
+        assert commands[0].bytes == "0e011f015a0020012d0021017800"
+        others = {record.bytes for record in commands[1:]} - {"0e011f0200002002000021020000"}
+        assert others == {"0e011f035a0020032d0021037800"}, "it is started once, and then set"
         assert stop.monotonic_ns - commands[0].monotonic_ns > 1_500_000_000
 
 
