@@ -3,12 +3,14 @@
 import signal
 import sys
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import zenoh
 from zenoh import ext
 
+from gateway import certs
 from gateway.client import Client
 from gateway.people.ros2.cdr import decode, encode
 from gateway.people.ros2.messages import (
@@ -32,6 +34,7 @@ from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, states
 from tests.support.ros2_peer import Peer
 from tests.support.router import zenoh_listening
+from tests.support.secured import Secured
 
 # ---- in the graph
 
@@ -272,6 +275,34 @@ def test_a_gateway_that_was_away_is_driven_again_only_after_another_word(tmp_pat
             assert client.state().lease.holder is None
             assert peer.call("/hexapod/drive") == (True, "drives as ros2")
             assert client.state().lease.holder == "ros2"
+
+
+def test_a_router_that_was_away_finds_it_again(gateway: Gateway) -> None:
+    """Its tokens, topics and services are there again; only messages were lost."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with ExitStack() as first:
+        router = first.enter_context(zenoh_listening(endpoint))
+        own = Bridge(gateway, endpoint, router)
+        Received(own, "diagnostics", DiagnosticArray).wait(lambda _: True)
+        first.close()
+        with zenoh_listening(endpoint) as own.router, own, Peer(endpoint) as peer:
+            Received(own, "diagnostics", DiagnosticArray).wait(lambda each: each.status[0].level == DiagnosticStatus.OK)
+            assert "/hexapod/cmd_vel" in peer.graph()
+            assert peer.call("/hexapod/drive") == (True, "drives as ros2")
+            done, _ = peer.call("/hexapod/estop")
+            assert done
+            assert peer.call("/hexapod/reset")[0]
+
+
+def test_its_certificate_says_who_drives(tmp_path: Path) -> None:
+    with Secured(tmp_path, PATIENT) as secured:
+        certs.issue(secured.folder, "ros2", "operator")
+        config = str(secured.folder / "ros2.json5")
+        with bridged(secured.gateway, "--zenoh-config", config) as own, Peer(own.endpoint) as peer:
+            assert peer.call("/hexapod/drive") == (True, "drives as ros2")
+            with secured.client("anna") as anna:
+                lease = anna.state().lease
+                assert (lease.holder, lease.verified) == ("ros2", True)
 
 
 def test_without_its_extra_it_names_what_to_install() -> None:

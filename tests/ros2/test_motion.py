@@ -17,6 +17,7 @@ from gateway.people.ros2.messages import (
     JointTrajectoryPoint,
     TFMessage,
     Twist,
+    TwistStamped,
     Vector3,
 )
 from schemas.telemetry import Kind, Mode
@@ -82,11 +83,15 @@ def test_what_a_link_held_back_is_not_taken(driven: Bridge, watcher: Client) -> 
 # ---- walking
 
 
-@pytest.mark.usefixtures("driven")
-def test_cmd_vel_walks_and_silence_has_it_stand(peer: Peer, watcher: Client) -> None:
+@pytest.mark.parametrize(
+    "velocity", [Twist(Vector3(0.05)), TwistStamped(twist=Twist(Vector3(0.05)))], ids=["Twist", "TwistStamped"]
+)
+def test_cmd_vel_walks_and_silence_has_it_stand(
+    velocity: Twist | TwistStamped, driven: Bridge, peer: Peer, watcher: Client
+) -> None:
     written = frames(watcher)
     peer.advertise("/hexapod/cmd_gait_type", Int32)
-    peer.advertise("/hexapod/cmd_vel", Twist)
+    velocities = driven.publisher("cmd_vel", type(velocity))
     peer.publish("/hexapod/cmd_gait_type", Int32(1))
     seen: set[float] = set()
 
@@ -94,7 +99,7 @@ def test_cmd_vel_walks_and_silence_has_it_stand(peer: Peer, watcher: Client) -> 
         seen.update(commanded(written.all[-60:], 11))
         return len(seen) > 60
 
-    keeps(lambda: peer.publish("/hexapod/cmd_vel", Twist(Vector3(0.05))), strides, hz=20)
+    keeps(lambda: velocities.publish(velocity), strides, hz=20)
 
     def stands() -> bool:
         latest = commanded(written.all, 11)[-50:]

@@ -39,7 +39,8 @@ class Bridge:
         self.router = router
         namespace = arguments[arguments.index("--ros-namespace") + 1] if "--ros-namespace" in arguments else "/hexapod"
         self.names = Names(0, namespace, "stranger", hashes="humble" not in arguments)
-        self.child = Child([*COMMAND, "ros2", "--router", endpoint, "--connect", gateway.endpoint, *arguments], clean())
+        link = () if "--zenoh-config" in arguments else ("--connect", gateway.endpoint)
+        self.child = Child([*COMMAND, "ros2", "--router", endpoint, *link, *arguments], clean())
         self.child.wait_for_output(READY, timeout_s=20)
 
     def __enter__(self) -> Self:

@@ -28,6 +28,7 @@ MAX_AGE_MS: Final = 500.0
 """As `limits.max_age_ms`: what a link held back for longer is not taken."""
 
 M = TypeVar("M", bound=Message)
+N = TypeVar("N", bound=Message)
 
 
 class Topics:
@@ -54,8 +55,8 @@ class Topics:
         return {
             "joint_commands": self._entry("joint_commands", JointState, self._joint_commands),
             "joint_trajectory": self._entry("joint_trajectory", JointTrajectory, self._joint_trajectory),
-            "cmd_vel": self._entry("cmd_vel", Twist, lambda twist, _: self._go(twist)),
-            "cmd_vel_stamped": self._entry("cmd_vel_stamped", TwistStamped, lambda found, _: self._go(found.twist)),
+            "cmd_vel": self._entry("cmd_vel", Twist, self._go, TwistStamped),
+            "cmd_vel_stamped": self._entry("cmd_vel_stamped", TwistStamped, self._go, Twist),
             "cmd_base_height": self._entry(
                 "cmd_base_height", Float64, lambda found, _: self._driving.stand(height_m=found.data)
             ),
@@ -87,7 +88,8 @@ class Topics:
         plan = Trajectory.read(message, self._geometry, time.monotonic(), time.time_ns())
         self._driving.follow(plan, is_there)
 
-    def _go(self, twist: Twist) -> None:
+    def _go(self, message: Twist | TwistStamped, _: Attachment) -> None:
+        twist = message.twist if isinstance(message, TwistStamped) else message
         self._driving.go(Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z))
 
     def _gait(self, message: Int32, _: Attachment) -> None:
@@ -100,11 +102,16 @@ class Topics:
     # ---- all of them
 
     def _entry(
-        self, topic: str, kind: type[M], take: Callable[[M, Attachment], None]
+        self, topic: str, kind: type[M], take: Callable[[M | N, Attachment], None], also: type[N] | None = None
     ) -> tuple[type[Message], Callable[[zenoh.Sample], None]]:
+        """The graph shows the topic as of `kind`; `also`: of this type a message is taken, too."""
+
         def took(sample: zenoh.Sample) -> None:
             try:
-                take(*self._read(topic, kind, sample))
+                if also is not None and str(sample.key_expr) == self._names.topic_key(topic, also):
+                    take(*self._read(topic, also, sample))
+                else:
+                    take(*self._read(topic, kind, sample))
             except (NotTakenError, ValueError) as error:
                 self._reject(topic, str(error))
             else:
