@@ -16,8 +16,6 @@ ASIDE: Final = 0.05
 TURNED_DEG: Final = 5.0
 TILT_DEG: Final = 5.0
 SCRAPED_M: Final = 0.010
-SCRAPED_ELSEWHERE_M: Final = 0.016
-"""In a world that is not as assumed: on the most slippery floor, and with the weakest servos, 9 to 15 mm were seen."""
 SHORT_M: Final = 0.006
 """A way of a few centimetres says little of what a robot drifts on a long one: standing up shifts it by as much."""
 _ARM_M: Final = 0.3
@@ -52,7 +50,7 @@ class Result(NamedTuple):
             found.append(f"heading off by {self.turned_wrong_deg:+.1f} degrees")
         if self.tilt_deg > TILT_DEG:
             found.append(f"leaned by {self.tilt_deg:.1f} degrees")
-        if self.scraped_m > (SCRAPED_M if self.assumed == Assumed() else SCRAPED_ELSEWHERE_M):
+        if self.scraped_m > SCRAPED_M:
             found.append(f"a foot scraped by {1000 * self.scraped_m:.1f} mm")
         return [f"{self.gait}, {self.part}, {self.assumed}: {fault}" for fault in found]
 
