@@ -280,6 +280,15 @@ def test_files_of_the_layout_before_go_on_and_one_by_one_they_move(today: Path) 
     assert states(today)["operator-01"] == "good"
 
 
+def test_a_folder_of_before_there_were_buttons_names_the_command_that_makes_its_rules_anew(today: Path) -> None:
+    named = fault(lambda: certs.issue(today, "kitchen", "button", now=NOW))
+    assert f"certs init --dir $d --host $(hostname) --port 7447 && sudo cp $d/gateway.json5 {today}" in named
+    certs.init(today.parent / "new", ["robot"], port=7447, now=NOW)
+    shutil.copy(today.parent / "new" / "gateway.json5", today)
+    certs.issue(today, "kitchen", "button", now=NOW)
+    assert common_name(today, "kitchen") == "button-00"
+
+
 def test_others_are_shut_out_too_where_that_is_asked_for(today: Path) -> None:
     issue(today, "bert")
     assert certs.revoke(today, "anna", others_too=True, now=NOW).common_names == {"operator"}
