@@ -75,6 +75,7 @@ class Drawing:
         self._joints = CommandedJoints(geometry)
         self._drawn_ns: int | None = None
         self._diagnosed_ns: int | None = None
+        self._diagnosed_mode: object = None
         self._marked_ns: int | None = None
         self._marked: dict[int, bool] = {}
         self._body: BodyReport | None = None
@@ -113,8 +114,10 @@ class Drawing:
         return robot.joint_state(at_rad, time_ns)
 
     def _diagnostics_if_due(self, state: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
-        if self._diagnosed_ns is None or time_ns - self._diagnosed_ns >= DIAGNOSTICS_PERIOD_NS:
-            self._diagnosed_ns = time_ns
+        mode = state["mode"]
+        due = self._diagnosed_ns is None or time_ns - self._diagnosed_ns >= DIAGNOSTICS_PERIOD_NS
+        if due or mode != self._diagnosed_mode:
+            self._diagnosed_ns, self._diagnosed_mode = time_ns, mode
             with suppress(ValidationError):  # of another release
                 found = robot.diagnostics(GatewayState.model_validate(state))
                 yield DIAGNOSTICS, robot.diagnostic_array(found, time_ns)

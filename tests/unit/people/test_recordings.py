@@ -20,6 +20,7 @@ from gateway.people.recordings import REPORTS, Drawing, Recording, is_cut_off, r
 from gateway.people.recordings.contents import contents, cut
 from gateway.people.recordings.drawing import (
     DESCRIPTION,
+    DIAGNOSTICS,
     DRAWN,
     FRAMES,
     JOINT_COMMANDS,
@@ -255,6 +256,14 @@ def test_what_is_off_is_marked_at_once_and_again_each_second() -> None:
     _, *found = marks(dict(drawing.take(keys.FRAME, start, START_NS + 3)))
     assert [mark.id for mark in found] == [31, 33], "one of them runs, so the leg is not off"
     assert SERVOS_OFF in dict(drawing.take(keys.FRAME, start, START_NS + 10**9 + 3))
+
+
+def test_another_mode_is_in_the_diagnostics_at_once() -> None:
+    drawing = Drawing(load())
+    state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
+    assert DIAGNOSTICS in dict(drawing.take(keys.STATE, state, START_NS))
+    assert DIAGNOSTICS not in dict(drawing.take(keys.STATE, state, START_NS + 10**8))
+    assert DIAGNOSTICS in dict(drawing.take(keys.STATE, {**state, "mode": "estopped"}, START_NS + 2 * 10**8))
 
 
 def test_a_state_marks_what_it_states_to_be_off() -> None:
