@@ -2,6 +2,11 @@
 
 Nobody has weighed the Elkapod. A hobby servo with its horn and screws has about 60 g; a leg carries three, of which the
 first is in the body. The rest are plates, a computer and a battery.
+
+The robot's own description (HexapodBionik/elkapod_core, elkapod_description/urdf) adds up to 5.03 kg, by CAD: the body
+with its plates 2.00, control module 0.44, lidar 0.30, camera 0.06, grilles 0.13; and for each leg 0.081 in the body,
+coxa 0.043, femur 0.169, tibia 0.046, foot 0.011. The servos of its drawings (MG996R, some 1 N·m) do not lift that
+(`run --sim=physics --mass-kg 5.03 --servo-torque-nm 1`), so mass or servo is another's, and a lighter robot is assumed.
 """
 
 from typing import Final, NamedTuple

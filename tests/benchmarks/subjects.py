@@ -53,7 +53,7 @@ class Subject:
         """A publisher for it, connected, in a process of its own."""
         self._publishers += 1
         log = self._folder / f"{self.name}-{self._publishers}.published"
-        publisher = Publisher(self, log, arguments)
+        publisher = Publisher(self.endpoint, log, arguments)
         self._stack.callback(publisher.child.close)
         return publisher
 
@@ -61,9 +61,9 @@ class Subject:
 class Publisher:
     """A publisher at work."""
 
-    def __init__(self, subject: Subject, log: Path, arguments: tuple[str, ...]) -> None:
+    def __init__(self, endpoint: str, log: Path, arguments: tuple[str, ...]) -> None:
         self._log = log
-        self.child = program("publisher", subject.endpoint, "--log", str(log), *arguments)
+        self.child = program("publisher", endpoint, "--log", str(log), *arguments)
         self.child.wait_for_output("ready", timeout_s=20)
         self._runs = 0
 
