@@ -62,7 +62,7 @@ def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
             heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
             stopped = client.estop()
             assert stopped.accepted
-            fallen = heard.wait(lambda body: body.position_m[2] < 0.08 and body.position_m[0] > 0.05)
+            fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
             assert fallen.velocity_m_s[2] < 0
             client.reset(stopped.estop)
             walk.start_again()

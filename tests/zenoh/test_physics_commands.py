@@ -16,7 +16,7 @@ from tests.support.heard import Heard, frames
 WATCHDOG_MS: Final = 1000
 """It outlasts a moment in which this machine is busy."""
 STANDS_M: Final = 0.12
-LIES_M: Final = 0.09
+LIES_M: Final = 0.1
 
 
 @pytest.fixture(scope="module")
