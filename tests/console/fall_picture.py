@@ -10,14 +10,18 @@ from typing import Final
 from playwright.sync_api import Browser, expect, sync_playwright
 
 from gateway.client import Client
+from schemas.keys import SIM_BODY
+from schemas.telemetry import BodyReport
 from tests.console.browser import ARGUMENTS, CHROMIUM, Opened, Visitor
 from tests.console.test_fall import PATIENT, STEEP, push_over
 from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
+from tests.support.heard import Heard
 
 DOCS: Final = Path(__file__).parents[2] / "docs"
+STILL_M_S: Final = 0.01
 SIZE: Final = {"width": 980, "height": 560}
-WEAK: Final = ("--sim=physics", "--mass-kg", "6", "--servo-torque-nm", "1.4")
+WEAK: Final = ("--sim=physics", "--mass-kg", "8", "--servo-torque-nm", "1.4")
 """Too heavy for its servos: it walks on its belly."""
 
 
@@ -51,7 +55,9 @@ def main() -> None:
                 walk.go(0.05)
             take(page, "physics-walking.png")
         with looked_at(browser, STEEP) as (page, client):
+            heard = Heard(client, SIM_BODY, BodyReport)
             push_over(client)
+            heard.wait(lambda body: not body.upright and max(map(abs, body.velocity_m_s)) < STILL_M_S, timeout_s=30)
             expect(page["sim-known"]).to_have_text(re.compile("on its back"))
             take(page, "physics-fallen.png")
         browser.close()
