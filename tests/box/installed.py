@@ -85,7 +85,8 @@ class InstalledGateway(Closing):
         return done.stdout + done.stderr
 
     def cursor(self) -> str:
-        """Where the journal ends now."""
+        """Where the journal ends, with all that has been said until now."""
+        self.box.run("journalctl", "--sync")
         return self.box.run("journalctl", "--show-cursor", "--lines=0").stdout.partition("-- cursor: ")[2].strip()
 
     def journal_since(self, cursor: str) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 import subprocess
 import sys
 import time
@@ -63,7 +64,8 @@ def fuzz(target: str, runs: int, folder: Path, *, seed: int = 1, tree: Path | No
         f"-seed={seed}",
         f"-max_len={MAX_LEN[target]}",
         f"-artifact_prefix={folder / target}-",
-        "-rss_limit_mb=512",
+        # libFuzzer looks at the peak, and a process begins with that of whoever has started it.
+        f"-rss_limit_mb={512 + resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024}",
         "-timeout=5",  # seconds for one input, which takes microseconds
     )
     command = [sys.executable, "-m", "tests.fuzz.worker", target, str(runs), str(notes), *options]

@@ -4,6 +4,7 @@ import asyncio
 import logging
 import os
 from dataclasses import replace
+from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -157,13 +158,14 @@ async def test_a_full_disk_is_reported_once_and_leaves_nothing_behind(
     await silence(robot)
     await asyncio.sleep(5)
 
-    def full(*_: object) -> int:
-        raise OSError(28, "No space left on device")
+    class Full(FileIO):
+        def write(self, _: object) -> int:
+            raise OSError(28, "No space left on device")
 
     caplog.set_level(logging.WARNING, "gateway.people.incidents.watcher")
     keeper = IncidentWatcher(folder, clock=robot.now_ns)
     with monkeypatch.context() as patched:
-        patched.setattr("gateway.people.recordings.writing.os.write", full)
+        patched.setattr("gateway.people.recordings.writing.FileIO", Full)
         assert keeper.keep(whole_only=True) == keeper.keep(whole_only=True) == []
     said = [entry.message for entry in caplog.records if "kept" in entry.message]
     assert len(said) == 1
