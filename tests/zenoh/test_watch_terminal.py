@@ -44,8 +44,10 @@ def watching(folder: Path, *arguments: str) -> Iterator[Terminal]:
 
 
 @pytest.fixture
-def terminal(gateway: Gateway, tmp_path: Path) -> Iterator[Terminal]:
-    """`watch`, that has heard the gateway."""
+def terminal(gateway: Gateway, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    """`watch`, that has heard the gateway, started by a shell that has exported the size of its window."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("LINES", "24")
     with watching(tmp_path, "--connect", gateway.endpoint) as running:
         running.wait(" 1 ○", "q: quit")
         yield running

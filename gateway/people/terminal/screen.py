@@ -34,7 +34,9 @@ class Screen(ABC):
         """Why drawing failed. It ends then, since an old picture must not pass for the present state."""
         self._ended = threading.Event()
         self._wake = -1
-        self._console = Console()
+        # The terminal's own size: what a shell has exported of it is not that of a window that was made smaller since.
+        environ = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+        self._console = Console(_environ=environ)
         self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
         self._drawer = threading.Thread(target=self._draw, name="draw", daemon=True)
 
