@@ -37,7 +37,7 @@ run: $(VENV)/run
 	@$(BIN)/python -m gateway.people.tools.try_out $(CONSOLE)
 
 quick: check
-	$(BIN)/pytest -q -n 2 tests/unit
+	$(BIN)/pytest -q -n 2 -m "not thorough" tests/unit
 
 # First all that may run side by side, then pages and terminals in pairs, at last what measures time, alone
 # (tests/support/schedule.py).

@@ -111,11 +111,11 @@ class RobotHost(Closing):
     def seen(self, condition: Callable[[FrameRecord], bool]) -> list[FrameRecord]:
         """Such frames of those that were written up to now.
 
-        A state that is published later comes behind their reports. They are not counted: under a flood, more frames are
-        written than anybody is sent.
+        A state that is published after an answer comes behind the reports of what was written before it. Reports are
+        not counted: under a flood, more frames are written than anybody is sent.
         """
-        written = self.client.state().spi.frames
-        self._states.wait(lambda state: state.spi.frames >= written)
+        answered_s = self.client.state().uptime_s
+        self._states.wait(lambda state: state.uptime_s > answered_s)
         return [frame for frame in self.frames.all if self._is_new(frame) and condition(frame)]
 
     def wait_for_commands(self, *legs: int, count: int = 5) -> None:

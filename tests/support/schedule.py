@@ -41,6 +41,14 @@ ATTENDED: Final = (
     "zenoh/test_watch_terminal.py",
 )
 """Pages and terminals with a person at them, who is slow, but not stalled: two at a time, between the others."""
+THOROUGH: Final = (
+    "unit/people/test_recordings.py",
+    "unit/people/test_recordings_damaged.py",
+    "unit/people/test_walking_gait.py",
+    "unit/people/test_walking_postures.py",
+    "unit/robot/test_supervisor_machine.py",
+)
+"""Searches of some seconds, which `make quick` leaves to `make test`."""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "console", "net", "ros2")
@@ -56,6 +64,8 @@ def arrange(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.alone)
         elif _is_among(_file(item.nodeid), ATTENDED):
             item.add_marker(pytest.mark.attended)
+        elif _is_among(_file(item.nodeid), THOROUGH):
+            item.add_marker(pytest.mark.thorough)
 
     def place(item: pytest.Item) -> int:
         if SEARCHES in item.nodeid:
