@@ -41,7 +41,7 @@ quick: check
 
 # First all that may run side by side, then pages and terminals in pairs, at last what measures time, alone
 # (tests/support/schedule.py).
-WORKERS ?= 4
+WORKERS ?= 3
 test: $(VENV)/dev debian-packages
 ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
