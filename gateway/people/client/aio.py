@@ -3,6 +3,7 @@
 import asyncio
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from concurrent.futures import Future
@@ -40,14 +41,15 @@ KEPT_EVENTS: Final = 256
 """For an `events()` that is not read; the oldest make way."""
 
 
-class _Twin(Generic[B]):
+class _Twin(ABC, Generic[B]):
     """What stands before a blocking object, with the same names, arguments, rules and errors."""
 
     _threads: "_Threads"
 
     @property
+    @abstractmethod
     def _own(self) -> B:
-        raise NotImplementedError
+        """The blocking object."""
 
     async def _run(self, function: Callable[[], T], *, stops: bool) -> T:
         return await self._threads.run(function, stops=stops)

@@ -7,6 +7,7 @@ that, and what an answer is read by only when something is asked: no emergency s
 import base64
 import json
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,7 +95,7 @@ class Get(Protocol):
     def __call__(self, key: str, payload: str, answer: type[A], *, timeout_s: float | None) -> A: ...
 
 
-class _Requests(Generic[A]):
+class _Requests(ABC, Generic[A]):
     """Questions on one key. All raise DisconnectedError where nobody answers in time."""
 
     def __init__(self, get: Get, identity: Identity | None, name: str) -> None:
@@ -118,8 +119,9 @@ class _Requests(Generic[A]):
                 request["proof"] = self._identity.prove(do, request["source"], nonce, text)
         return request
 
+    @abstractmethod
     def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> A:
-        raise NotImplementedError
+        """One request and its answer."""
 
 
 class LeaseRequests(_Requests["LeaseAck"]):

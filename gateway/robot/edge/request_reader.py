@@ -4,6 +4,7 @@ A reader is one key's. It reads questions one by one, on one thread, and returns
 """
 
 import datetime as dt
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
@@ -95,7 +96,7 @@ class Answers(Protocol[R_contra]):
         """Answer what is rejected already, and tell of it."""
 
 
-class _ProvedReader(Generic[R]):
+class _ProvedReader(ABC, Generic[R]):
     def __init__(self, answers: Answers[R], proofs: Proofs) -> None:
         self._answers: Answers[R] = answers
         self._proofs = proofs
@@ -107,9 +108,9 @@ class _ProvedReader(Generic[R]):
             return self._reject(None, payload.reason, payload.detail, reply)
         return self.read(payload, now_ns, reply)
 
+    @abstractmethod
     def read(self, payload: bytes, now_ns: int, reply: Reply) -> Deal:
         """Read one payload, which came at this time; what is then to be done with it."""
-        raise NotImplementedError
 
     def _reject(self, source: str | None, reason: Reason, detail: str, reply: Reply) -> Deal:
         return partial(self._answers.reject, source, reason, detail, reply)
