@@ -37,12 +37,12 @@ WANTED: Final = (
 )
 PYTHON: Final = {
     "bool": ("bool", "False"),
-    "byte": ("int", "0"),
-    "uint8": ("int", "0"),
-    "int32": ("int", "0"),
-    "uint32": ("int", "0"),
-    "float32": ("float", "0.0"),
-    "float64": ("float", "0.0"),
+    "byte": ("byte", "0"),
+    "uint8": ("uint8", "0"),
+    "int32": ("int32", "0"),
+    "uint32": ("uint32", "0"),
+    "float32": ("float32", "0.0"),
+    "float64": ("float64", "0.0"),
     "string": ("str", '""'),
 }
 _HEAD: Final = '''"""ROS 2's message types, written by `python -m tests.support.ros2_messages`: do not edit.
@@ -53,7 +53,7 @@ They are the same in all of `DISTRIBUTIONS` (rosbags keeps their definitions). F
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from gateway.people.ros2.cdr import Field, Message
+from gateway.people.ros2.cdr import Message, byte, float32, float64, int32, uint8, uint32
 
 DISTRIBUTIONS: Final = ({distributions})
 
@@ -154,29 +154,12 @@ def _class(store: Typestore, name: str) -> str:
         f"class {_python(name)}(Message):",
         f'    TYPE: ClassVar[str] = "{name}"',
         f'    HASH: ClassVar[str] = "{store.hash_rihs01(name)}"',
-        *_table("FIELDS", "Field", [_field(field, description) for field, description in fields]),
+        *(f"    {constant}: ClassVar[{type_name}] = {value}" for constant, type_name, value in constants),
     ]
-    if constants:
-        rows = [f'("{type_name}", "{constant}", {value})' for constant, type_name, value in constants]
-        lines += _table("CONSTANTS", "tuple[str, str, int]", rows)
-        lines += [f"    {constant}: ClassVar[int] = {value}" for constant, _, value in constants]
     if fields:
         lines.append("")
     lines += [_attribute(field, description) for field, description in fields]
     return "\n".join(lines) + "\n"
-
-
-def _table(name: str, element: str, rows: list[str]) -> list[str]:
-    """As ruff formats it: on one line if it fits."""
-    start = f"    {name}: ClassVar[tuple[{element}, ...]] = "
-    short = f"{start}({', '.join(rows)}{',' if len(rows) == 1 else ''})"
-    return [short] if len(short) <= 120 else [f"{start}(", *(f"        {row}," for row in rows), "    )"]
-
-
-def _field(name: str, description: Any) -> str:
-    element, many = _element(description)
-    shown = _python(element) if "/" in element else f'"{element}"'
-    return f'Field("{name}", {shown}{", many=True" if many else ""})'
 
 
 def _attribute(name: str, description: Any) -> str:

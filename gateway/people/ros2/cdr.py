@@ -5,7 +5,15 @@ with the final zero, UTF-8, and the zero; a sequence its count and its elements;
 """
 
 import struct
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+from inspect import get_annotations
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, get_args, get_origin
+
+byte = Annotated[int, "byte"]
+uint8 = Annotated[int, "uint8"]
+int32 = Annotated[int, "int32"]
+uint32 = Annotated[int, "uint32"]
+float32 = Annotated[float, "float32"]
+float64 = Annotated[float, "float64"]
 
 
 class CdrError(ValueError):
@@ -23,7 +31,7 @@ class Field(NamedTuple):
 
 
 class Message:
-    """A ROS 2 message: a frozen dataclass with the fields in their order. Sequences are tuples."""
+    """A ROS 2 message: a frozen dataclass whose annotations are its fields, in their order. Sequences are tuples."""
 
     __slots__ = ()
     TYPE: ClassVar[str]
@@ -33,6 +41,33 @@ class Message:
     FIELDS: ClassVar[tuple[Field, ...]]
     CONSTANTS: ClassVar[tuple[tuple[str, str, int], ...]] = ()
     """Type, name and value."""
+
+    def __init_subclass__(cls) -> None:
+        annotations = get_annotations(cls)
+        cls.FIELDS = tuple(_field(name, each) for name, each in annotations.items() if not _is_a(ClassVar, each))
+        cls.CONSTANTS = tuple(
+            (_element(number), name, getattr(cls, name))
+            for name, each in annotations.items()
+            for number in get_args(each)
+            if _is_a(ClassVar, each) and _is_a(Annotated, number)
+        )
+
+
+def _field(name: str, annotation: Any) -> Field:
+    if _is_a(tuple, annotation):
+        return Field(name, _element(get_args(annotation)[0]), many=True)
+    return Field(name, _element(annotation))
+
+
+def _element(annotation: Any) -> Any:
+    """`float64` → "float64", `str` → "string", and a message as it is."""
+    if _is_a(Annotated, annotation):
+        return get_args(annotation)[1]
+    return {bool: "bool", str: "string"}.get(annotation, annotation)
+
+
+def _is_a(form: Any, annotation: Any) -> bool:
+    return get_origin(annotation) is form
 
 
 M = TypeVar("M", bound=Message)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.people.ros2 import messages
-from gateway.people.ros2.cdr import CdrError, Field, Message, decode, encode
+from gateway.people.ros2.cdr import CdrError, Message, decode, encode
 from gateway.people.ros2.definition import definition
 from gateway.people.ros2.messages import (
     TRIGGER_HASH,
@@ -191,7 +191,7 @@ class Empties(Message):
     """No type here has such a sequence: each element is one byte, or none."""
 
     TYPE = "test_msgs/msg/Empties"
-    FIELDS = (Field("all", TriggerRequest, many=True),)
+    all: tuple[TriggerRequest, ...]
 
 
 def test_a_count_of_nothings_that_lies_takes_no_time() -> None:
