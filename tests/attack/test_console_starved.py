@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from gateway.people.client.stops import AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.register import Register
-from gateway.people.console.stops import AT_ONCE
 from tests.support.child import Child
 from tests.support.console_process import Page, sign_in
 from tests.support.gateway_process import COMMAND, Gateway, free_port

@@ -6,25 +6,21 @@ Zenoh calls back on threads for which Python waits at a program's end, and these
 
 import threading
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 from weakref import WeakSet
+
+if TYPE_CHECKING:
+    from gateway.people.client.blocking import Client
 
 _CALLBACKS: Final = "pyo3-closure"
 """In the names of Zenoh's own threads."""
 
 
-class Closable(Protocol):
-    """A client."""
-
-    def close(self) -> None:
-        """Close its session."""
-
-
-_open: WeakSet[Closable] = WeakSet()
+_open: "WeakSet[Client]" = WeakSet()
 _lock: Final = threading.Lock()
 
 
-def close_at_the_end(client: Closable) -> None:
+def close_at_the_end(client: "Client") -> None:
     """Close it when the main thread and all other threads of the program's own have ended."""
     with _lock:
         _open.add(client)

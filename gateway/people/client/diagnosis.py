@@ -105,9 +105,10 @@ def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float =
     for endpoint in dict.fromkeys(endpoints):
         findings: list[Finding] = []
         found[endpoint] = findings
-        look_there = _Look(endpoint, identity, end_s, findings)
-        look_there.start()
-        threads.append(look_there)
+        arguments = (findings, look(endpoint, identity, end_s))
+        # Nobody waits for it at the end of the program.
+        threads.append(threading.Thread(target=_note, args=arguments, name=f"look at {endpoint}", daemon=True))
+        threads[-1].start()
     for thread in threads:
         thread.join(max(0.0, end_s - time.monotonic()) + _MARGIN_S)
     late = Finding(Step.TCP, "nothing is known within the time", "try again, with a longer --timeout")
@@ -118,17 +119,9 @@ _MARGIN_S: Final = 0.05
 """A look that times out at the end of the time still says so."""
 
 
-class _Look(threading.Thread):
-    """A look at one endpoint; nobody waits for it at the end of the program."""
-
-    def __init__(self, endpoint: str, identity: Identity, end_s: float, found: list[Finding]) -> None:
-        super().__init__(name=f"look at {endpoint}", daemon=True)
-        self._look = look(endpoint, identity, end_s)
-        self._found = found
-
-    def run(self) -> None:
-        for finding in self._look:
-            self._found.append(finding)
+def _note(found: list[Finding], looked: Iterator[Finding]) -> None:
+    for finding in looked:
+        found.append(finding)  # one by one: what is known when the time is over counts
 
 
 def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:

@@ -5,35 +5,23 @@ commanding it when nobody looks; so what the guide knows may be old without any 
 """
 
 import asyncio
-from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from collections.abc import Callable
+from typing import Any, Final
 
 from gateway.errors import GatewayError
 from gateway.people.client.payloads import calibration_payload
+from gateway.people.console.link import GatewayLink
 from gateway.people.console.messages import Calibrate, CalibrationMessage, Draft
 from gateway.people.tools.calibrate.guide import Guide
 from gateway.people.tools.calibrate.once import standing
 from gateway.people.tools.calibrate.robot import change_of
-from gateway.robot.core.calibration import Calibration, CalibrationError
+from gateway.robot.core.calibration import CalibrationError, calibration_of
 from gateway.robot.protocol.framing import avoided_by
 from schemas import keys
-from schemas.telemetry import Ack, GatewayState
+from schemas.telemetry import GatewayState
 
 MAX_WAITING: Final = 32
 """Steps of one page that wait for the one before; a key that is held jogs ten times a second."""
-
-
-class Gateway(Protocol):
-    """What is asked of the gateway. Raises GatewayError."""
-
-    async def calibration(self) -> Calibration:
-        """What is in force."""
-
-    async def state(self) -> GatewayState:
-        """How the robot is."""
-
-    async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
-        """An acknowledged command."""
 
 
 class Calibrating:
@@ -41,12 +29,12 @@ class Calibrating:
 
     def __init__(
         self,
-        gateway: Gateway,
+        link: GatewayLink,
         signed: Callable[[dict[str, Any]], dict[str, Any]],
         send: Callable[[CalibrationMessage], None],
     ) -> None:
         """`signed` adds who asks, and the lease."""
-        self._gateway = gateway
+        self._link = link
         self._signed = signed
         self._send = send
         self._guide: Guide | None = None
@@ -89,18 +77,21 @@ class Calibrating:
 
     async def _look(self) -> list[int]:
         """What is in force now; a draft stands on it. Returns the servos that both have changed."""
-        calibration = await self._gateway.calibration()
+        calibration = calibration_of(await asyncio.to_thread(self._link.client().calibration))
         if self._guide is None:
-            self._guide = Guide(calibration, avoided_by((await self._gateway.state()).spi.framing))
+            self._guide = Guide(calibration, avoided_by((await self._state()).spi.framing))
             return []
         return self._guide.now_in_force(calibration)
+
+    async def _state(self) -> GatewayState:
+        return await asyncio.to_thread(self._link.client().state)
 
     async def _write(self, step: Calibrate, guide: Guide) -> str:
         revision = guide.in_force.revision
         if step.do == "accept_default":
             payload, done = calibration_payload(accept_default=True), "the default calibration is in force"
         elif step.do == "landing":
-            stand = standing(await self._gateway.state())
+            stand = standing(await self._state())
             if not stand:
                 raise CalibrationError("no servo runs, so nobody knows where the robot stands: make it stand first")
             payload = calibration_payload(landing=stand, revision=revision)
@@ -111,7 +102,7 @@ class Calibrating:
             done = "written"
         else:
             raise CalibrationError("nothing has changed, so there is nothing to write")
-        ack = await self._gateway.ask(keys.CALIBRATION_CMD, self._signed(payload), again=False)
+        ack = await self._link.ask(keys.CALIBRATION_CMD, self._signed(payload), again=False)
         both = await self._look()
         if ack.accepted:
             return f"{done}: revision {guide.in_force.revision}"

@@ -8,9 +8,11 @@ sends by mistake is taken while nobody drives.
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final
 
 from gateway.errors import GatewayError
+from gateway.people.client.blocking import Client
+from gateway.people.client.lease import NOT_OURS
 from gateway.people.console.messages import Lease, LeaseMessage
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
@@ -19,28 +21,14 @@ RENEW_S: Final = 1.0
 RELEASE_S: Final = 0.5
 MAX_WAITING: Final = 8
 """Requests of one page; they are made one after the other."""
-NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
-
-
-class Requests(Protocol):
-    """What is asked of the gateway; each call waits. Raises GatewayError."""
-
-    def as_person(self, do: str, name: str | None = None) -> LeaseAck:
-        """`acquire`, `ask` or `take`; `name` counts where the console has no certificate."""
-
-    def renew(self, token: str, timeout_s: float | None = None) -> LeaseAck:
-        """Keep it."""
-
-    def release(self, token: str, to: str | None = None, timeout_s: float | None = None) -> LeaseAck:
-        """Give it up, or hand it over."""
 
 
 class Driving:
     """On the event loop; what waits runs on threads."""
 
-    def __init__(self, requests: Callable[[], Requests], name: str, send: Callable[[LeaseMessage], None]) -> None:
-        """`requests` raises GatewayError while there is no session. `name` is the page's."""
-        self._requests = requests
+    def __init__(self, client: Callable[[], Client], name: str, send: Callable[[LeaseMessage], None]) -> None:
+        """`client` raises GatewayError while there is no session. `name` is the page's."""
+        self._client = client
         self._name = name
         self._send = send
         self._turn = asyncio.Lock()
@@ -89,7 +77,7 @@ class Driving:
             self._answered(request, ack)
 
     async def _asked(self, request: Lease) -> LeaseAck:
-        requests, token = self._requests(), self.token
+        requests, token = self._client().lease_requests, self.token
         if request.do in ("renew", "release"):
             if token is None:
                 return LeaseAck(accepted=False, reason=Reason.NOT_HOLDER, detail="this page does not have the lease")
@@ -105,18 +93,8 @@ class Driving:
             self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
         elif request.do == "renew":
             self.mine = ack.accepted
-        self._send(
-            LeaseMessage(
-                mine=self.mine,
-                id=request.id,
-                accepted=ack.accepted,
-                reason=None if ack.reason is None else str(ack.reason),
-                detail=ack.detail,
-                holder=ack.holder,
-                verified=ack.verified,
-                ttl_ms=ack.ttl_ms,
-            )
-        )
+        # Of the answer it has the fields that a page may know: not the token.
+        self._send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
 
     def _lost(self, reason: str, detail: str | None) -> None:
         self.mine = False
@@ -127,4 +105,4 @@ class Driving:
         self.token, self.mine = None, False
         if token is not None and mine:
             with suppress(GatewayError):  # what is not answered expires by itself
-                await asyncio.to_thread(self._requests().release, token, None, RELEASE_S)
+                await asyncio.to_thread(self._client().lease_requests.release, token, None, RELEASE_S)

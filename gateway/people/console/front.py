@@ -30,7 +30,7 @@ from websockets.typing import Subprotocol
 
 from gateway.people.console.door import SUBPROTOCOL, Door, SignedIn
 from gateway.people.console.messages import MAX_BYTES
-from gateway.people.console.tls import Layer, Plain, Tls
+from gateway.people.console.tls import Layer, Tls
 from gateway.people.console.websocket import Allowance
 from gateway.robot.host.realtime import SWITCH_INTERVAL_S
 
@@ -157,7 +157,7 @@ class Front:
             self._begin(connection, str(address[0]))
 
     def _begin(self, connection: socket.socket, address: str) -> None:
-        layer = Plain() if self._context is None else Tls(self._context)
+        layer = Layer() if self._context is None else Tls(self._context)
         protocol = ServerProtocol(subprotocols=[Subprotocol(SUBPROTOCOL)], max_size=MAX_BYTES, logger=_silent)
         visit = _Visit(connection, address, layer, protocol)
         self._unknown.add(visit)

@@ -16,12 +16,9 @@ from typing import Any, Final, Literal, Protocol, TypeVar
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.live import SILENT_MS, Live, OnLoop, Receiver, set_upright
-from gateway.people.client.requests import ButtonRequests
-from gateway.people.console.driving import Requests
+from gateway.people.client.stops import AT_ONCE
 from gateway.people.console.messages import LinkMessage
-from gateway.people.console.stops import AT_ONCE
 from gateway.people.tools import why
-from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.host.descriptors import Spare
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
@@ -99,39 +96,25 @@ class GatewayLink(Receiver):
 
     # ---- what pages send
 
-    def client(self, source: str) -> Client:
+    def client(self) -> Client:
+        """The one of all pages, whose questions wait on a thread. Raises ZenohError while there is no session."""
+        if self._live.client is None:
+            raise ZenohError("no gateway has been reached yet")
+        return self._live.client
+
+    def connect(self, source: str) -> Client:
         """A session of its own, named so; waits for it. Raises GatewayError."""
         return self._connect(source=source)
 
-    def publish(self, key: str, payload: Mapping[str, Any]) -> None:
-        """Put a command, once; at most a millisecond, since Zenoh drops what finds no place. Raises ZenohError."""
-        self._session().publish(key, payload)
-
     async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
         """An acknowledged command; only with `again`, for a Stop, it is sent more than once. Raises GatewayError."""
-        client = self._session()
+        client = self.client()
         threads = self._stops if again else self._questions
         return await threads.run(lambda: client.ask(key, payload, again=again))
 
-    def lease_requests(self) -> Requests:
-        """Questions about the lease. Raises ZenohError."""
-        return self._session().lease_requests
-
-    def button_requests(self) -> ButtonRequests:
-        """Questions about a stop button. Raises ZenohError."""
-        return self._session().button_requests
-
-    async def calibration(self) -> Calibration:
-        """What is in force. Raises GatewayError."""
-        return calibration_of(await asyncio.to_thread(self._session().calibration))
-
     async def set_upright(self) -> Ack:
         """Put a robot that is simulated with physics on its feet. Raises GatewayError."""
-        return await asyncio.to_thread(partial(set_upright, self._session()))
-
-    async def state(self) -> GatewayState:
-        """How the robot is now. Raises GatewayError."""
-        return await asyncio.to_thread(self._session().state)
+        return await asyncio.to_thread(partial(set_upright, self.client()))
 
     async def estop(self, source: str | None) -> Ack:
         """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError.
@@ -139,18 +122,13 @@ class GatewayLink(Receiver):
         `source`: by whose name, if not the console's.
         """
         await self._opened.wait()
-        client = self._session()
+        client = self.client()
         if not client.connected:
             self._spare.give_up()  # another way to the gateway takes descriptors, and there may be no others
         try:
             return await self._stop_all.run(partial(client.estop, source))
         finally:
             self._spare.fill()
-
-    def _session(self) -> Client:
-        if self._live.client is None:
-            raise ZenohError("no gateway has been reached yet")
-        return self._live.client
 
     # ---- what is received
 
@@ -201,7 +179,7 @@ class GatewayLink(Receiver):
     def _watch(self) -> None:
         if (time.monotonic_ns() - (self._state_ns or 0)) / 1e6 <= SILENT_MS:
             return
-        linked = self._session().connected
+        linked = self.client().connected
         if linked and not self._ended:
             self._note("silent", self._link.detail or "the gateway is silent; it may hang")
         elif not linked:

@@ -48,9 +48,7 @@ class Outgoing:
         self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage | StopButtonMessage] = deque(
             maxlen=KEPT
         )
-        self._link: LinkMessage | None = None
-        self._walk: WalkMessage | None = None
-        self._body: BodyMessage | None = None
+        self._newest: dict[type[Message], Message] = {}
         self._state: Callable[[], str] | None = None
         self._events: deque[EventMessage] = deque(maxlen=KEPT)
         self._events_lost = 0
@@ -66,12 +64,8 @@ class Outgoing:
                 self._acks.append(message)
             case LeaseMessage() | CalibrationMessage() | LinkForMessage() | StopButtonMessage():
                 self._answers.append(message)
-            case LinkMessage():
-                self._link = message
-            case WalkMessage():
-                self._walk = message
-            case BodyMessage():
-                self._body = message
+            case LinkMessage() | WalkMessage() | BodyMessage():
+                self._newest[type(message)] = message
             case EventMessage():
                 if len(self._events) == KEPT:
                     self._events_lost += 1 + self._events[0].left_out
@@ -87,13 +81,7 @@ class Outgoing:
         """The texts to send now, in their order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
-        messages: list[Message] = [*self._stops.values(), *self._acks, *self._answers]
-        if self._link is not None:
-            messages.append(self._link)
-        if self._walk is not None:
-            messages.append(self._walk)
-        if self._body is not None:
-            messages.append(self._body)
+        messages: list[Message] = [*self._stops.values(), *self._acks, *self._answers, *self._newest.values()]
         texts = [message.model_dump_json() for message in messages]
         if self._state is not None:
             texts.append(self._state())
@@ -103,9 +91,7 @@ class Outgoing:
             )
             self._events_lost = 0
         texts += [event.model_dump_json() for event in self._events]
-        self._stops.clear()
-        self._acks.clear()
-        self._answers.clear()
-        self._events.clear()
-        self._link = self._walk = self._body = self._state = None
+        for sent in (self._stops, self._acks, self._answers, self._newest, self._events):
+            sent.clear()
+        self._state = None
         return texts

@@ -40,7 +40,6 @@ from gateway.people.console.messages import (
     Role,
     StopAll,
     StopButton,
-    Stopping,
     Upright,
     WalkWish,
 )
@@ -74,9 +73,17 @@ class EndError(Exception):
 
 
 class Pages(Listener):
-    """All open pages; what the gateway publishes goes to each of them."""
+    """All open pages; what the gateway publishes goes to each of them.
 
-    def __init__(self) -> None:
+    All sessions end when the gateway says that this console's own certificate is revoked. It says so before it lets go
+    of the connection. A console that is not connected then gets in no more, so its pages show no robot.
+    """
+
+    def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:
+        """`common_name` is of this console's own certificate; `end_sessions` writes a file, so a thread calls it."""
+        self._common_name = common_name
+        self._end_sessions = end_sessions
+        self._ending: asyncio.Future[int] | None = None
         self._pages: set[Page] = set()
         self._opened = 0
         self._state: Callable[[], str] | None = None
@@ -116,6 +123,9 @@ class Pages(Listener):
     def received_event(self, event: Event, left_out: int) -> None:
         self._events.append(EventMessage(event=event, left_out=left_out))
         self._send(self._events[-1])
+        if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
+            logger.warning("this console's certificate (%s) is revoked: all its sessions end", self._common_name)
+            self._ending = asyncio.ensure_future(asyncio.to_thread(self._end_sessions))
 
     def link_changed(self, link: LinkMessage) -> None:
         self._link = link
@@ -124,27 +134,6 @@ class Pages(Listener):
     def _send(self, message: EventMessage | LinkMessage) -> None:
         for page in self._pages:
             page.outgoing.put(message)
-
-
-class PagesOfCertificate(Pages):
-    """Ends all sessions when the gateway says that this console's own certificate is revoked.
-
-    It says so before it lets go of the connection. A console that is not connected then gets in no more, so its pages
-    show no robot.
-    """
-
-    def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:
-        """`end_sessions` writes a file, so it is called on a thread."""
-        super().__init__()
-        self._common_name = common_name
-        self._end_sessions = end_sessions
-        self._ending: asyncio.Future[int] | None = None
-
-    def received_event(self, event: Event, left_out: int) -> None:
-        super().received_event(event, left_out)
-        if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
-            logger.warning("this console's certificate (%s) is revoked: all its sessions end", self._common_name)
-            self._ending = asyncio.ensure_future(asyncio.to_thread(self._end_sessions))
 
 
 def _state_text(state: str, received_ns: int) -> str:
@@ -170,20 +159,16 @@ class Page:
         self._role = role
         self._link = link
         self._stops = stops
-        self._driving = Driving(link.lease_requests, self.source, self.outgoing.put)
+        self._driving = Driving(link.client, self.source, self.outgoing.put)
         self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
-        self._walking = Walking(link.client, f"{self.source} walks", geometry, self.outgoing.put)
+        self._walking = Walking(link.connect, f"{self.source} walks", geometry, self.outgoing.put)
         self._inviting = _Inviting(new_link, self.outgoing.put)
-        self._button = Pressing(link.button_requests, f"{person[:40]}/page {number}", self.outgoing.put)
+        self._button = Pressing(link.client, f"{person[:40]}/page {number}", self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._wishes = Staleness(WISH_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
         self._leg_stops: dict[tuple[str, str], asyncio.Task[None]] = {}
         """By their key and what they stop; a newer one makes an older give way."""
-
-    def send(self, message: Stopping) -> None:
-        """How far its stop has come."""
-        self.outgoing.put(message)
 
     def take(self, text: str) -> None:
         """One message of the page's. Raises EndError for what no page of ours sends."""
@@ -201,15 +186,15 @@ class Page:
 
     def close(self) -> None:
         """The WebSocket is closed. A stop that it asked for goes on; the lease is given back, after the walk."""
-        self._walking.leave(self._driving.close)
-        self._stops.leave(self)
+        self._walking.when_over(self._driving.close, sits=False)
+        self._stops.leave(self.outgoing)
 
     def _do(
         self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | StopButton | LinkFor | Upright
     ) -> None:
         match message:
             case StopAll():
-                self._stops.press(self, message.id, self._button.name if message.button else None)
+                self._stops.press(self.outgoing, message.id, self._button.name if message.button else None)
             case Command():
                 self._command(message)
             case Reset():
@@ -241,7 +226,7 @@ class Page:
         if self._driving.is_full:
             raise EndError("too many requests for the lease wait for their answers")
         if message.do == "release":  # who walks sits down first
-            self._walking.end(partial(self._driving.ask, message))
+            self._walking.when_over(partial(self._driving.ask, message), sits=True)
         else:
             self._driving.ask(message)
 
@@ -259,7 +244,7 @@ class Page:
             self._ask(message.id, message.key, payload)
         else:
             with suppress(GatewayError):  # the page is sent the link's state
-                self._link.publish(message.key, payload)
+                self._link.client().publish(message.key, payload)  # at most a millisecond
 
     def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:
         token = self._driving.token

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.errors import GatewayError
-from gateway.people.client.requests import ButtonRequests
+from gateway.people.client.blocking import Client
 from gateway.people.console.messages import StopButton, StopButtonMessage
 from schemas.button import ButtonAck
 
@@ -19,11 +19,9 @@ ANSWER_S: Final = 1.0
 class Pressing:
     """On the event loop; what waits runs on threads."""
 
-    def __init__(
-        self, requests: Callable[[], ButtonRequests], name: str, send: Callable[[StopButtonMessage], None]
-    ) -> None:
-        """`requests` raises GatewayError while there is no session. `name` is the page's."""
-        self._requests = requests
+    def __init__(self, client: Callable[[], Client], name: str, send: Callable[[StopButtonMessage], None]) -> None:
+        """`client` raises GatewayError while there is no session. `name` is the page's."""
+        self._client = client
         self.name = name
         self._send = send
         self._token: str | None = None
@@ -40,19 +38,17 @@ class Pressing:
     async def _run(self) -> None:
         while (message := self._next) is not None:
             self._next = None
-            answer = StopButtonMessage(id=message.id, do=message.do)
             try:
                 ack = await asyncio.to_thread(self._ask, message)
             except (GatewayError, RuntimeError) as error:  # RuntimeError: no thread is to be had
-                answer = answer.model_copy(update={"detail": str(error)})
+                self._send(StopButtonMessage(id=message.id, do=message.do, detail=str(error)))
             else:
-                answer = self._answered(answer, ack)
-            self._send(answer)
+                self._send(self._answered(message, ack))
         self._task = None
 
     def _ask(self, message: StopButton) -> ButtonAck:
         """On a thread."""
-        requests = self._requests()
+        requests = self._client().button_requests
         if message.do == "register":
             return requests.register(self.name, message.sent_ms)
         token = self._token or "0" * 32  # of no button: the gateway says so
@@ -62,17 +58,10 @@ class Pressing:
         self._count += 1
         return requests.alive(token, self._count, message.sent_ms, ANSWER_S)
 
-    def _answered(self, answer: StopButtonMessage, ack: ButtonAck) -> StopButtonMessage:
+    def _answered(self, message: StopButton, ack: ButtonAck) -> StopButtonMessage:
         if ack.accepted and ack.button is not None:
             self._token, self._count = ack.button, 0
-        return answer.model_copy(
-            update={
-                "accepted": ack.accepted,
-                "reason": None if ack.reason is None else str(ack.reason),
-                "detail": ack.detail,
-                "name": self.name,
-                "timeout_ms": ack.timeout_ms,
-                "alive": ack.alive,
-                "required": ack.required,
-            }
+        # Of the answer it has the fields that a page may know: not the token.
+        return StopButtonMessage.model_validate(
+            {**ack.model_dump(), "id": message.id, "do": message.do, "name": self.name}
         )

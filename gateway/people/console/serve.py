@@ -27,7 +27,7 @@ from gateway.people.console.door import Door
 from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
 from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.messages import ROLES, Role, least
-from gateway.people.console.pages import PagesOfCertificate
+from gateway.people.console.pages import Pages
 from gateway.people.console.register import LINK_S, Register
 from gateway.people.console.site import DEFAULT_PORT, Site
 from gateway.people.console.stops import Stops
@@ -99,7 +99,7 @@ async def _run(
     loop.set_exception_handler(report)
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    site, pages = options.site, PagesOfCertificate(common_name, found.revoke)
+    site, pages = options.site, Pages(common_name, found.revoke)
     gateway = GatewayLink(options.connect, options.zenoh_config, person, options.timeout_s, pages)
     stops = Stops(gateway.estop)
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)

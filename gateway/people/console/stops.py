@@ -9,28 +9,21 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
+from gateway.people.client.stops import AGAIN_S, AT_ONCE
 from gateway.people.console.messages import Stopping
+from gateway.people.console.outgoing import Outgoing
 from schemas.telemetry import Ack
 
-AT_ONCE: Final = 4
-"""Requests under way at most, each on a thread that is kept for them; a key that is held repeats 30 times a second."""
-AGAIN_S: Final = 0.1
 MAX_PRESSES: Final = 16
 """Of one page, unconfirmed; the newest makes the oldest give way, for it asks for the same, later."""
 
 
-class StopPage(Protocol):
-    """The page that pressed; it may be gone."""
-
-    def send(self, message: Stopping) -> None:
-        """How far its stop has come. Never waits."""
-
-
 @dataclass(eq=False)
 class _Press:
-    page: StopPage | None
+    page: Outgoing | None
+    """Of the page that pressed; None: it is gone."""
     id: int
     source: str | None
     pressed_ns: int
@@ -52,7 +45,7 @@ class Stops:
         """Whether a press waits for its confirmation."""
         return bool(self._unconfirmed)
 
-    def press(self, page: StopPage, press_id: int, source: str | None = None) -> None:
+    def press(self, page: Outgoing, press_id: int, source: str | None = None) -> None:
         """A page asks for it, now; `source` is by whose name, if not the console's."""
         press = _Press(page, press_id, source, time.monotonic_ns())
         mine = [other for other in self._unconfirmed if other.page is page]
@@ -63,7 +56,7 @@ class Stops:
             self._request(source)
         self._send(press)
 
-    def leave(self, page: StopPage) -> None:
+    def leave(self, page: Outgoing) -> None:
         """The page is gone: of its presses, and those of all that went before, the newest stands for all of them."""
         for press in self._unconfirmed:
             if press.page is page:
@@ -99,7 +92,7 @@ class Stops:
     def _send(self, press: _Press, ack: Ack | None = None, error: str | None = None) -> None:
         if press.page is None:
             return
-        press.page.send(
+        press.page.put(
             Stopping(
                 id=press.id,
                 asked_ms_ago=(time.monotonic_ns() - press.pressed_ns) / 1e6,

@@ -6,39 +6,29 @@ state of its protocol. asyncio's own TLS is bound to the loop that it began on.
 
 import ssl
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 RECORD_BYTES: Final = 16_384
 """The largest record of TLS; as much is decrypted in one step."""
 
 
-class Layer(Protocol):
-    """What is between a socket and HTTP."""
+class Layer:
+    """What is between a socket and HTTP. This one is no TLS, and changes nothing."""
 
     def receive(self, data: bytes) -> bytes:
         """Take what came, and return its content. Raises EOFError once the other side has closed, ssl.SSLError."""
+        return data
 
     def encrypt(self, data: bytes) -> bytes:
         """What to send so that the other side receives `data`. Raises ssl.SSLError."""
+        return data
 
     def to_send(self) -> bytes:
         """What is to be sent besides: answers of the handshake, alerts."""
-
-
-class Plain:
-    """No TLS."""
-
-    def receive(self, data: bytes) -> bytes:
-        return data
-
-    def encrypt(self, data: bytes) -> bytes:
-        return data
-
-    def to_send(self) -> bytes:
         return b""
 
 
-class Tls:
+class Tls(Layer):
     """The server's side."""
 
     def __init__(self, context: ssl.SSLContext) -> None:

@@ -84,14 +84,9 @@ class Walking:
             self._ride = None
             self._send(WalkMessage(press=wish.press, detail=str(error)))
 
-    def end(self, then: Callable[[], None]) -> None:
-        """Sit down and stop the legs, and then call `then`."""
-        if self._ride is None or not self._ride.end(partial(self._later, then)):
-            then()
-
-    def leave(self, then: Callable[[], None]) -> None:
-        """The page is gone, so it is silent from now on; `then` is called once the legs are stopped."""
-        if self._ride is None or not self._ride.leave(partial(self._later, then)):
+    def when_over(self, then: Callable[[], None], *, sits: bool) -> None:
+        """Call `then` once the legs are stopped; with `sits` it sits down now, else when the page's silence has it."""
+        if self._ride is None or not self._ride.when_over(partial(self._later, then), sits=sits):
             then()
 
     def _later(self, call: Callable[..., None], *arguments: object) -> None:
@@ -144,21 +139,14 @@ class _Ride(threading.Thread):
             self._wish = (wish, time.monotonic())
             self._changed.notify()
 
-    def end(self, then: Callable[[], None]) -> bool:
-        """Sit down now; False where it is over."""
+    def when_over(self, then: Callable[[], None], *, sits: bool) -> bool:
+        """`sits`: sit down now. False where it is over: then nothing is called."""
         with self._changed:
-            self._ending = self._ending or not self._over
-            return self._call_later(then)
-
-    def leave(self, then: Callable[[], None]) -> bool:
-        """No wish comes any more; False where it is over."""
-        with self._changed:
-            return self._call_later(then)
-
-    def _call_later(self, then: Callable[[], None]) -> bool:
-        if not self._over:
+            if self._over:
+                return False
+            self._ending = self._ending or sits
             self._then.append(then)
-        return not self._over
+            return True
 
     # ---- its thread
 

@@ -6,8 +6,10 @@ from collections.abc import AsyncIterator
 import pytest
 
 from gateway.errors import DisconnectedError
+from gateway.people.client.stops import AGAIN_S, AT_ONCE
 from gateway.people.console.messages import Stopping
-from gateway.people.console.stops import AGAIN_S, AT_ONCE, MAX_PRESSES, Stops
+from gateway.people.console.outgoing import Message, Outgoing
+from gateway.people.console.stops import MAX_PRESSES, Stops
 from schemas.telemetry import Ack
 
 pytestmark = pytest.mark.virtual_time
@@ -37,13 +39,15 @@ class Robot:
         await turns()
 
 
-class Page:
-    """Hears how far its stops have come."""
+class Page(Outgoing):
+    """Keeps all that it is sent of how far its stops have come."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.heard: list[Stopping] = []
 
-    def send(self, message: Stopping) -> None:
+    def put(self, message: Message) -> None:
+        assert isinstance(message, Stopping)
         self.heard.append(message)
 
     def answered(self) -> list[int]:
