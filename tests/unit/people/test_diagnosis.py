@@ -1,15 +1,25 @@
 """Why no connection comes about, as far as it takes no network: clocks, and what an endpoint may be."""
 
 import datetime as dt
+import socket
+import ssl
+import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
+from gateway import certs
+from gateway.certs import authority
+from gateway.certs.files import read_certificate, read_key
 from gateway.people.client.diagnosis import Identity, Step, look, validity
+from gateway.people.tools import why
 
 BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 END = dt.datetime(2028, 1, 1, tzinfo=dt.UTC)
 SECOND = dt.timedelta(seconds=1)
+DAY = dt.timedelta(days=1)
 
 
 @pytest.mark.parametrize(
@@ -39,3 +49,35 @@ def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
     (finding,) = look(endpoint, Identity(), time.monotonic() + 1)
     assert finding.step is Step.ENDPOINT
     assert finding.fix
+
+
+def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
+    """As after two years in a cupboard; the service itself would not start with it, but one that runs goes on."""
+    certs.init(tmp_path, ["127.0.0.1"])
+    certs.issue(tmp_path, "anna", "operator")
+    ca = authority.KeyPair(read_certificate(tmp_path / "ca.pem"), read_key(tmp_path / "ca.key"))
+    old = authority.make_gateway(ca, ["127.0.0.1"], 1, dt.datetime.now(dt.UTC) - 2 * DAY)
+    (tmp_path / "old.pem").write_bytes(old.certificate_pem())
+    (tmp_path / "old.key").write_bytes(old.key_pem())
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "old.pem", tmp_path / "old.key")
+    with socket.create_server(("127.0.0.1", 0)) as robot:
+
+        def shake_hands() -> None:
+            with suppress(OSError), robot.accept()[0] as connection:
+                context.wrap_socket(connection, server_side=True)
+
+        threading.Thread(target=shake_hands, daemon=True).start()
+        identity = Identity(tmp_path / "ca.pem", tmp_path / "anna.pem", tmp_path / "anna.key")
+        *_, last = look(f"tls/127.0.0.1:{robot.getsockname()[1]}", identity, time.monotonic() + 10)
+    assert last.sentence == "the robot's certificate has expired"
+    assert "hexapod-gateway certs renew gateway" in last.fix
+
+
+def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path) -> None:
+    """Of somebody who watches: the link ends with it, and this is why."""
+    certs.init(tmp_path, ["127.0.0.1"])
+    certs.issue(tmp_path, "dora", "operator", days=1, now=dt.datetime.now(dt.UTC) - 2 * DAY)
+    (line,) = why.unreached(None, tmp_path / "dora.json5")
+    assert "dora.pem expired on" in line
+    assert "get a new one from `hexapod-gateway certs renew`" in line
