@@ -1,9 +1,8 @@
 #!/usr/bin/python3
 """An emulated `/dev/spidev0.0` (umockdev) for unmodified programs; runs under the system's Python, which has gi.
 
-By hand:            spi_testbed.py [--log PATH] -- COMMAND …     (one JSON object a line, exits with COMMAND's status)
-By the test kit:    spi_testbed.py --control-fd N               (see `tests/hil/bed.py`, the other end of the socket)
-What is missing:    spi_testbed.py --check                      (one Debian package a line)
+By the test kit:    spi_testbed.py --control-fd N      (see `tests/hil/bed.py`, the other end of the socket)
+What is missing:    spi_testbed.py --check             (one Debian package a line)
 
 On the socket, JSON lines both ways. Out: first `ready` with the environment for children, then every `open`, setting
 and transfer as it arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "fail", …}`.
@@ -27,14 +26,12 @@ import signal
 import socket
 import stat
 import struct
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 NODE = "spidev0.0"
@@ -433,42 +430,19 @@ def serve(channel: socket.socket) -> int:
     return 0
 
 
-def run(command: list[str], log: str) -> int:
-    """Run one command on the emulated device, pass SIGTERM and SIGINT on to it, and return its status."""
-    with nullcontext(sys.stdout) if log == "-" else Path(log).open("w", encoding="utf-8") as output:
-        bed = Testbed(lambda event: print(json.dumps(event), file=output, flush=True))
-        try:
-            child = subprocess.Popen(command, env={**os.environ, **bed.environment})
-
-            def pass_on(number: int, _frame: FrameType | None) -> None:
-                child.send_signal(number)
-
-            signal.signal(signal.SIGTERM, pass_on)
-            signal.signal(signal.SIGINT, pass_on)
-            status = child.wait()
-        finally:
-            bed.close()
-    return status if status >= 0 else 128 - status
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description="Run programs on an emulated SPI device.")
-    parser.add_argument("--check", action="store_true", help="print the Debian packages missing here")
-    parser.add_argument("--control-fd", type=int, help="serve the test kit on this socket")
-    parser.add_argument("--log", default="-", help="where the JSON lines go (default: standard output)")
-    parser.add_argument("command", nargs="*", help="after --: what to run")
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument("--check", action="store_true", help="print the Debian packages missing here")
+    task.add_argument("--control-fd", type=int, help="serve the test kit on this socket")
     options = parser.parse_args()
-    missing = missing_packages()
-    if options.check or missing:
-        print("\n".join(missing), file=sys.stdout if options.check else sys.stderr)
+    if options.control_fd is None:
+        missing = missing_packages()
+        print("\n".join(missing))
         return 1 if missing else 0
-    if options.control_fd is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the test run, which then closes the socket
-        with socket.socket(fileno=options.control_fd) as channel:
-            return serve(channel)
-    if not options.command:
-        parser.error("what shall be run?")
-    return run(options.command, options.log)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the test run, which then closes the socket
+    with socket.socket(fileno=options.control_fd) as channel:
+        return serve(channel)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """`check` on the emulated device: what it says of it, and that it writes nothing and disturbs nobody."""
 
 import errno
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -57,20 +58,26 @@ def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestb
         assert len(spi_testbed.transfers) == 6
 
 
-def test_a_node_that_this_user_may_not_open(spi_testbed: SpiTestbed, config: Path) -> None:
-    spi_testbed.fail_open(errno.EACCES)
+NO_DEVICE: dict[str, tuple[Callable[[SpiTestbed], None], str]] = {
+    "this user may not open it": (lambda bed: bed.fail_open(errno.EACCES), f"{DEVICE} may not be opened by "),
+    "it is not there": (
+        lambda bed: bed.remove_node(),
+        f"{DEVICE} does not exist → switch SPI on (dtparam=spi=on",
+    ),
+    "it does not open": (lambda bed: bed.fail_open(errno.ENXIO), f"{DEVICE} "),
+}
+
+
+@pytest.mark.parametrize(("fault", "sentence"), NO_DEVICE.values(), ids=NO_DEVICE)
+def test_a_device_that_cannot_be_had(
+    spi_testbed: SpiTestbed, config: Path, fault: Callable[[SpiTestbed], None], sentence: str
+) -> None:
+    fault(spi_testbed)
     child = check(spi_testbed, config, privileged=False)
     assert child.returncode == 1
-    assert line(child, "SPI device").startswith(f"failure  SPI device     {DEVICE} may not be opened by ")
+    assert line(child, "SPI device").startswith(f"failure  SPI device     {sentence}")
     assert " → " in line(child, "SPI device")
     assert child.stdout.splitlines()[-1] == "This machine cannot run the service: 1 failure."
-
-
-def test_a_node_that_is_not_there(spi_testbed: SpiTestbed, config: Path) -> None:
-    spi_testbed.remove_node()
-    child = check(spi_testbed, config)
-    assert child.returncode == 1
-    assert f"{DEVICE} does not exist → switch SPI on (dtparam=spi=on" in line(child, "SPI device")
 
 
 def test_another_node_is_named(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
@@ -78,10 +85,3 @@ def test_another_node_is_named(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
     child = check(spi_testbed, config)
     assert child.returncode == 1
     assert f"/dev/spidev7.1 does not exist → set spi.device; here there is {DEVICE}" in line(child, "SPI device")
-
-
-def test_a_device_that_does_not_open(spi_testbed: SpiTestbed, config: Path) -> None:
-    spi_testbed.fail_open(errno.ENXIO)
-    child = check(spi_testbed, config)
-    assert child.returncode == 1
-    assert line(child, "SPI device").startswith("failure")

@@ -83,13 +83,6 @@ def test_what_is_before_a_transfer_that_fails_is_on_the_wire_and_what_follows_is
     assert write(child, FRAME) == "written"
 
 
-def test_a_driver_that_ignores_cs_change_makes_one_long_cycle_of_it(spi_testbed: SpiTestbed) -> None:
-    child = writer(spi_testbed)
-    spi_testbed.ignore_cs_change()
-    assert write(child, [*FRAME, *FRAME]) == "written"
-    assert data_of(spi_testbed.transfers) == ["".join(str(data) for data, _ in [*FRAME, *FRAME])]
-
-
 def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], int]:
     """Starts, a silence, an emergency stop whose Stops meet a fault, the end: the bytes that arrived, and the calls."""
     folder.mkdir()
@@ -150,23 +143,6 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set(
         left.play(spi_testbed.transfers)
         assert left.controller.energised == frozenset(), "its last Stop is alone in its call"
         assert spi_testbed.delivered[-1] == OneServo(61, ServoOp(Op.STOP)).to_bytes()
-
-
-@pytest.mark.parametrize("code", [errno.EINVAL, errno.EMSGSIZE])
-def test_a_kernel_without_lists_takes_single_transfers(spi_testbed: SpiTestbed, code: int) -> None:
-    child = writer(spi_testbed)
-    spi_testbed.reject_lists(code)
-    assert write(child, FRAME) == "rejected"
-    assert spi_testbed.delivered == []
-    assert write(child, FRAME[:1]) == "written"
-
-
-def test_a_list_that_is_longer_than_the_buffer_is_rejected_and_none_of_it_leaves(spi_testbed: SpiTestbed) -> None:
-    child = writer(spi_testbed)
-    spi_testbed.set_bufsiz(5 * 128)
-    assert write(child, [*ZEROS, *FRAME]) == "rejected"
-    assert spi_testbed.delivered == []
-    assert write(child, [*ZEROS[:3], *FRAME]) == "written"
 
 
 def test_of_two_writers_none_comes_into_the_other_s_batch(spi_testbed: SpiTestbed) -> None:

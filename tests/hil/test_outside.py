@@ -127,12 +127,6 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
             assert not replay.controller.corruptions
 
 
-def test_without_a_gateway_it_says_nothing_of_one(tmp_path: Path, wire: Wire) -> None:
-    assert stop_servos(tmp_path, wire).stdout.splitlines() == [
-        "Stop written to all six legs, 4 times each, on /dev/spidev0.0"
-    ]
-
-
 def test_a_gateway_that_hangs_is_not_waited_for(tmp_path: Path, wire: Wire, gateway: Gateway) -> None:
     gateway.child.send_signal(signal.SIGSTOP)
     try:

@@ -47,14 +47,6 @@ class Wire:
         """The next frames (hex), and nothing else among them; waits for them."""
         return self.expect_transfers(transfers_of(self.framing, *frames))
 
-    def expect_in_any_order(self, *frames: str) -> None:
-        """The same, where nothing says which of these frames comes first."""
-        begin, size = self._read, len(self.framing.transfers(b""))
-        self._read += len(frames) * size
-        found = self.bed.wait_for(lambda transfers: len(transfers) >= self._read, LATE_S)[begin : self._read]
-        chunks = [[each.data for each in found[place : place + size]] for place in range(0, len(found), size)]
-        assert sorted(chunks) == sorted(transfers_of(self.framing, frame) for frame in frames)
-
     def expect_opening(self, *frames: str) -> list[Transfer]:
         """The preamble, where the framing has one, and these frames."""
         return self.expect_transfers(opening_of(self.framing, *frames))
