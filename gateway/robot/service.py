@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import zenoh
 
 from gateway import __version__
-from gateway.errors import GatewayError
 from gateway.robot.blackbox.format import STOP_FACTS
 from gateway.robot.blackbox.place import folder_of
 from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder, RingRecorder
@@ -173,7 +172,7 @@ def run(
     ):
         end = runner.run(_run(settings, recorder, simulated=simulated, physics=physics, on_ready=on_ready))
         if end.failure is not None:
-            raise GatewayError(end.failure)
+            recorder.ended(end.failure)
     end.leave()  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
 
 

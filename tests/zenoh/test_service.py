@@ -17,10 +17,10 @@ import pytest
 from gateway import certs
 from gateway.client import Client
 from schemas import keys
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
-from tests.support.heard import events, states
+from tests.support.heard import states
 from tests.support.zenoh_actor import Remote
 
 
@@ -46,22 +46,6 @@ def test_it_says_where_its_zenoh_file_makes_it_listen(tmp_path: Path) -> None:
         assert hint.startswith("Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 (")
     finally:
         child.close()
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_it_within_a_second_with_stops_and_exit_code_0(tmp_path: Path, number: signal.Signals) -> None:
-    took_s: list[float] = []
-    while not took_s or (took_s[-1] >= 1 and len(took_s) < 3):  # a busy machine may keep it waiting for a processor
-        with Gateway(tmp_path) as gateway, gateway.client() as client:
-            client.start_leg(3, 1, 2, 3)
-            heard = events(client)
-            begun_s = time.monotonic()
-            gateway.child.send_signal(number)
-            assert gateway.child.wait() == 0
-            took_s.append(time.monotonic() - begun_s)
-            assert heard.wait(lambda event: event.kind is Kind.STOPPING)
-            assert "Traceback" not in gateway.child.stderr
-    assert min(took_s) < 1
 
 
 def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
@@ -139,15 +123,6 @@ def test_config_gives_a_zenoh_file(tmp_path: Path) -> None:
         assert list(client.session.get(keys.STATE, timeout=1)) == []
 
 
-@pytest.mark.parametrize(("level", "lines"), [("debug", True), ("info", False)])
-def test_level_debug_shows_what_the_simulated_controller_does(tmp_path: Path, level: str, lines: bool) -> None:
-    with Gateway(tmp_path, {"log": {"level": level}}) as gateway:
-        gateway.run("send", "leg", "3", "start", "90", "45", "120")
-        gateway.child.terminate()
-        gateway.child.wait()
-        assert ("servo 31 started at 90.00°, 1547 µs" in gateway.child.stderr) is lines
-
-
 def test_a_port_that_is_taken_ends_it_with_4_and_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
@@ -190,12 +165,13 @@ def test_a_wrong_configuration_ends_it_with_2_and_one_line_per_fault(tmp_path: P
 
 
 FAULTY = """
-import sys
+import atexit, os, sys
 from gateway import cli
 from gateway.robot.runtime import conductor
 def broken(self, received, now_ns):
     raise RuntimeError("planted")
 conductor.Conductor._receive = broken
+atexit.register(os.write, 2, b"ended by the interpreter, which aborts while a thread is inside Zenoh")
 sys.argv[1:] = ["run", "--sim", "--config", sys.argv[1]]
 cli.main()
 """

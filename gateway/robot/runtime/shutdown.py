@@ -88,6 +88,8 @@ class End:
         """Leave the process, or let it start anew."""
         if self.starts_anew:
             start_anew()
+        if self.failure is not None:
+            sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
         leave(self.exit_code)
 
     def task_done(self, task: "asyncio.Task[None]") -> None:
