@@ -3,7 +3,6 @@
 The framing is the published firmware's, and a simulated controller, which reads as it does, is given every transfer.
 """
 
-import errno
 import os
 import signal
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import LATE_S, Replay
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 from tests.support.way_down import Seen, Way, transferred
 
@@ -150,26 +149,3 @@ def test_sigterm_in_the_middle_stops_and_lands_no_further(scene: Scene) -> None:
         scene.gateway.child.send_signal(signal.SIGTERM)
         assert scene.gateway.child.wait(LATE_S) == 0
     scene.check_stopped()
-
-
-def test_after_sigkill_in_the_middle_stop_servos_stops_and_lands_no_further(scene: Scene) -> None:
-    with scene.gateway.client() as client:
-        scene.falls_silent(client)
-        scene.wait_for_frames(MIDWAY)
-        scene.gateway.child.kill()
-    assert not scene.check(), "it had no time to stop anything"
-    child = scene.bed.spawn([*COMMAND, "stop-servos", "--config", str(scene.gateway.config)])
-    assert child.wait(LATE_S) == 0, child
-    scene.check_stopped()
-
-
-def test_a_bus_fault_in_the_middle_ends_it_and_the_bus_that_answers_again_gets_stops(scene: Scene) -> None:
-    with scene.gateway.client() as client:
-        heard = events(client)
-        scene.falls_silent(client)
-        scene.wait_for_frames(MIDWAY)
-        scene.bed.fail(errno.EIO, count=1)
-        heard.wait(lambda event: event.kind == Kind.BUS_RECOVERED, timeout_s=LATE_S)
-        scene.check_stopped()
-        assert not [event for event in heard.all if event.kind == Kind.WATCHDOG_EXPIRED]
-        scene.check_next_command_must_be_a_start(client)

@@ -176,7 +176,7 @@ def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway
 # ---- the end
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
     tmp_path: Path, wire: Wire, number: signal.Signals
 ) -> None:
@@ -185,11 +185,14 @@ def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
         wire.expect_repeats(3, *STOPS)
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
+        heard = events(client)
         begun_s = time.monotonic()
         gateway.child.send_signal(number)
         assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
         took_s = time.monotonic() - begun_s
         assert took_s < 1.5, "a second, and half of one for a busy machine to end a process"
+        assert heard.wait(lambda event: event.kind is Kind.STOPPING)
+        assert "Traceback" not in gateway.child.stderr
         wire.expect(*STOPS)
         wire.expect_repeats(3, *STOPS)
         wire.expect_nothing()

@@ -93,12 +93,6 @@ def test_of_two_who_change_the_same_revision_one_is_told_so(gateway: Gateway, cl
         assert client.calibration().landing["11"] == 40
 
 
-def test_whoever_drives_calibrates(gateway: Gateway, client: Client) -> None:
-    with gateway.client(source="bert") as bert, client.lease():
-        assert bert.calibrate(landing={11: 30}).reason == Reason.NOT_HOLDER
-        assert client.calibrate(landing={11: 30}).accepted
-
-
 def test_for_asyncio_the_same(gateway: Gateway) -> None:
     async def change() -> tuple[Ack, Calibration]:
         async with AsyncClient(gateway.endpoint, timeout_s=5) as robot:

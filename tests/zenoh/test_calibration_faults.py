@@ -147,21 +147,6 @@ def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path:
         assert path.with_name("calibration.broken.toml").read_text() == text
 
 
-ROUNDS = 4
-"""Each starts a gateway."""
-
-
-def test_what_was_acknowledged_is_in_force_after_sigkill(tmp_path: Path, path: Path) -> None:
-    acknowledged = 0
-    for _ in range(ROUNDS):
-        with Gateway(tmp_path, settings(path)) as gateway, gateway.client() as client:
-            assert client.state().calibration.revision == acknowledged
-            assert client.calibration().servos["31"].trim_deg == acknowledged
-            assert client.calibrate({31: ServoChange(trim_deg=acknowledged + 1)}).accepted
-            gateway.child.kill()
-            acknowledged += 1
-
-
 def test_whoever_is_killed_at_any_moment_leaves_the_old_one_or_the_new(path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tests.support.killed_writer", str(path), "60"],

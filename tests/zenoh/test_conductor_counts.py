@@ -6,7 +6,6 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.robot.core.intake import MAX_KEY
-from gateway.robot.core.message import Verb
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
@@ -51,21 +50,6 @@ async def test_an_emergency_stop_says_how_long_it_took_and_is_measured() -> None
     ack = robot.ask(keys.ESTOP)
     assert ack.stop_frames == 0
     assert len(robot.conductor.metrics.emergency_stops.recent_us) == 2, "that was none for all legs"
-
-
-async def test_a_delete_engages_the_emergency_stop() -> None:
-    robot = await started_and_quiet()
-    robot.put(keys.ESTOP, verb=Verb.DELETE)
-    assert robot.mode == Mode.ESTOPPED
-
-
-async def test_a_wildcard_leaves_no_emergency_stop_whatever_its_number_and_however_late() -> None:
-    robot = await started_and_quiet()
-    robot.put(keys.ESTOP)
-    robot.put(keys.RESET, {"estop": 1}, expression="hexapod/**/cmd")
-    await asyncio.sleep(3)
-    robot.put(keys.RESET, expression="hexapod/*/cmd")
-    assert robot.mode == Mode.ESTOPPED
 
 
 # ---- counters and events
