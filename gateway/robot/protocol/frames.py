@@ -14,7 +14,7 @@ be built here. Every message counts bytes from 1, as docs/protocol.md does.
 
 import enum
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final
 
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
@@ -48,13 +48,15 @@ OP_SET: Final = Op.SET
 """For what each setpoint asks: to find a member by way of its enum takes Python 3.11 as long as three calls."""
 
 
+@dataclass(slots=True, init=False, unsafe_hash=True)
 class ServoOp:
     """What one servo is told: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP).
 
-    Written out, since each setpoint makes three, and a frozen dataclass that checks itself takes twice as long to make.
+    Each setpoint makes three. One that is frozen at run time, and checks itself, takes twice as long to make.
     """
 
-    __slots__ = ("angle_cdeg", "op")
+    op: Final[Op]
+    angle_cdeg: Final[int]
 
     def __init__(self, op: Op, angle_cdeg: int = 0) -> None:
         if type(op) is not Op:
@@ -65,17 +67,8 @@ class ServoOp:
             raise FrameError(f"the angle is {angle_cdeg} hundredths of a degree; it is 0 to {MAX_ANGLE_CDEG}")
         if op is OP_STOP and angle_cdeg != 0:
             raise FrameError(f"the angle of a Stop is {angle_cdeg} hundredths of a degree; a Stop has none, so 0")
-        self.op: Final = op
-        self.angle_cdeg: Final = angle_cdeg
-
-    def __eq__(self, other: object) -> bool:
-        return type(other) is ServoOp and (self.op, self.angle_cdeg) == (other.op, other.angle_cdeg)
-
-    def __hash__(self) -> int:
-        return hash((self.op, self.angle_cdeg))
-
-    def __repr__(self) -> str:
-        return f"ServoOp(op={self.op!r}, angle_cdeg={self.angle_cdeg})"
+        self.op = op
+        self.angle_cdeg = angle_cdeg
 
 
 STOP: Final = ServoOp(OP_STOP)
@@ -114,17 +107,13 @@ class OneServo:
         whole_deg, hundredths = divmod(self.command.angle_cdeg, 100)
         return bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE, self.servo_id, self.command.op, whole_deg, hundredths))
 
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read a ONE SERVO frame. Raises FrameError."""
-        _check_header(data, "ONE SERVO", ONE_SERVO_LEN, ONE_SERVO_TYPE)
-        return cls(_read_servo_id(data, 2), _read_op(data, 3))
 
-
+@dataclass(slots=True, init=False, unsafe_hash=True)
 class OneLeg:
-    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3. Written out, as ServoOp is."""
+    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3."""
 
-    __slots__ = ("commands", "leg")
+    leg: Final[int]
+    commands: Final[tuple[ServoOp, ServoOp, ServoOp]]
 
     def __init__(self, leg: int, commands: tuple[ServoOp, ServoOp, ServoOp]) -> None:
         if type(leg) is not int or leg not in LEGS:
@@ -134,17 +123,8 @@ class OneLeg:
         first, second, third = commands
         if not type(first) is type(second) is type(third) is ServoOp:
             raise FrameError(f"the commands are {commands!r}; each is a ServoOp")
-        self.leg: Final = leg
-        self.commands: Final = commands
-
-    def __eq__(self, other: object) -> bool:
-        return type(other) is OneLeg and (self.leg, self.commands) == (other.leg, other.commands)
-
-    def __hash__(self) -> int:
-        return hash((self.leg, self.commands))
-
-    def __repr__(self) -> str:
-        return f"OneLeg(leg={self.leg!r}, commands={self.commands!r})"
+        self.leg = leg
+        self.commands = commands
 
     @property
     def servos(self) -> tuple[tuple[int, ServoOp], ...]:
@@ -165,18 +145,6 @@ class OneLeg:
             servo_id += 1
             data += (servo_id, command.op, command.angle_cdeg // 100, command.angle_cdeg % 100)
         return bytes(data)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read a ONE LEG frame. Raises FrameError, also where the servos are not joints 1, 2, 3 of one leg in order."""
-        _check_header(data, "ONE LEG", ONE_LEG_LEN, ONE_LEG_TYPE)
-        leg = leg_of(_read_servo_id(data, 2))
-        for index, expected_id in zip((2, 6, 10), servo_ids_of(leg), strict=True):
-            if _read_servo_id(data, index) != expected_id:
-                raise FrameError(
-                    f"{_found(data, index)} in place of {expected_id}; a ONE LEG frame holds joints 1, 2, 3 of one leg"
-                )
-        return cls(leg, (_read_op(data, 3), _read_op(data, 7), _read_op(data, 11)))
 
 
 Frame = OneLeg | OneServo
@@ -210,11 +178,19 @@ def decode(data: bytes) -> Frame:
     """Read a frame of either type. Raises FrameError, which names the first byte that is wrong."""
     if len(data) < 2:
         raise FrameError(f"byte {len(data) + 1} is missing; a frame starts with FRAME LEN and FRAME TYPE")
-    if data[1] == ONE_LEG_TYPE:
-        return OneLeg.from_bytes(data)
     if data[1] == ONE_SERVO_TYPE:
-        return OneServo.from_bytes(data)
-    raise FrameError(f"{_found(data, 1)}; a FRAME TYPE is 1 (ONE LEG) or 2 (ONE SERVO)")
+        _check_length(data, "ONE SERVO", ONE_SERVO_LEN)
+        return OneServo(_read_servo_id(data, 2), _read_op(data, 3))
+    if data[1] != ONE_LEG_TYPE:
+        raise FrameError(f"{_found(data, 1)}; a FRAME TYPE is 1 (ONE LEG) or 2 (ONE SERVO)")
+    _check_length(data, "ONE LEG", ONE_LEG_LEN)
+    leg = leg_of(_read_servo_id(data, 2))
+    for index, expected_id in zip((2, 6, 10), servo_ids_of(leg), strict=True):
+        if _read_servo_id(data, index) != expected_id:
+            raise FrameError(
+                f"{_found(data, index)} in place of {expected_id}; a ONE LEG frame holds joints 1, 2, 3 of one leg"
+            )
+    return OneLeg(leg, (_read_op(data, 3), _read_op(data, 7), _read_op(data, 11)))
 
 
 _SERVO_ID_RULE: Final = "a servo id is leg 1-6 then joint 1-3, such as 13"
@@ -224,11 +200,9 @@ def _found(data: bytes, index: int) -> str:
     return f"byte {index + 1} is {data[index]} (0x{data[index]:02x})"
 
 
-def _check_header(data: bytes, name: str, frame_len: int, frame_type: int) -> None:
-    if len(data) > 0 and data[0] != frame_len:
-        raise FrameError(f"{_found(data, 0)}; the FRAME LEN of a {name} frame (FRAME TYPE {frame_type}) is {frame_len}")
-    if len(data) > 1 and data[1] != frame_type:
-        raise FrameError(f"{_found(data, 1)}; the FRAME TYPE of a {name} frame is {frame_type}")
+def _check_length(data: bytes, name: str, frame_len: int) -> None:
+    if data[0] != frame_len:
+        raise FrameError(f"{_found(data, 0)}; the FRAME LEN of a {name} frame (FRAME TYPE {data[1]}) is {frame_len}")
     if len(data) < frame_len:
         raise FrameError(f"byte {len(data) + 1} is missing; a {name} frame has {frame_len} bytes")
     if len(data) > frame_len:

@@ -14,7 +14,7 @@ from gateway.robot.spi.guard import GuardedDevice, IllegalTransferError, _is_fra
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.unshared import UnsharedDevice
-from tests.unit.robot.test_frames import ILLEGAL, frames
+from tests.unit.robot.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED
 STOP_1 = stop_leg(1).to_bytes()
@@ -76,15 +76,6 @@ def legal(framing: Framing, data: list[bytes]) -> bool:
     return True
 
 
-bytes_near_a_frame = st.one_of(
-    st.binary(max_size=20),
-    st.builds(
-        lambda frame, index, value: bytes(value if i == index else byte for i, byte in enumerate(frame.to_bytes())),
-        frames,
-        st.integers(0, 13),
-        st.integers(0, 255),
-    ),
-)
 parts = st.one_of(
     frames.map(lambda frame: [frame.to_bytes()]),
     frames.map(lambda frame: list(PREFIXED.transfers(frame.to_bytes()))),
