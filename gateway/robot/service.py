@@ -55,7 +55,7 @@ from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
 from gateway.robot.spi import SpiDevice
-from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import RELEASING_DRIVERS, KernelDevice, driver_of
 from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
@@ -210,7 +210,7 @@ async def _run(
     end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
-    bus = bus_for(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page))
+    bus = Bus(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page))
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,

@@ -32,7 +32,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch
-from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.zenoh_config import open_session
 from tests.benchmarks.table import Row
@@ -80,7 +80,7 @@ async def _measure(run_s: float, recorder: Recorder) -> tuple[float, float]:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     settings = _settings({"zenoh": {"listen": [endpoint]}})
     loop, counter, device, outbox = asyncio.get_running_loop(), _Counter(), _Device(settings), ZenohOutbox()
-    bus = bus_for(settings.spi, lambda: device)
+    bus = Bus(settings.spi, lambda: device)
     conductor = Conductor(
         settings,
         Supervisor(rules(settings)),

@@ -144,14 +144,7 @@ class Scene(UnsharedDevice):
         """The first transfer of each call since the last copy."""
         self._stall: tuple[int, int] | None = None
         self._waiting = Waiting()
-        spi = self.settings.spi
-        self.bus = MarkedBus(
-            self._open,
-            spi.framing,
-            frame_gap_us=spi.frame_gap_us,
-            resync_ns=round(spi.resync_ms * 1e6),
-            clock=self.loop.now_ns,
-        )
+        self.bus = MarkedBus(self.settings.spi, self._open, clock=self.loop.now_ns)
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),

@@ -23,7 +23,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
-from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.button import ButtonAck
@@ -64,7 +64,7 @@ class Robot:
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),
-            bus_for(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause),
+            Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause),
             self,
             self.loop,
             clock=self.now_ns,

@@ -17,7 +17,7 @@ from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch
-from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
@@ -181,7 +181,7 @@ async def test_frames(frames: bool) -> None:
 def test_framing(framing: str, transfers: int) -> None:
     settings = Settings.model_validate({"spi": {"framing": framing}})
     controller = SimulatedController(settings.spi.framing)
-    bus = bus_for(settings.spi, lambda: controller)
+    bus = Bus(settings.spi, lambda: controller)
     bus.open()
     bus.write([stop_leg(1)])
     assert len(controller.transfers) == transfers
@@ -204,7 +204,7 @@ class Batches(SimulatedController):
 def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
     settings = Settings.model_validate({"spi": {"frame_gap_us": frame_gap_us}})
     controller = Batches()
-    bus = bus_for(settings.spi, lambda: controller)
+    bus = Bus(settings.spi, lambda: controller)
     bus.open()
     bus.write([stop_leg(number) for number in LEGS])
     assert [[each[1] for each in batch] for batch in controller.batches] == [[pause_us] * 6]
@@ -214,7 +214,7 @@ def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
 def test_batch(batch: bool, calls: int) -> None:
     settings = Settings.model_validate({"spi": {"batch": batch}})
     controller = Batches()
-    bus = bus_for(settings.spi, lambda: controller)
+    bus = Bus(settings.spi, lambda: controller)
     bus.open()
     bus.write([stop_leg(number) for number in LEGS])
     assert len(controller.batches) == calls
@@ -235,7 +235,7 @@ def test_batch(batch: bool, calls: int) -> None:
 def test_the_guard_knows_avoid_deg(spi: dict[str, object], written: bool, batch: bool) -> None:
     settings = Settings.model_validate({"spi": {**spi, "batch": batch, "frame_gap_us": 0}})
     controller = SimulatedController(settings.spi.framing)
-    bus = bus_for(settings.spi, lambda: controller, pause=lambda _: None)
+    bus = Bus(settings.spi, lambda: controller, pause=lambda _: None)
     bus.open()
     frame = OneServo(11, ServoOp(Op.SET, 1_99))
     with nullcontext() if written else pytest.raises(IllegalTransferError):
@@ -248,7 +248,7 @@ def test_speed_hz(speed_hz: int, last_ns: int) -> None:
     """It says where a frame's place on the wire is."""
     settings = Settings.model_validate({"spi": {"speed_hz": speed_hz}})
     now_ns = iter((0, 10**9))
-    bus = bus_for(settings.spi, Batches, clock=lambda: next(now_ns))
+    bus = Bus(settings.spi, Batches, clock=lambda: next(now_ns))
     bus.open()
     assert [sent.ns for sent in bus.write([stop_leg(1)]).sent] == [last_ns]
 

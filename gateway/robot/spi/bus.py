@@ -90,40 +90,32 @@ class Bus:
 
     def __init__(
         self,
+        settings: SpiValues,
         open_device: Callable[[], SpiDevice],
-        framing: Framing,
         *,
-        frame_gap_us: float,
-        speed_hz: int = 2_500_000,
-        batch: bool = True,
-        resync_ns: int = 0,
-        avoid_cdeg: tuple[int, int] | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`resync_ns` 0: a stream without a pause is not resynchronised. `pause` is for `batch=False`.
-
-        `avoid_cdeg`: angles that the guard rejects.
-        """
+        """`pause` is for a bus that writes no batches."""
         self._open_device = open_device
-        self._framing = framing
-        self.announces = framing is Framing.LENGTH_PREFIXED
+        self._framing = settings.framing
+        self.announces = self._framing is Framing.LENGTH_PREFIXED
         """Whether a controller can be out of sync at all."""
         self._size = 2 if self.announces else 1
         """Transfers of a frame."""
-        self._gap_us = ceil(frame_gap_us)
+        self._gap_us = ceil(settings.frame_gap_us)
         self._gap_ns = self._gap_us * 1000 + CS_CHANGE_NS
         zero_pause_us = max(self._gap_us, ZERO_PAUSE_US)
         self._zero: Transfer = ZERO, zero_pause_us
-        self._byte_ns = 8_000_000_000 // speed_hz
+        self._byte_ns = 8_000_000_000 // settings.speed_hz
         self._zero_ns = zero_pause_us * 1000 + CS_CHANGE_NS + self._byte_ns
         self._announced_ns = self._byte_ns + self._gap_ns if self.announces else 0
         """What a frame takes on the wire besides its own bytes."""
         self.preamble_ns = PREAMBLE_ZEROS * (zero_pause_us * 1000 + ZERO_NS)
         """How long a preamble takes at most, part by part in turns of a loop."""
-        self._batch = batch
-        self._resync_ns = resync_ns
-        self._avoid_cdeg = avoid_cdeg
+        self._batch = settings.batch
+        self._resync_ns = round(settings.resync_ms * 1e6)  # 0: a stream without a pause is not resynchronised
+        self._avoid_cdeg = settings.avoid_cdeg
         self._clock = clock
         self._pause = pause
         self._opened: SpiDevice | None = None
@@ -314,24 +306,3 @@ class Bus:
                 self._call(report, 0, (data[left[-1]],), left[-1], heard=heard)
                 if heard:
                     left.pop()
-
-
-def bus_for(
-    settings: SpiValues,
-    open_device: Callable[[], SpiDevice],
-    *,
-    clock: Callable[[], int] = time.monotonic_ns,
-    pause: Callable[[float], None] = time.sleep,
-) -> Bus:
-    """A bus with the framing, the pauses and the way of writing that the settings contain."""
-    return Bus(
-        open_device,
-        settings.framing,
-        frame_gap_us=settings.frame_gap_us,
-        speed_hz=settings.speed_hz,
-        batch=settings.batch,
-        resync_ns=round(settings.resync_ms * 1e6),
-        avoid_cdeg=settings.avoid_cdeg,
-        clock=clock,
-        pause=pause,
-    )

@@ -5,7 +5,7 @@ from typing import Final
 
 from gateway.robot.host import stop_note
 from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.spi.bus import Bus, bus_for
+from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.outside import Notice
 from gateway.robot.spi.plain_settings import RepeatValues, SpiValues
@@ -30,7 +30,7 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
     def open_device() -> KernelDevice:
         return KernelDevice(spi.device, spi.speed_hz, exclusive=False)
 
-    bus = bus_for(spi, open_device)
+    bus = Bus(spi, open_device)
     notice = Notice(spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None

@@ -5,6 +5,7 @@ import pytest
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import Batch
 from gateway.robot.spi.bus import CS_CHANGE_NS, LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
@@ -61,7 +62,8 @@ class Devices(UnsharedDevice):
         return self.now_ns
 
     def bus(self, framing: Framing = PREFIXED, *, frame_gap_us: float = 50, batch: bool = True) -> Bus:
-        bus = Bus(self.open, framing, frame_gap_us=frame_gap_us, batch=batch, clock=self.clock, pause=self.pause)
+        settings = SpiSettings(framing=framing, frame_gap_us=frame_gap_us, batch=batch, resync_ms=0)
+        bus = Bus(settings, self.open, clock=self.clock, pause=self.pause)
         bus.open()
         assert bus.write([START]).fault is None  # behind the preamble
         self.calls.clear()
@@ -215,7 +217,7 @@ def test_a_device_that_cannot_be_opened_is_an_error() -> None:
     def fails() -> Devices:
         raise SpiError("told to fail")
 
-    bus = Bus(fails, PREFIXED, frame_gap_us=0)
+    bus = Bus(SpiSettings(framing=PREFIXED), fails)
     with pytest.raises(SpiError):
         bus.open()
     assert bus.errors == 1

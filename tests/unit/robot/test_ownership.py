@@ -19,7 +19,7 @@ from gateway.robot.protocol.frames import decode
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
-from gateway.robot.spi.bus import bus_for
+from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
 from tests.support.interleaved import (
@@ -85,7 +85,7 @@ class Gateway:
     def begin(self) -> None:
         """On the loop's thread, as the service does it."""
         loop = cast(asyncio.AbstractEventLoop, self.loop)
-        bus = bus_for(self.settings.spi, lambda: self.controller, clock=self.now_ns)
+        bus = Bus(self.settings.spi, lambda: self.controller, clock=self.now_ns)
         supervisor = Supervisor(rules(self.settings))
         self.conductor = Conductor(
             self.settings, supervisor, bus, self, loop, clock=self.now_ns, simulated=True, owner=self.owner()

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import SpiSettings
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_once
 from schemas.robot import LEGS
@@ -38,7 +38,7 @@ class Device(UnsharedDevice):
 @pytest.mark.parametrize("leg", LEGS)
 def test_whatever_one_legs_stop_meets_the_others_get_theirs(mistake: Exception, leg: int) -> None:
     device = Device(mistake, leg)
-    bus = Bus(device.open, Framing.PLAIN, frame_gap_us=0)
+    bus = Bus(SpiSettings(), device.open)
     bus.open()
     for _ in range(2):  # again and again
         device.seen.clear()
@@ -52,14 +52,14 @@ def test_whatever_one_legs_stop_meets_the_others_get_theirs(mistake: Exception, 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=repr)
 def test_each_leg_tries_to_open_a_device_that_does_not_answer(mistake: Exception) -> None:
     device = Device(mistake, None)
-    assert stop_once(Bus(device.open, Framing.PLAIN, frame_gap_us=0)) == (set(), mistake)
+    assert stop_once(Bus(SpiSettings(), device.open)) == (set(), mistake)
     assert device.openings == 1 + len(LEGS)
 
 
 def test_a_device_that_works_is_not_opened_again() -> None:
     """Opening could fail where writing does not: no descriptor may be left for it."""
     device = Device(KeyError(), LEGS[-1])
-    bus = Bus(device.open, Framing.PLAIN, frame_gap_us=0)
+    bus = Bus(SpiSettings(), device.open)
     bus.open()
     stop_once(bus, opened=True)
     assert device.openings == 1
