@@ -5,7 +5,6 @@ import pytest
 from gateway.errors import SpiError
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, centidegrees
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.spi.simulator import KEPT_TRANSFERS
 from tests.unit.robot.test_simulator import MS, START_11, START_LEG_1, STOP_11, Bench
 
 
@@ -81,13 +80,6 @@ def test_transfers_are_kept_with_their_time(bench: Bench) -> None:
     bench.send(START_11)
     assert [data for _, data in bench.controller.transfers] == list(bench.framing.transfers(START_11))
     assert {at_ns for at_ns, _ in bench.controller.transfers} == {5_000_000 * MS + 7}
-
-
-def test_only_so_many_are_kept() -> None:
-    plain = Bench(Framing.PLAIN)
-    for _ in range(KEPT_TRANSFERS + 1):
-        plain.transfer(b"")
-    assert len(plain.controller.transfers) == KEPT_TRANSFERS
 
 
 def test_close_leaves_the_controller_as_it_is(bench: Bench) -> None:
