@@ -13,9 +13,10 @@ from gateway.people.tools.watch.model import (
     SILENT_AFTER_NS,
     SOURCES,
     STOP_PATIENCE_NS,
+    Counts,
     Model,
     Presence,
-    Rates,
+    Question,
     Tone,
     top_rejected,
 )
@@ -78,21 +79,10 @@ def test_a_gateway_that_was_started_anew_is_noticed(uptime_s: float) -> None:
     model.received_state(state(uptime_s, counts=(50, 0, 0), frames=6), 0, WALL)
     model.received_state(state(0.5, frames=6, started_s=uptime_s + 0.5), NS_PER_S, WALL)
     assert kinds(model) == ["restarted"]
-    assert model.rates() == Rates()
+    assert model.rates() is None
     model.received_state(state(1.5, counts=(10, 0, 0), frames=16, started_s=uptime_s + 0.5), 2 * NS_PER_S, WALL)
     assert kinds(model) == ["restarted"]
-    assert model.rates() == Rates(10, 0, 0, 10)
-
-
-@pytest.mark.parametrize(("started_s", "restarted"), [(20.0, True), (0.0, False)])
-def test_a_restart_is_noticed_after_a_silence_whichever_has_run_for_longer(started_s: float, restarted: bool) -> None:
-    model = Model()
-    model.received_state(state(0.4), 0, WALL)
-    model.received_token(False, NS_PER_S, WALL)
-    model.received_token(True, 2 * NS_PER_S, WALL)
-    model.received_state(state(1.2, started_s=started_s), 2 * NS_PER_S, WALL)
-    model.received_state(state(1.3, started_s=started_s), 3 * NS_PER_S, WALL)
-    assert kinds(model) == [*(["restarted"] if restarted else []), "back", "silent"]
+    assert model.rates() == Counts(10, 0, 0, 10)
 
 
 def test_others_that_answer_are_reported_once() -> None:
@@ -125,13 +115,7 @@ def test_the_age_of_a_command_grows_between_two_states() -> None:
     row = screen(model, 75 * NS_PER_MS).splitlines()[6]
     assert row.startswith(" 3  ●  90.00° ")
     assert row.endswith("━━━━╸─────   115 ms")
-
-
-def test_what_a_silent_gateway_last_published_is_not_shown_as_an_age() -> None:
-    model = Model()
-    model.received_state(state(age_ms=40, watchdog=WatchdogState.ARMED, running=True), 0, WALL)
-    row = screen(model, 5 * NS_PER_S).splitlines()[6]
-    assert row.endswith("?")
+    assert screen(model, 5 * NS_PER_S).splitlines()[6].endswith("?"), "a silent gateway's age is not known"
 
 
 @pytest.mark.parametrize(
@@ -155,12 +139,12 @@ def test_a_leg_that_does_not_run(watchdog: WatchdogState, age_ms: float | None, 
 
 def test_rates_come_from_the_gateways_own_clock() -> None:
     model = Model()
-    assert model.rates() == Rates()
+    assert model.rates() is None
     model.received_state(state(10.0, counts=(100, 10, 1), frames=200), 0, WALL)
-    assert model.rates() == Rates()
+    assert model.rates() is None
     # Two states that the network delayed and delivered together: the time between them is the gateway's.
     model.received_state(state(10.5, counts=(125, 15, 1), frames=225), 9 * NS_PER_S, WALL)
-    assert model.rates() == Rates(50, 10, 0, 50)
+    assert model.rates() == Counts(50, 10, 0, 50)
 
 
 def test_rates_are_of_the_last_two_seconds() -> None:
@@ -301,7 +285,7 @@ def test_an_answer_that_comes_after_the_state_says_more_than_it() -> None:
 def test_an_answer_from_before_the_reset_does_not_confirm_a_later_stop() -> None:
     model = model_with_state(Model())
     model.stop_pressed(1)
-    model.reset_pressed(2)
+    model.ask(Question.RESET, 2)
     model.reset_confirmed(3)
     model.stop_pressed(4)
     model.stop_answered(STOPPED, 1, 5)
@@ -320,17 +304,6 @@ def test_stopped_is_not_said_over_a_robot_that_may_move_again() -> None:
     assert "STOPPED: 6" not in screen(model)
 
 
-def test_a_reset_is_asked_back_and_the_question_does_not_stand_for_ever() -> None:
-    model = Model()
-    model.received_state(state(mode=Mode.ESTOPPED), 0, WALL)
-    model.reset_pressed(0)
-    assert model.asking(QUESTION_NS - 1)
-    assert "Leave the emergency stop?" in screen(model)
-    assert not model.asking(QUESTION_NS)
-    model.look(QUESTION_NS, WALL)
-    assert not model.asking(0)
-
-
 def test_a_reset_means_the_latest_emergency_stop_that_was_received() -> None:
     model = Model()
     assert model.estop is None
@@ -344,18 +317,10 @@ def test_a_reset_means_the_latest_emergency_stop_that_was_received() -> None:
     assert model.estop == 0, "a gateway that was started anew counts anew"
 
 
-def test_a_stop_takes_the_question_back() -> None:
-    model = Model()
-    model.received_state(state(mode=Mode.ESTOPPED), 0, WALL)
-    model.reset_pressed(0)
-    model.stop_pressed(1)
-    assert not model.asking(1)
-
-
 def test_nothing_to_reset() -> None:
     model = model_with_state(Model())
-    model.reset_pressed(0)
-    assert not model.asking(0)
+    model.ask(Question.RESET, 0)
+    assert model.asking(0) is None
     assert "no emergency stop is engaged" in screen(model)
 
 
@@ -369,8 +334,6 @@ def test_nothing_to_reset() -> None:
 )
 def test_what_became_of_the_reset(ack: Ack | None, tone: Tone, text: str) -> None:
     model = Model()
-    model.received_state(state(mode=Mode.ESTOPPED), 0, WALL)
-    model.reset_pressed(0)
     model.reset_confirmed(1)
     model.reset_answered(ack, 2)
     assert model.remark is not None
@@ -418,42 +381,53 @@ def test_the_top_line_says_how_many_watch(buttons: ButtonsReport, shown: str) ->
     assert shown in screen(model).splitlines()[0]
 
 
-def test_to_take_it_is_asked_back_with_the_name_and_what_it_does() -> None:
+QUESTIONS = {
+    Question.RESET: "Leave the emergency stop? Nothing moves until it is started again. y: yes n: no",
+    Question.TAKE: "Take it from anna? All six legs stop first. y: yes n: no",
+}
+
+
+@pytest.mark.parametrize("question", Question)
+def test_a_question_is_shown_does_not_stand_for_ever_and_a_stop_takes_it_back(question: Question) -> None:
     model = driven(ANNA, Mode.ESTOPPED)
-    assert model.take_question(0) is None
-    model.take_pressed(0)
-    assert "Take it from anna? All six legs stop first. y: yes n: no" in screen(model)
-    assert not model.asking(0), "a y answers one question only"
-    model.reset_pressed(1)
-    assert model.take_question(1) is None
+    for other in Question:  # a y answers one of them only
+        model.ask(other, 0)
+    model.ask(question, 0)
+    assert QUESTIONS[question] in " ".join(screen(model).split())
+    assert model.asking(QUESTION_NS - 1) is question
+    assert model.asking(QUESTION_NS) is model.question(QUESTION_NS) is None
+    model.look(QUESTION_NS, WALL)
+    assert model.asking(0) is None
+    model.ask(question, 0)
+    model.stop_pressed(1)
+    assert model.asking(1) is None
 
 
 def test_where_nobody_drives_the_question_says_what_it_means_for_others() -> None:
     model = driven(LeaseReport())
-    model.take_pressed(0)
+    model.ask(Question.TAKE, 0)
     assert "Drive? Nobody else's starts, sets and resets count then" in screen(model)
 
 
-def test_the_question_does_not_stand_for_ever_and_a_stop_takes_it_back() -> None:
-    model = driven(ANNA)
-    model.take_pressed(0)
-    model.look(QUESTION_NS, WALL)
-    assert not model.asking_to_take(0)
-    model.take_pressed(0)
-    model.stop_pressed(1)
-    assert not model.asking_to_take(1)
-
-
-def test_what_became_of_it() -> None:
-    model = driven(ANNA)
-    model.take_pressed(0)
-    model.take_declined(1)
+@pytest.mark.parametrize(
+    ("question", "text"),
+    [(Question.RESET, "no reset: the emergency stop stays as it is"), (Question.TAKE, "not taken")],
+)
+def test_a_no_is_confirmed(question: Question, text: str) -> None:
+    model = driven(ANNA, Mode.ESTOPPED)
+    model.ask(question, 0)
+    model.declined(1)
     assert model.remark is not None
-    assert (model.remark.text, model.take_question(1)) == ("not taken", None)
+    assert (model.remark.tone, model.remark.text, model.asking(1)) == (Tone.NOTE, text, None)
+
+
+def test_what_became_of_a_take() -> None:
+    model = driven(ANNA)
+    model.ask(Question.TAKE, 0)
     model.take_confirmed(2)
-    model.lease_answered(None, "you drive", 3)
-    assert (model.remark.tone, model.remark.text) == (Tone.GOOD, "you drive")
-    model.lease_answered("NOT DONE: lease_denied: no\x1b", "", 4)
+    assert model.asking(2) is None
+    model.lease_answered(Tone.BAD, "NOT DONE: lease_denied: no\x1b", 4)
+    assert model.remark is not None
     assert (model.remark.tone, model.remark.text) == (Tone.BAD, "NOT DONE: lease_denied: no�")
 
 

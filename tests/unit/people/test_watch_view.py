@@ -6,7 +6,7 @@ import pytest
 from rich.cells import cell_len
 from rich.text import Text
 
-from gateway.people.tools.watch.model import NS_PER_MS, Model
+from gateway.people.tools.watch.model import NS_PER_MS, Model, Question
 from gateway.people.tools.watch.view import bar, picture
 from schemas.telemetry import CalibrationReport, Kind, Mode
 from tests.support.watch_reports import WALL, event, model_with_state, rejected, screen, state
@@ -22,7 +22,7 @@ def test_it_fills_every_terminal_and_no_more(width: int, height: int) -> None:
         model.received_event(rejected(f"猫 {number} " + "x" * 56, "a long reason, in many words, " * 5), 0, WALL)
     model.stop_pressed(0)
     model.stop_unanswered()
-    model.reset_pressed(0)
+    model.ask(Question.RESET, 0)
     lines = screen(model, NS_PER_MS, width, height).split("\n")
     assert len(lines) == height
     assert max(map(cell_len, lines)) <= width

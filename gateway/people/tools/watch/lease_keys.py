@@ -11,7 +11,7 @@ import zenoh
 from gateway.errors import GatewayError, LeaseLostError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.tools import kept_lease
-from gateway.people.tools.watch.model import Model
+from gateway.people.tools.watch.model import Model, Tone
 
 _ERRORS: Final = (GatewayError, zenoh.ZError, RuntimeError)
 
@@ -54,20 +54,16 @@ class LeaseKeys:
         threading.Thread(target=self._run, args=(do, holder), name="lease", daemon=True).start()
 
     def _run(self, do: Callable[[Client, str | None], str], holder: str | None) -> None:
-        trouble, done = None, ""
+        tone, text = Tone.BAD, "NOT DONE: there is no connection"
         client = self._client()
         try:
-            if client is None:
-                trouble = "NOT DONE: there is no connection"
-            else:
-                done = do(client, holder)
+            if client is not None:
+                tone, text = Tone.GOOD, do(client, holder)
         except RejectedError as error:
-            trouble = f"NOT DONE: {error.reason}: {error.detail}"
+            text = f"NOT DONE: {error.reason}: {error.detail}"
         except _ERRORS:
-            trouble = "NOT DONE: nobody answered (an observer's certificate may not drive)"
-        with self._lock:
-            self._model.lease_answered(trouble, done, time.monotonic_ns())
-        self._changed()
+            text = "NOT DONE: nobody answered (an observer's certificate may not drive)"
+        self._note(tone, text)
 
     def _ask(self, client: Client, holder: str | None) -> str:
         if holder is None:
@@ -91,8 +87,11 @@ class LeaseKeys:
 
     def _lost(self, error: LeaseLostError) -> None:
         self._held.close()
+        self._note(Tone.BAD, f"LOST: {error.detail}")
+
+    def _note(self, tone: Tone, text: str) -> None:
         with self._lock:
-            self._model.lease_answered(f"LOST: {error.detail}", "", time.monotonic_ns())
+            self._model.lease_answered(tone, text, time.monotonic_ns())
         self._changed()
 
     def _drives(self, drives: bool) -> None:

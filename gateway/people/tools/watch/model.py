@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import Enum, StrEnum, auto
-from typing import Final
+from typing import Final, NamedTuple
 
 from gateway.people.client.live import Order, Starts
 from gateway.people.terminal import visible
@@ -73,23 +73,26 @@ class Line:
     bad: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Rates:
-    """Per second, means over the window; None until two states have been received."""
+class Question(Enum):
+    """What a key asks back, one at a time; y is yes, any other key no."""
 
-    accepted: float | None = None
-    rejected: float | None = None
-    coalesced: float | None = None
-    frames: float | None = None
+    RESET = auto()
+    TAKE = auto()
 
 
-@dataclass(frozen=True, slots=True)
-class _Sample:
-    uptime_s: float
-    accepted: int
-    rejected: int
-    coalesced: int
-    frames: int
+class Counts(NamedTuple):
+    """Of commands and frames, in all or per second."""
+
+    accepted: float
+    rejected: float
+    coalesced: float
+    frames: float
+
+    @classmethod
+    def of(cls, state: GatewayState) -> "Counts":
+        """In all, as this state has them."""
+        commands = state.commands
+        return cls(commands.accepted, commands.rejected, commands.coalesced, state.spi.frames)
 
 
 @dataclass(slots=True)
@@ -117,13 +120,14 @@ class Model:
     _received_ns: int | None = None
     _gone: bool = False
     _noted: Presence = Presence.WAITING
-    _samples: deque[_Sample] = field(default_factory=deque)
+    _samples: deque[tuple[float, Counts]] = field(default_factory=deque)
+    """With the uptime of each, in seconds."""
     _starts: Starts = field(default_factory=Starts)
     _warned: set[str] = field(default_factory=set)
     drives: bool = False
     """We hold the lease."""
-    _asked_ns: int | None = None
-    _take_ns: int | None = None
+    _question: Question | None = None
+    _asked_ns: int = 0
     _pressed_ns: int = 0
     _reset_ns: int = 0
 
@@ -149,12 +153,9 @@ class Model:
             self.stop_wanted_ns = None
             text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
             self.remark = Remark(Tone.NOTE, text, now_ns, of_stop=True)
-        commands = state.commands
-        self._samples.append(
-            _Sample(state.uptime_s, commands.accepted, commands.rejected, commands.coalesced, state.spi.frames)
-        )
+        self._samples.append((state.uptime_s, Counts.of(state)))
         # Keep one sample that is at least a window old, so that states that come slowly also give rates.
-        while len(self._samples) > 2 and state.uptime_s - self._samples[1].uptime_s >= RATE_WINDOW_S:
+        while len(self._samples) > 2 and state.uptime_s - self._samples[1][0] >= RATE_WINDOW_S:
             self._samples.popleft()
 
     def received_event(self, event: Event, now_ns: int, wall: datetime) -> None:
@@ -192,10 +193,7 @@ class Model:
         if presence is Presence.SILENT and self._noted is not Presence.SILENT:
             self._noted = presence
             self._note(wall, "silent", "the gateway fell silent", bad=True)
-        if self._asked_ns is not None and not self.asking(now_ns):
-            self._asked_ns = None
-        if self._take_ns is not None and not self.asking_to_take(now_ns):
-            self._take_ns = None
+        self._question = self.asking(now_ns)
         remark = self.remark
         if remark is not None and remark.tone is not Tone.BAD and now_ns - remark.since_ns > REMARK_NS:
             self.remark = None
@@ -239,26 +237,54 @@ class Model:
         legs = () if self.state is None else self.state.legs
         return sum(any(servo.running for servo in leg.servos) for leg in legs)
 
-    def rates(self) -> Rates:
-        """Commands and frames a second, by the gateway's own clock."""
+    def rates(self) -> Counts | None:
+        """Per second by the gateway's own clock, means over the window; None until two states have been received."""
         if len(self._samples) < 2:
-            return Rates()
-        first, last = self._samples[0], self._samples[-1]
-        span_s = last.uptime_s - first.uptime_s
-        if span_s <= 0:
-            return Rates()
-        return Rates(
-            (last.accepted - first.accepted) / span_s,
-            (last.rejected - first.rejected) / span_s,
-            (last.coalesced - first.coalesced) / span_s,
-            (last.frames - first.frames) / span_s,
-        )
+            return None
+        (first_s, first), (last_s, last) = self._samples[0], self._samples[-1]
+        span_s = last_s - first_s
+        return Counts(*((now - then) / span_s for then, now in zip(first, last, strict=True))) if span_s > 0 else None
+
+    # ---- what is asked back
+
+    def ask(self, question: Question, now_ns: int) -> None:
+        """Its key was pressed: ask whether it is meant; the reset only where an emergency stop is engaged."""
+        estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
+        nothing = self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None
+        if question is Question.RESET and nothing:
+            self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
+            return
+        self._question, self._asked_ns = question, now_ns
+
+    def asking(self, now_ns: int) -> Question | None:
+        """The question that is on the screen."""
+        return self._question if now_ns - self._asked_ns < QUESTION_NS else None
+
+    def question(self, now_ns: int) -> str | None:
+        """Its words."""
+        match self.asking(now_ns), self.holder:
+            case None, _:
+                return None
+            case Question.RESET, _:
+                asked = "Leave the emergency stop? Nothing moves until it is started again."
+            case Question.TAKE, None:
+                asked = "Drive? Nobody else's starts, sets and resets count then, until t is pressed again."
+            case Question.TAKE, str(holder):
+                asked = f"Take it from {visible(holder)}? All six legs stop first."
+        return f"{asked}  y: yes  n: no"
+
+    def declined(self, now_ns: int) -> None:
+        """The question was answered with anything but yes."""
+        taken = self._question is Question.TAKE
+        self._question = None
+        text = "not taken" if taken else "no reset: the emergency stop stays as it is"
+        self.remark = Remark(Tone.NOTE, text, now_ns)
 
     # ---- emergency stop and reset
 
     def stop_pressed(self, now_ns: int) -> None:
         """The stop key was pressed. The stop is wanted until it is confirmed, or until a reset is requested."""
-        self._asked_ns = self._take_ns = None
+        self._question = None
         self.remark = None
         if self.stop_wanted_ns is None:
             self.stop_wanted_ns = self._pressed_ns = now_ns
@@ -300,29 +326,12 @@ class Model:
         )
         return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"
 
-    def reset_pressed(self, now_ns: int) -> None:
-        """The reset key was pressed: ask whether it is meant, if an emergency stop is engaged."""
-        estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
-        if self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None:
-            self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
-            return
-        self._asked_ns, self._take_ns = now_ns, None
-
-    def asking(self, now_ns: int) -> bool:
-        """Whether the question about the reset is on the screen."""
-        return self._asked_ns is not None and now_ns - self._asked_ns < QUESTION_NS
-
     def reset_confirmed(self, now_ns: int) -> None:
         """The question was answered with yes."""
-        self._asked_ns = None
+        self._question = None
         self.stop_wanted_ns = None
         self._reset_ns = now_ns
         self.remark = Remark(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
-
-    def reset_declined(self, now_ns: int) -> None:
-        """The question was answered with anything else."""
-        self._asked_ns = None
-        self.remark = Remark(Tone.NOTE, "no reset: the emergency stop stays as it is", now_ns)
 
     def reset_answered(self, ack: Ack | None, now_ns: int) -> None:
         """What became of the reset; None: nobody answered."""
@@ -341,38 +350,14 @@ class Model:
         """Who drives, in the last state."""
         return None if self.state is None else self.state.lease.holder
 
-    def take_pressed(self, now_ns: int) -> None:
-        """The key to take the lease was pressed: ask whether it is meant."""
-        self._asked_ns, self._take_ns = None, now_ns
-
-    def asking_to_take(self, now_ns: int) -> bool:
-        """Whether the question about the lease is on the screen."""
-        return self._take_ns is not None and now_ns - self._take_ns < QUESTION_NS
-
-    def take_question(self, now_ns: int) -> str | None:
-        """That question, or None."""
-        if not self.asking_to_take(now_ns):
-            return None
-        if self.holder is None:
-            return "Drive? Nobody else's starts, sets and resets count then, until t is pressed again.  y: yes  n: no"
-        return f"Take it from {visible(self.holder)}? All six legs stop first.  y: yes  n: no"
-
-    def take_declined(self, now_ns: int) -> None:
-        """The question was answered with anything else."""
-        self._take_ns = None
-        self.remark = Remark(Tone.NOTE, "not taken", now_ns)
-
     def take_confirmed(self, now_ns: int) -> None:
         """The question was answered with yes."""
-        self._take_ns = None
+        self._question = None
         self.remark = Remark(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
 
-    def lease_answered(self, trouble: str | None, done: str, now_ns: int) -> None:
-        """What became of a key about the lease: `trouble`, or `done`."""
-        if trouble is None:
-            self.remark = Remark(Tone.GOOD, visible(done), now_ns)
-        else:
-            self.remark = Remark(Tone.BAD, visible(trouble), now_ns)
+    def lease_answered(self, tone: Tone, text: str, now_ns: int) -> None:
+        """What became of a key about the lease."""
+        self.remark = Remark(tone, visible(text), now_ns)
 
 
 _BAD: Final = frozenset(

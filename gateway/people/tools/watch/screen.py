@@ -11,7 +11,7 @@ from rich.text import Text
 from gateway.people.client.blocking import Client
 from gateway.people.terminal.screen import Screen
 from gateway.people.tools.watch.link import Link
-from gateway.people.tools.watch.model import Model
+from gateway.people.tools.watch.model import Model, Question
 from gateway.people.tools.watch.view import picture
 
 STOP_KEYS: Final = frozenset(" eE")
@@ -57,24 +57,21 @@ class Watch(Screen):
     def _press(self, key: str) -> None:
         now_ns = time.monotonic_ns()
         with self._lock:
-            asking, taking = self._model.asking(now_ns), self._model.asking_to_take(now_ns)
-            drives = self._model.drives
-            if asking and key != "y":
-                self._model.reset_declined(now_ns)
-            elif taking and key != "y":
-                self._model.take_declined(now_ns)
+            asking, drives = self._model.asking(now_ns), self._model.drives
+            if asking is not None and key != "y":
+                self._model.declined(now_ns)
             elif key == "r":
-                self._model.reset_pressed(now_ns)
+                self._model.ask(Question.RESET, now_ns)
             elif key == "t" and not drives:
-                self._model.take_pressed(now_ns)
-        match key:
-            case "y" if asking:
+                self._model.ask(Question.TAKE, now_ns)
+        match asking, key:
+            case Question.RESET, "y":
                 self._link.reset()
-            case "y" if taking:
+            case Question.TAKE, "y":
                 self._link.lease.take()
-            case "a" if not (asking or taking):
+            case None, "a":
                 self._link.lease.ask()
-            case "t" if drives and not (asking or taking):
+            case None, "t" if drives:
                 self._link.lease.release()
 
     def picture(self, columns: int, rows: int) -> Text:

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from gateway.certs import expiry
 from gateway.people.terminal import visible
-from gateway.people.tools.watch.model import Model, Presence, Rates, Tone, top_rejected
+from gateway.people.tools.watch.model import Counts, Model, Presence, Tone, top_rejected
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
@@ -107,9 +107,7 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
         messages.append((alarm, _ALARM))
     elif model.stop_wanted_ns is not None:
         messages.append(("EMERGENCY STOP sent, waiting for its confirmation", _ALARM))
-    if model.asking(now_ns):
-        messages.append(("Leave the emergency stop? Nothing moves until it is started again.  y: yes  n: no", _ASK))
-    if (question := model.take_question(now_ns)) is not None:
+    if (question := model.question(now_ns)) is not None:
         messages.append((question, _ASK))
     if model.presence(now_ns) is Presence.SILENT:
         messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
@@ -246,10 +244,9 @@ def bar(share: float, columns: int, style: str) -> Text:
 # ---- numbers, rejections, events
 
 
-def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
-    commands, spi, watchdog = state.commands, state.spi, state.watchdog
-    per_second = (rates.accepted, rates.rejected, rates.coalesced, rates.frames)
-    in_all = (commands.accepted, commands.rejected, commands.coalesced, spi.frames)
+def _numbers(state: GatewayState, rates: Counts | None, live: bool) -> list[Text]:
+    spi, watchdog = state.spi, state.watchdog
+    in_all = Counts.of(state)
     stops = watchdog.stop_latency_us
     latency = (
         "latency: none so far"
@@ -260,8 +257,8 @@ def _numbers(state: GatewayState, rates: Rates, live: bool) -> list[Text]:
     head.append(f"  {spi.errors} SPI error{'' if spi.errors == 1 else 's'}", "bold red" if spi.errors else "dim")
     head.append(f" ({spi.framing}, {'simulated' if state.simulated else spi.device})", "dim")
     rate = Text().append("per second ", "dim")
-    for value in per_second:
-        rate.append(f"{'—' if value is None or not live else f'{value:.1f}':>8} ")
+    for each in ("—",) * len(in_all) if rates is None or not live else (f"{value:.1f}" for value in rates):
+        rate.append(f"{each:>8} ")
     rate.append(
         f"  watchdog expired {watchdog.expirations} time{'' if watchdog.expirations == 1 else 's'}",
         "yellow" if watchdog.expirations else "dim",
