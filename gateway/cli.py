@@ -15,6 +15,7 @@ from typer.core import TyperCommand
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.bridge import command as bridge
+from gateway.people.terminal import hint
 from gateway.people.tools import certs, incidents, lease, recordings
 from gateway.people.tools.button import command as button
 from gateway.people.tools.calibrate import command as calibrate
@@ -430,7 +431,7 @@ def main() -> None:
         app(prog_name="hexapod-gateway")  # also as `python -m gateway`
     except GatewayError as error:
         for line in str(error).splitlines():
-            sys.stderr.write(f"hexapod-gateway: {line}\n")
+            hint(f"hexapod-gateway: {line}")
         _end(error.exit_code)
     except KeyboardInterrupt:
         _end(130)

@@ -10,8 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
+from tests.support.closing import Closing
 
-class Child:
+
+class Child(Closing):
     """A running program. Threads read what it prints, so it never stalls on a full pipe."""
 
     def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None = None) -> None:

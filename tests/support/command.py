@@ -1,11 +1,14 @@
-"""A command of ours in this process: what it prints and its exit code, without the half second of a new Python.
+"""A command of ours in this process: what it prints and its exit code, without the second of a new Python.
 
-For what a command says of its arguments. What signals, terminals or threads have a part in is run by `Child`.
+What signals, terminals or the end of a process have a part in is run by `Child`.
 """
 
 import contextlib
 import io
+import signal
 import sys
+from collections.abc import Iterator
+from types import FrameType
 from typing import NamedTuple, NoReturn
 from unittest.mock import patch
 
@@ -20,9 +23,10 @@ class Ended(NamedTuple):
     stderr: str
 
 
-def run_here(*arguments: str) -> Ended:
-    """Run `hexapod-gateway` with these arguments."""
+def run_here(*arguments: str, timeout_s: float = 20) -> Ended:
+    """Run `hexapod-gateway` with these arguments. Raises TimeoutError."""
     with (
+        _at_most(timeout_s),
         contextlib.redirect_stdout(io.StringIO()) as stdout,
         contextlib.redirect_stderr(io.StringIO()) as stderr,
         patch.object(sys, "argv", ["hexapod-gateway", *arguments]),
@@ -34,6 +38,20 @@ def run_here(*arguments: str) -> Ended:
         except SystemExit as end:
             code = int(end.code or 0)
     return Ended(code, stdout.getvalue(), stderr.getvalue())
+
+
+@contextlib.contextmanager
+def _at_most(timeout_s: float) -> Iterator[None]:
+    def late(_number: int, _frame: FrameType | None) -> None:
+        raise TimeoutError(f"the command still runs after {timeout_s} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, timeout_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _end(code: int) -> NoReturn:

@@ -15,6 +15,7 @@ from gateway.client import Client
 from tests.hil.bed import SpiTestbed
 from tests.support.child import Child
 from tests.support.closing import Closing
+from tests.support.command import Ended, run_here
 
 READY = "hexapod-gateway is ready"
 COMMAND = (sys.executable, "-m", "gateway")
@@ -98,9 +99,10 @@ class Gateway(Closing):
         """A client of it, in this process."""
         return Client(self.endpoint, source=source, timeout_s=5)
 
-    def run(self, *arguments: str, timeout_s: float = 20) -> Child:
-        """Run one of our commands against it and wait for its end: `run("send", "leg", "3", "stop")`."""
-        child = Child([*COMMAND, *arguments, "--connect", self.endpoint], os.environ)
-        child.wait(timeout_s)
-        child.close()
-        return child
+    def run(self, *arguments: str, timeout_s: float = 20) -> Ended:
+        """Run one of our commands against it, in this process, until its end: `run("send", "leg", "3", "stop")`."""
+        return run_here(*arguments, "--connect", self.endpoint, timeout_s=timeout_s)
+
+    def begin(self, *arguments: str) -> Child:
+        """Begin one of our commands against it, as a process of its own."""
+        return Child([*COMMAND, *arguments, "--connect", self.endpoint], os.environ)

@@ -1,9 +1,8 @@
 """`calibrate` on a running gateway: the guide from the first key to the wire, and what it does without a screen."""
 
-import os
 import re
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from gateway.errors import ConfigError
 from gateway.people.tools.calibrate.command import calibrate
 from gateway.robot.core.calibration import ServoCalibration, calibration_of
 from schemas.calibration import ServoChange
-from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import frames, states
 from tests.support.tmux import Terminal, need_tmux
@@ -26,7 +24,6 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
         "watchdog": {"timeout_ms": 10_000, "repeats": 0},
         "telemetry": {"frames": True},
         "calibration": {"path": str(tmp_path_factory.mktemp("kept") / "calibration.toml")},
-        "limits.servos.63": {"max_deg": 100},
     }
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
@@ -98,21 +95,6 @@ def test_what_a_person_sees_on_the_robot_reaches_its_disk_and_its_wire(
     assert states(anna).wait(lambda state: state.lease.holder is None).calibration.kept
     assert anna.servo(32, "start", 80).accepted
     heard.wait(lambda record: record.bytes == "060220016600")  # its own 102 degrees
-
-
-def test_a_limit_of_the_settings_is_reported_and_the_servo_goes_on(
-    gateway: Gateway, anna: Client, tmp_path: Path
-) -> None:
-    with guided(tmp_path, gateway) as terminal:
-        terminal.press("6", "3", "Enter")
-        terminal.wait("Start it at: 90_")
-        terminal.press("BSpace", "BSpace", "1", "0", "0")
-        terminal.wait("Start it at: 100_")
-        terminal.press("Enter")
-        terminal.wait("servo 63 RUNS at 100°")
-        terminal.press("Up")
-        terminal.wait("servo 63 may go from 0 to 100 degrees; 100.1 is outside", "RUNS at 100°")
-        assert anna.state().legs[5].servos[2].running
 
 
 def test_what_somebody_else_wrote_while_the_lease_was_lost(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
@@ -207,7 +189,7 @@ def test_the_landing_pose_waits_for_who_drives(gateway: Gateway, anna: Client) -
 
 
 def test_the_landing_pose_under_this_users_own_lease(gateway: Gateway, anna: Client) -> None:
-    with closing(Child([*COMMAND, "lease", "acquire", "--connect", gateway.endpoint], os.environ)) as holder:
+    with gateway.begin("lease", "acquire") as holder:
         holder.wait_for_line(0)
         assert gateway.run("send", "leg", "6", "start", "50", "60", "70").returncode == 0
         end = gateway.run("calibrate", "--landing", "--leg", "6", "--yes")

@@ -1,6 +1,5 @@
 """`check --move`: one servo, with consent, and stopped however it ends; seen in the frames that a gateway writes."""
 
-import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +11,7 @@ from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
 from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames
 
 # Patient, for a busy machine: no servo is stopped but by command.
@@ -27,7 +26,7 @@ def client(gateway: Gateway) -> Iterator[Client]:
 
 
 def begin(gateway: Gateway, *answers: str, options: tuple[str, ...] = ()) -> Child:
-    child = Child([*COMMAND, "check", "--move", *options, "--connect", gateway.endpoint], os.environ)
+    child = gateway.begin("check", "--move", *options)
     for answer in answers:
         child.tell(answer)
     return child

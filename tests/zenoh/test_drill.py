@@ -6,22 +6,19 @@ import re
 import signal
 import sys
 import threading
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.tools import reach
 from gateway.people.tools.drill import report
 from gateway.people.tools.drill.command import STEP_NAMES
-from gateway.people.tools.drill.run import drill
 from gateway.people.tools.drill.steps import STEPS
 from schemas.calibration import ServoChange
-from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
-from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
 from tests.support.planted_gateway import MISTAKES
 from tests.support.secured import Secured
@@ -117,19 +114,9 @@ def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path) -> None:
     program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
     settings = {**FRAMES, "buttons": {"required": int(step == "button")}}
     with Gateway(tmp_path, settings, program=program) as planted:
-        found = drill(
-            reach.connection(planted.endpoint, None, 5, source="a drill"),
-            leg=1,
-            angle_deg=90,
-            whole_leg=False,
-            agreed=True,
-            only=[step],
-            late_ms=LATE_MS,
-            endpoint=planted.endpoint,
-            config=None,
-        )
-    assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [(step, "FAIL")], found.outcomes
-    assert not found.passed
+        done = planted.run("drill", "--late", str(LATE_MS), "--only", step)
+    assert done.returncode == 1, str(done)
+    assert done.stdout.startswith(f"FAIL    {step}: "), str(done)
 
 
 def test_a_link_with_certificates_is_cut_too(tmp_path: Path) -> None:
@@ -141,15 +128,8 @@ def test_a_link_with_certificates_is_cut_too(tmp_path: Path) -> None:
         assert "PASS    cut-link" in done.stdout
 
 
-ENDS: Final = {
-    "command": signal.SIGINT,
-    "silence": signal.SIGINT,
-    "estop": signal.SIGTERM,
-    "after-reset": signal.SIGHUP,
-    "cut-link": signal.SIGINT,
-    "lease": signal.SIGTERM,
-}
-"""Of the steps that start a servo: Ctrl-C, a request to end, and the end of the terminal."""
+ENDS: Final = {"command": signal.SIGINT, "after-reset": signal.SIGTERM, "cut-link": signal.SIGHUP}
+"""Ctrl-C, a request to end, and the end of the terminal: with one client, with a stream, and with what a link holds."""
 STARTED: Final = "06020b015a00"
 
 
@@ -158,8 +138,7 @@ def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, step: str) -> 
     """Also whoever is impatient, and ends it twice."""
     with gateway.client() as client:
         heard = frames(client)
-        options = ("--only", step, "--only", "silence", "--connect", gateway.endpoint)
-        with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
+        with gateway.begin("drill", "--only", step, "--only", "silence") as child:
             heard.wait(lambda record: record.bytes == STARTED)
             child.send_signal(ENDS[step])
             child.send_signal(ENDS[step])
@@ -173,9 +152,8 @@ def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: P
     with Gateway(tmp_path, FRAMES) as running, running.client() as client:
         heard = frames(client)
         file = tmp_path / "drill.json"
-        steps = ("--only", "silence", "--only", "cut-link")
-        options = (*steps, "--timeout", "0.3", "--connect", running.endpoint, "--report", str(file))
-        with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
+        options = ("--only", "silence", "--only", "cut-link", "--timeout", "0.3", "--report", str(file))
+        with running.begin("drill", *options) as child:
             heard.wait(lambda record: record.bytes == STARTED)
             running.child.kill()
             assert child.wait() == 4, str(child)
@@ -189,8 +167,7 @@ def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: P
 def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:
     with gateway.client() as client:
         heard = frames(client)
-        options = ("--only", "estop", "--only", "command", "--connect", gateway.endpoint)
-        with closing(Child([*COMMAND, "drill", *options], os.environ)) as child:
+        with gateway.begin("drill", "--only", "estop", "--only", "command") as child:
             child.wait_for_output("estop: engages", timeout_s=20)
             heard.wait(lambda record: record.bytes == STARTED)
             with client.lease(take=True):
@@ -303,18 +280,7 @@ def test_a_service_that_is_killed_comes_back_stopped(
 
         systemd = threading.Thread(target=start_again)
         systemd.start()
-        found = drill(
-            reach.connection(first.endpoint, None, 2, source="a drill"),
-            leg=1,
-            angle_deg=90,
-            whole_leg=False,
-            agreed=True,
-            only=["restart"],
-            restart=True,
-            endpoint=first.endpoint,
-        )
+        done = first.run("drill", "--restart", "--only", "restart", timeout_s=60)
         systemd.join()
-        assert [(outcome.name, outcome.word) for outcome in found.outcomes] == [("restart", SHOWN[ended])], (
-            found.outcomes
-        )
+        assert done.stdout.startswith(f"{SHOWN[ended]}    restart: "), str(done)
     assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()

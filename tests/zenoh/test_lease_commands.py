@@ -1,19 +1,18 @@
 """Who is driving, from a shell: what the commands print, and what `send` does under a lease."""
 
-import os
 import signal
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
 from gateway.people.tools.kept_lease import me
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import Mode
 from tests.support.child import Child
+from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import states
 
 UNVERIFIED = "(a name that nobody has verified)"
@@ -38,11 +37,7 @@ def anna(gateway: Gateway) -> Iterator[Client]:
         yield client
 
 
-def begun(gateway: Gateway, *arguments: str) -> Child:
-    return Child([*COMMAND, "lease", *arguments, "--connect", gateway.endpoint], os.environ)
-
-
-def lines(child: Child) -> list[str]:
+def lines(child: Child | Ended) -> list[str]:
     return child.stdout.splitlines()
 
 
@@ -53,9 +48,12 @@ def kept(runtime: Path) -> list[Path]:
 def test_acquire_holds_it_while_send_and_reset_of_the_same_user_drive(
     gateway: Gateway, anna: Client, runtime: Path
 ) -> None:
-    with closing(begun(gateway, "acquire")) as holder:
+    with gateway.begin("lease", "acquire") as holder:
         assert holder.wait_for_line(0) == f"{me()} drives {UNVERIFIED}\n"
         assert anna.state().lease.holder == me()
+        assert lines(gateway.run("lease", "acquire")) == [
+            "rejected: lease_held: this user holds it already, in another terminal"
+        ]
         assert anna.start_leg(1, 1, 2, 3).reason == "not_holder"
         assert lines(gateway.run("send", "leg", "3", "start", "90", "45", "120")) == ["accepted"]
         assert anna.estop().accepted
@@ -73,7 +71,7 @@ def test_acquire_holds_it_while_send_and_reset_of_the_same_user_drive(
 
 
 def test_release_in_another_terminal_ends_it(gateway: Gateway, anna: Client, runtime: Path) -> None:
-    with closing(begun(gateway, "acquire")) as holder:
+    with gateway.begin("lease", "acquire") as holder:
         holder.wait_for_line(0)
         assert lines(gateway.run("lease", "release")) == ["released"]
         assert holder.wait() == 0
@@ -123,7 +121,7 @@ def test_ask_waits_to_be_handed_it(gateway: Gateway, anna: Client) -> None:
     def hand_over(who: str) -> None:
         lease.hand_over(who)
 
-    with anna.lease(on_asked=hand_over) as lease, closing(begun(gateway, "ask")) as asker:
+    with anna.lease(on_asked=hand_over) as lease, gateway.begin("lease", "ask") as asker:
         assert asker.wait_for_line(0) == f"{me()} drives {UNVERIFIED}\n"
         assert "anna drives, and is asked" in asker.stderr
         assert anna.state().lease.holder == me()
@@ -132,7 +130,7 @@ def test_ask_waits_to_be_handed_it(gateway: Gateway, anna: Client) -> None:
 
 
 def test_who_asks_a_shell_is_told_to_it_and_can_be_handed_it(gateway: Gateway, anna: Client) -> None:
-    with closing(begun(gateway, "acquire")) as holder:
+    with gateway.begin("lease", "acquire") as holder:
         holder.wait_for_line(0)
         assert anna.ask_for_lease().accepted
         holder.wait_for_output("anna asks for the lease: `")
@@ -143,27 +141,7 @@ def test_who_asks_a_shell_is_told_to_it_and_can_be_handed_it(gateway: Gateway, a
         assert holder.wait() == 0
 
 
-def test_who_holds_it_already_is_told_so(gateway: Gateway, anna: Client) -> None:
-    with closing(begun(gateway, "acquire")) as holder:
-        holder.wait_for_line(0)
-        assert anna.state().lease.holder == me()
-        assert lines(gateway.run("lease", "acquire")) == [
-            "rejected: lease_held: this user holds it already, in another terminal"
-        ]
-
-
-def test_a_name_does_not_control_the_terminal(gateway: Gateway, anna: Client) -> None:
-    assert anna.state().lease.holder is None
-    with gateway.client(source="eve\x1b[2J\naccepted") as eve, eve.lease():
-        assert lines(gateway.run("lease", "status"))[0].startswith("eve�[2J�accepted drives")
-        end = gateway.run("send", "leg", "3", "start", "1", "2", "3")
-        assert lines(end) == ["rejected: not_holder: eve�[2J�accepted holds the lease"]
-
-
 def test_take_says_whom_it_stops_and_wants_a_yes(gateway: Gateway, anna: Client) -> None:
-    def stopped(state: GatewayState) -> bool:
-        return state.mode is Mode.IDLE
-
     with anna.lease() as lease:
         assert anna.start_leg(3, 90, 45, 120).accepted
         end = gateway.run("lease", "take")
@@ -173,16 +151,16 @@ def test_take_says_whom_it_stops_and_wants_a_yes(gateway: Gateway, anna: Client)
         assert "say --yes to take it" in end.stderr
         assert lease.held
         heard = states(anna)
-        with closing(begun(gateway, "take", "--yes")) as taker:
+        with gateway.begin("lease", "take", "--yes") as taker:
             assert taker.wait_for_line(0) == f"{me()} drives {UNVERIFIED}\n"
-            heard.wait(stopped)
+            heard.wait(lambda state: state.mode is Mode.IDLE)
             assert lease.confirm() is not None
 
 
 def test_a_shell_that_was_killed_leaves_nothing_that_stands_in_the_way(
     gateway: Gateway, anna: Client, runtime: Path
 ) -> None:
-    with closing(begun(gateway, "acquire")) as holder:
+    with gateway.begin("lease", "acquire") as holder:
         holder.wait_for_line(0)
         holder.kill()
     assert len(kept(runtime)) == 1

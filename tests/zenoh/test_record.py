@@ -72,7 +72,7 @@ def test_that_there_will_be_no_frames_is_reported_at_the_start(tmp_path: Path, p
 
 @contextmanager
 def recording(gateway: Gateway, path: Path) -> Iterator[Child]:
-    with closing(Child([*COMMAND, "record", str(path), "--connect", gateway.endpoint], os.environ)) as child:
+    with gateway.begin("record", str(path)) as child:
         child.wait_for_output("recording into", timeout_s=20)
         yield child
 

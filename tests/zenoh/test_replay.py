@@ -1,10 +1,8 @@
 """`replay` against a real gateway: it writes again what was recorded, or says what differs."""
 
-import os
 import re
 import signal
 import time
-from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -22,15 +20,23 @@ from schemas.keys import FRAME
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames
 
 WATCHDOG_MS: Final = 400
+SETTINGS: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}}
 TOLERANCE_MS: Final = 100
 """For a machine that is busy with other things; on a free one it is 5."""
 
 
-gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}})
+gateway = gateway_fixture(SETTINGS)
+
+
+def check(gateway: Gateway, recorded: Path) -> Child:
+    """`replay --check`: it wants real-time priority, which is for no process with tests in it."""
+    with gateway.begin("replay", str(recorded), "--check", "--tolerance", str(TOLERANCE_MS)) as child:
+        child.wait(40)
+    return child
 
 
 def ride(robot: Client) -> list[FrameRecord]:
@@ -68,7 +74,7 @@ def recorded(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def test_the_simulated_gateway_writes_the_same_frames_again(gateway: Gateway, recorded: Path) -> None:
-    again = gateway.run("replay", str(recorded), "--check", "--tolerance", str(TOLERANCE_MS), timeout_s=40)
+    again = check(gateway, recorded)
     assert again.returncode == 0, str(again)
     assert "the same: " in again.stdout
     found = re.search(r"(\d+) frames expected, (\d+) written", again.stdout)
@@ -79,12 +85,8 @@ def test_the_simulated_gateway_writes_the_same_frames_again(gateway: Gateway, re
 
 
 def test_a_gateway_that_differs_is_reported(tmp_path: Path, recorded: Path) -> None:
-    settings: dict[str, dict[str, Any]] = {
-        "telemetry": {"frames": True},
-        "watchdog": {"timeout_ms": WATCHDOG_MS, "repeats": 1},
-    }
-    with Gateway(tmp_path, settings) as other:
-        differs = other.run("replay", str(recorded), "--check", "--tolerance", str(TOLERANCE_MS), timeout_s=40)
+    with Gateway(tmp_path, {**SETTINGS, "watchdog": {"timeout_ms": WATCHDOG_MS, "repeats": 1}}) as other:
+        differs = check(other, recorded)
         assert differs.returncode == 1, str(differs)
         assert "NOT the same" in differs.stdout
         assert "leg 1, of its own: " in differs.stdout
@@ -105,8 +107,7 @@ def test_a_rejection_ends_it_with_all_legs_stopped(tmp_path: Path, recorded: Pat
 def test_who_takes_the_lease_from_it_drives_on(gateway: Gateway, recorded: Path) -> None:
     with gateway.client(source="bert") as bert:
         heard, happened = frames(bert), events(bert)
-        command = [*COMMAND, "replay", str(recorded), "--connect", gateway.endpoint, "--speed", "0.2"]
-        with closing(Child(command, os.environ)) as child:
+        with gateway.begin("replay", str(recorded), "--speed", "0.2") as child:
             heard.wait(lambda record: record.cause == "command", count=60)
             with bert.lease(take=True), bert.stream(50) as stream:
                 stream.set({1: (90, 90, 90)})
@@ -123,8 +124,7 @@ def test_who_takes_the_lease_from_it_drives_on(gateway: Gateway, recorded: Path)
 def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, recorded: Path) -> None:
     with gateway.client() as client:
         heard = frames(client)
-        command = [*COMMAND, "replay", str(recorded), "--connect", gateway.endpoint]
-        with closing(Child(command, os.environ)) as child:
+        with gateway.begin("replay", str(recorded)) as child:
             heard.wait(lambda record: record.cause == "command", count=60)
             child.send_signal(signal.SIGINT)
             assert child.wait() == 1, str(child)
@@ -137,8 +137,7 @@ def test_a_robot_that_moves_already_and_a_file_without_frames_are_reported(gatew
         assert client.start_leg(1, 90, 90, 90).accepted
         with client.stream(50) as stream:
             stream.set({1: (90, 90, 90)})
-            busy = Child([*COMMAND, "replay", str(recorded), "--connect", gateway.endpoint], os.environ)
-            with closing(busy):
+            with gateway.begin("replay", str(recorded)) as busy:
                 while busy.returncode is None:
                     stream.set({1: (90, 90, 90)})
                 busy.wait()
@@ -152,11 +151,10 @@ def test_a_robot_that_moves_already_and_a_file_without_frames_are_reported(gatew
 
 
 def test_on_another_calibration_it_makes_the_same_motion(tmp_path: Path, recorded: Path) -> None:
-    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}}
     path = tmp_path / "calibrated.mcap"
-    with Gateway(tmp_path, settings) as other, other.client() as robot:
+    with Gateway(tmp_path, SETTINGS) as other, other.client() as robot:
         assert robot.calibrate({11: ServoChange(trim_deg=20), 12: ServoChange(inverted=True)}).accepted
-        with closing(Child([*COMMAND, "record", str(path), "--connect", other.endpoint], os.environ)) as recorder:
+        with other.begin("record", str(path)) as recorder:
             recorder.wait_for_output("Ctrl-C ends it")
             heard = frames(robot)
             with robot.stream(50) as stream:
@@ -169,7 +167,7 @@ def test_on_another_calibration_it_makes_the_same_motion(tmp_path: Path, recorde
         was = [record.bytes for record in heard.all if record.cause == "command"]
         assert was[0].startswith("0e010b016e000c0187")  # 110 and 135 degrees
         assert robot.calibrate({11: ServoChange(trim_deg=-20), 12: ServoChange(inverted=False)}).accepted
-        again = other.run("replay", str(path), "--check", "--tolerance", str(TOLERANCE_MS))
+        again = check(other, path)
         assert again.returncode == 0, str(again)
         now = [record.bytes for record in heard.all if record.cause == "command"][len(was) :]
         assert now[0].startswith("0e010b0146000c012d")  # 70 and 45

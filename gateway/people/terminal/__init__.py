@@ -35,8 +35,8 @@ def visible(text: str) -> str:
 
 
 def say(text: str) -> None:
-    """A line of result, on stdout."""
-    sys.stdout.write(f"{text}\n")
+    """A line of result, on stdout. What strangers have written may be in it."""
+    sys.stdout.write(f"{visible(text)}\n")
     sys.stdout.flush()
 
 
@@ -75,8 +75,8 @@ def clear_line() -> None:
 
 
 def hint(text: str) -> None:
-    """A line for the person, on stderr, so that pipes carry results only."""
-    sys.stderr.write(f"{text}\n")
+    """A line for the person, on stderr, so that pipes carry results only. What strangers have written may be in it."""
+    sys.stderr.write(f"{visible(text)}\n")
     sys.stderr.flush()
 
 

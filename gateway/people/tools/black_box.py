@@ -10,6 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import typer
+
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find, is_id, time_of
@@ -48,7 +50,7 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
         for each in reversed(found)
     ]
     if as_json:
-        say(json.dumps(rows, indent=1))
+        typer.echo(json.dumps(rows, indent=1))
         return 0
     for row in rows:
         size = "in the ring" if row["bytes"] is None else f"{row['bytes'] / 1000:.0f} kB"
@@ -73,7 +75,7 @@ def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
     found = _one(settings, name)
     _, lines = _told(found)
     if as_json:
-        say(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))
+        typer.echo(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))
         return 0
     for line in lines:
         say(line)

@@ -27,7 +27,7 @@ def status(connect: Connection) -> int:
         lease = client.state().lease
     say(_who(lease))
     if lease.asked_by is not None:
-        say(f"{visible(lease.asked_by)} asks for it")
+        say(f"{lease.asked_by} asks for it")
     return 0
 
 
@@ -46,7 +46,7 @@ def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float
     ended = threading.Event()
     with connect() as client, on_end_signals(ended.set):
         if wait_s and (holder := client.state().lease.holder) is not None:
-            hint(f"{visible(holder)} drives, and is asked; waiting for up to {wait_s:g} s.")
+            hint(f"{holder} drives, and is asked; waiting for up to {wait_s:g} s.")
         held = kept_lease.acquired(
             client, take=take, wait_s=wait_s, on_lost=lambda _: ended.set(), on_asked=_tell_of_asker
         )
@@ -62,7 +62,7 @@ def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float
     if lease.lost is None or released:
         say("released" if lease.lost is None else "released elsewhere")
         return 0
-    say(visible(f"lost: {lease.lost.detail}"))
+    say(f"lost: {lease.lost.detail}")
     return 1
 
 
@@ -79,7 +79,7 @@ def release(connect: Connection, to: str | None) -> int:
         if not ack.accepted:
             return rejected(LeaseError(ack.reason or "", ack.detail or "", ack.holder))
         kept_lease.forget(client, token)
-        say("released" if to is None else f"handed over to {visible(to)}")
+        say("released" if to is None else f"handed over to {to}")
         return 0
 
 
@@ -107,7 +107,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, 
         if error.reason == Reason.LEASE_HELD:
             raise
         if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know what is asked
-            hint(visible(f"It is sent without the lease: {error.detail}"))
+            hint(f"It is sent without the lease: {error.detail}")
     try:
         yield {}
     finally:
@@ -125,7 +125,7 @@ def not_acquired(client: Client, error: LeaseError) -> int:
 
 def rejected(error: LeaseError | LeaseLostError) -> int:
     """Say why, and what can be done. Returns the exit code."""
-    say(visible(f"rejected: {error.reason}: {error.detail}"))
+    say(f"rejected: {error.reason}: {error.detail}")
     advise(error.reason)
     return 1
 
@@ -162,4 +162,4 @@ def _agree(state: GatewayState) -> bool:
 
 def _tell_of_asker(who: str) -> None:
     to = shlex.quote(visible(who))
-    hint(f"{visible(who)} asks for the lease: `{this_command()} lease release --to {to}` hands it over.")
+    hint(f"{who} asks for the lease: `{this_command()} lease release --to {to}` hands it over.")

@@ -51,7 +51,8 @@ def _bring(directory: Path, host: str, config: Path) -> int:
         hint(f"{host}: {error}")
         return error.exit_code
     except ZenohError as error:
-        hint(f"{host}: {error}")
+        for line in str(error).splitlines():
+            hint(f"{host}: {line}")
         hint(f"Once it is there: {this_command()} certs revoke --dir {directory} --to {host}")
         return error.exit_code
     say(f"{host}: list {ack.number} is in force.")

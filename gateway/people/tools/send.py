@@ -10,7 +10,7 @@ from gateway.errors import ConfigError, LeaseError
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.requests import Identity
-from gateway.people.terminal import hint, say, this_command, visible
+from gateway.people.terminal import hint, say, this_command
 from gateway.people.tools import reach
 from gateway.people.tools.kept_lease import me
 from gateway.people.tools.reach import Connection
@@ -168,6 +168,6 @@ def _report(ack: Ack, accepted: str) -> int:
         return 0
     from gateway.people.tools import driving
 
-    say(visible(f"rejected: {ack.reason}: {ack.detail}"))
+    say(f"rejected: {ack.reason}: {ack.detail}")
     driving.advise(ack.reason)
     return 1

@@ -1,8 +1,6 @@
 """Why the gateway is not reached, or does not answer: what is looked at after a command has failed, and by `check`."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -67,22 +65,13 @@ def _nobody(role: str) -> Finding:
 
 def _may_command(client: Client) -> bool:
     """Whether the gateway takes this session's commands; nothing is sent. Access control hides its keys from others."""
-    with _declared(client.session) as publisher:
+    with client.session.declare_publisher(keys.LEGS_COMMAND) as publisher:
         end_s = time.monotonic() + _MATCHING_S
         while not _matching(publisher):
             if time.monotonic() > end_s:
                 return False
             time.sleep(_PAUSE_S)
     return True
-
-
-@contextmanager
-def _declared(session: zenoh.Session) -> Iterator[zenoh.Publisher]:
-    publisher = session.declare_publisher(keys.LEGS_COMMAND)
-    try:
-        yield publisher
-    finally:
-        publisher.undeclare()
 
 
 def _matching(publisher: zenoh.Publisher) -> bool:

@@ -1,36 +1,26 @@
-"""Lines that a person copies from what a command said: they are what was meant, and they are found."""
+"""What a command prints: lines that a person can copy, and nothing by which a stranger's words control the terminal."""
 
 import sys
 from pathlib import Path
 
 import pytest
 
-from gateway.errors import ConfigError
-from gateway.people.terminal import this_command
-from gateway.people.tools.send import connection, send_leg, send_servo
+from gateway.people.terminal import hint, say, this_command
+from tests.support.command import run_here
 
-NOWHERE = connection("tcp/127.0.0.1:1", None, 1)
-
-
-@pytest.mark.parametrize(("op", "angles_deg", "example"), [
-    ("stop", (1.0,), "send leg 4 stop"),
-    ("set", (1.0,), "send leg 4 set 90 45 120"),
-    ("start", (), "send leg 4 start 90 45 120"),
-])  # fmt: skip
-def test_the_example_is_of_the_operation_that_was_meant(op: str, angles_deg: tuple[float, ...], example: str) -> None:
-    with pytest.raises(ConfigError) as error:
-        send_leg(NOWHERE, 4, op, angles_deg, hold_s=0)
-    assert str(error.value).endswith(f"for example: {example}")
+EVIL = "eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
+SHOWN = "eve�[2J�]0;owned���accepted"
 
 
-@pytest.mark.parametrize(("op", "angle_deg", "example"), [
-    ("stop", 1.0, "send servo 41 stop"),
-    ("set", None, "send servo 41 set 90"),
-])  # fmt: skip
-def test_the_same_for_a_servo(op: str, angle_deg: float | None, example: str) -> None:
-    with pytest.raises(ConfigError) as error:
-        send_servo(NOWHERE, 41, op, angle_deg, hold_s=0)
-    assert str(error.value).endswith(f"for example: {example}")
+def test_what_strangers_wrote_is_shown_on_one_line_and_does_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    say(f"{EVIL} drives")
+    hint(f"{EVIL} asks")
+    assert capsys.readouterr() == (f"{SHOWN} drives\n", f"{SHOWN} asks\n")
+
+
+def test_nor_does_it_in_an_error() -> None:
+    end = run_here("run", "--config", "/nowhere\x1b[2J.toml")
+    assert end == (2, "", "hexapod-gateway: /nowhere�[2J.toml: there is no such file; name another with --config\n")
 
 
 def test_a_program_that_is_not_on_the_path_is_named_as_it_was_called(

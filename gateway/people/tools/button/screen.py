@@ -5,7 +5,7 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import GatewayError, RejectedError
+from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.live import reports, subscribed
@@ -44,7 +44,7 @@ class Screen(screen.Screen):
             self.show()
         self.hint_at_fault()
         if self._check_ins.refused:
-            hint(f"hexapod-gateway: {visible(self._check_ins.refused)}")
+            hint(f"hexapod-gateway: {self._check_ins.refused}")
         return 1 if self._check_ins.refused or self.fault is not None else 0
 
     def begin(self) -> None:
@@ -54,7 +54,7 @@ class Screen(screen.Screen):
         try:
             self._check_ins.end()
         except GatewayError as error:
-            hint(f"hexapod-gateway: {visible(str(error))}")
+            hint(f"hexapod-gateway: {error}")
 
     def press(self, keys: list[str]) -> bool:
         if keys == ["ctrl-c"] or self._check_ins.refused:
@@ -120,16 +120,10 @@ def called(name: str | None) -> str:
 
 
 def hold(connect: Connection, name: str | None) -> int:
-    """Be a button until Ctrl-C. Returns the exit code. Raises ConfigError, ZenohError."""
-    why_not = why_no_screen("button", "", on_windows=", or open the console's /button")
-    if why_not is not None:
-        hint(f"hexapod-gateway: {why_not}")
-        return 1
+    """Be a button until Ctrl-C. Returns the exit code. Raises ConfigError, RejectedError, ZenohError."""
+    if (why_not := why_no_screen("button", "", on_windows=", or open the console's /button")) is not None:
+        raise GatewayError(why_not)
     with connect() as client:
-        try:
-            button = client.button(called(name))
-            button.register()
-        except RejectedError as error:
-            hint(f"hexapod-gateway: {visible(str(error))}")
-            return 1
+        button = client.button(called(name))
+        button.register()
         return Screen(client, button).run()

@@ -6,7 +6,7 @@ from typing import Any, Final
 from gateway.errors import ConfigError, LeaseError
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
-from gateway.people.terminal import agrees, hint, say, this_command, visible
+from gateway.people.terminal import agrees, hint, say, this_command
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.calibrate.robot import once_kept
 from gateway.people.tools.reach import Connection
@@ -45,7 +45,7 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
     with connect() as client:
         state, calibration = client.state(), calibration_of(client.calibration())
         if state.calibration.fault is not None:
-            say(visible(untrusted(state.calibration.fault)))
+            say(untrusted(state.calibration.fault))
             return 1
         stand = standing(state, legs)
         if not stand:
@@ -75,7 +75,7 @@ def accept_default(connect: Connection, *, agreed: bool) -> int:
         if fault is None:
             say(f"there is nothing to accept: {_about(state.calibration, calibration_of(client.calibration()))}")
             return 0
-        say(visible(fault))
+        say(fault)
         hint(
             "The default has no trim, turns no servo round and has the full range: on a robot that is built otherwise, "
             "servos go where nobody wants them. The file is replaced by it."
@@ -116,7 +116,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
     except LeaseError as error:
         return driving.rejected(error)
     if not ack.accepted:
-        say(visible(f"rejected: {ack.reason}: {ack.detail}"))
+        say(f"rejected: {ack.reason}: {ack.detail}")
         return 1
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
@@ -128,7 +128,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
     """Wait until whoever drives has handed over, or ended. Raises LeaseError."""
     holder = client.state().lease.holder
     if holder is not None:
-        hint(f"{visible(holder)} drives, and is asked for the lease: it is written as soon as that is free, and the")
+        hint(f"{holder} drives, and is asked for the lease: it is written as soon as that is free, and the")
         hint(f"servos need not run any more then. Waiting for up to {WAIT_S:g} s.")
     with client.lease(wait_s=WAIT_S, source=kept_lease.me()):
         return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
@@ -146,7 +146,7 @@ def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
 
 def _about(report: CalibrationReport, calibration: Calibration) -> str:
     if report.fault is not None:
-        return visible(f"NOT TRUSTED ({report.fault}), so nothing can be started")
+        return f"NOT TRUSTED ({report.fault}), so nothing can be started"
     kept = "kept on the robot" if report.kept else "in memory only"
     return f"revision {calibration.revision}, {kept}"
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import LeaseError, LeaseLostError
+from gateway.errors import GatewayError, LeaseError, LeaseLostError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, screen, visible, why_no_screen
 from gateway.people.tools import driving
@@ -80,14 +80,13 @@ _OTHERWISE: Final = (
 def run(connect: Connection) -> int:
     """Guide. Raises ZenohError where no gateway answers."""
     if (why_not := why_no_screen("calibrate", _OTHERWISE)) is not None:
-        hint(f"hexapod-gateway: {why_not}")
-        return 1
+        raise GatewayError(why_not)
     with connect() as client:
         state = client.state()
         fault = state.calibration.fault
         trouble = why_not_at_rest(state) if fault is None else once.untrusted(fault)
         if trouble is not None:
-            say(visible(trouble))
+            say(trouble)
             return 1
         try:
             calibration = calibration_of(client.calibration())

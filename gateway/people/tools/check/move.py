@@ -15,7 +15,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import ask, hint, say, visible
+from gateway.people.terminal import ask, hint, say
 from gateway.people.tools.reach import Connection, check_at_rest
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
@@ -146,7 +146,7 @@ def _is_expired(state: GatewayState, servo_id: int) -> bool:
 
 def _accepted(ack: Ack) -> bool:
     if not ack.accepted:
-        say(visible(f"rejected: {ack.reason}: {ack.detail}"))
+        say(f"rejected: {ack.reason}: {ack.detail}")
     return ack.accepted
 
 

@@ -66,7 +66,7 @@ class Screen(screen.Screen):
         try:
             self.show()
         except GatewayError as error:
-            hint(f"hexapod-gateway: {visible(str(error))}")
+            hint(f"hexapod-gateway: {error}")
             return 1
         finally:
             if self._stop_wanted:
@@ -184,12 +184,9 @@ def _shown(velocity: Velocity) -> str:
 
 def drive(connect: Connection, gait: str, geometry: Path | None, height_m: float | None) -> int:
     """Drive until q. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
-    why_not = why_no_screen(
-        "walk from the keyboard", "; without one: --forward 0.1 --seconds 5", on_windows=", or give --seconds"
-    )
-    if why_not is not None:
-        hint(f"hexapod-gateway: {why_not}")
-        return 1
+    without_one = "; without one: --forward 0.1 --seconds 5"
+    if (why_not := why_no_screen("walk from the keyboard", without_one, on_windows=", or give --seconds")) is not None:
+        raise GatewayError(why_not)
     with connect() as client:
         try:
             with client.lease(source=kept_lease.me()) as lease:

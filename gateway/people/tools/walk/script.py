@@ -10,7 +10,7 @@ from typing import Final
 
 from gateway.errors import LeaseError, RejectedError, StoppedError
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line, visible
+from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.walking import Posture, Velocity, WalkState
@@ -56,11 +56,11 @@ def walk(
         except LeaseError as error:
             return driving.not_acquired(client, error)
         except (StoppedError, RejectedError) as error:
-            say(visible(str(error)))
+            say(str(error))
             return 1
         except KeyboardInterrupt as cut:
             failed = getattr(cut, "__notes__", [])  # its Stops were not confirmed
-            say(visible("; ".join(failed) or "stopped at once: its servos are slack, wherever its legs were"))
+            say("; ".join(failed) or "stopped at once: its servos are slack, wherever its legs were")
             return _ENDED_EARLY
     return 0 if whole else _ENDED_EARLY
 

@@ -5,7 +5,6 @@ gateway is there, and whether the emergency stop was taken.
 """
 
 from collections import Counter, deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import Enum, StrEnum, auto
@@ -370,8 +369,3 @@ _BAD: Final = frozenset(
         Kind.STOPPING,
     }
 )
-
-
-def top_rejected(rejected: Mapping[str, int], count: int) -> list[tuple[str, int]]:
-    """The sources with most rejections, most first; equal ones by name, so that lines keep their places."""
-    return sorted(rejected.items(), key=lambda item: (-item[1], item[0]))[:count]

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from gateway.certs import expiry
 from gateway.people.terminal import visible
-from gateway.people.tools.watch.model import Counts, Model, Presence, Tone, top_rejected
+from gateway.people.tools.watch.model import Counts, Model, Presence, Tone
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
@@ -274,7 +274,7 @@ def _rejections(model: Model) -> list[Text]:
     line = Text().append("rejected    ", "dim")
     if not model.rejected:
         return [line.append("nobody, since this view began", "dim")]
-    for source, count in top_rejected(model.rejected, _MAX_SOURCES):
+    for source, count in model.rejected.most_common(_MAX_SOURCES):
         line.append(f"{source} ", "yellow").append(f"{count} ", "bold yellow")
         line.append(f"({model.reasons.get(source, '?')})  ", "dim")
     if len(model.rejected) > _MAX_SOURCES:
