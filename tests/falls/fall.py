@@ -7,8 +7,9 @@ from gateway.geometry import Geometry
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.world import World
 from gateway.robot.settings import Settings
-from tests.falls.stride import GEOMETRY, Moment, drive
-from tests.falls.ways import Sent, Way
+from tests.falls.stride import GEOMETRY, Moment
+from tests.falls.ways import Way
+from tests.walking.physics import Sent, drive
 
 AFTER_S: Final = 1.5
 """After the last thing that is sent: then it lies."""

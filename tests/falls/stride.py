@@ -1,11 +1,10 @@
 """A robot that stands or walks, at each phase of its stride: by the pure gait engine, in MuJoCo."""
 
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gateway.geometry import Geometry, load
+from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.world import Saved, World
@@ -13,6 +12,7 @@ from gateway.people.walking import GAITS, Engine, Posture, Robot, Velocity
 from gateway.robot.settings import Settings
 from schemas.robot import JOINTS
 from tests.walking.__main__ import SPEEDS_M_S
+from tests.walking.physics import drive
 
 ELKAPOD: Final = Path(__file__).parents[2] / "examples" / "elkapod"
 GEOMETRY: Final = load(ELKAPOD / "geometry.json")
@@ -39,12 +39,6 @@ class Moment(NamedTuple):
     """Where it was sent."""
     engine: Engine
     """As it was then; whoever goes on with it takes a copy."""
-
-
-def drive(world: World, angles: Mapping[int, float | None], geometry: Geometry = GEOMETRY) -> None:
-    """Send servos there; None: stop them."""
-    for servo_id, angle_deg in angles.items():
-        world.drive(servo_id, None if angle_deg is None else geometry.joint_rad(servo_id, angle_deg))
 
 
 def run(world: World, seconds: float) -> None:
@@ -83,7 +77,7 @@ def stood_up(stance: str, assumed: Assumed) -> tuple[World, Engine]:
 def tick(world: World, engine: Engine, wanted: Velocity) -> None:
     """One command to all legs, and the time until the next."""
     engine.step(wanted, TICK_S)
-    drive(world, angles_of(engine))
+    drive(world, angles_of(engine), GEOMETRY)
     run(world, TICK_S)
 
 

@@ -12,14 +12,13 @@ from gateway.robot.core.landing import landing
 from gateway.robot.settings import Settings
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from tests.falls.stride import TICK_S, Angles, Moment, angles_of, velocity
+from tests.walking.physics import Sent
 
 STOP_SERVOS_S: Final = 0.4
 """From a gateway's death to `stop-servos` (docs/stops.md)."""
 BUS_FAULT_S: Final = 3.0
 SLACK: Final[Mapping[int, float | None]] = dict.fromkeys(SERVO_IDS)
 NS: Final = 1_000_000_000
-
-Sent = tuple[float, Mapping[int, float | None]]
 
 
 class Way(NamedTuple):

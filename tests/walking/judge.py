@@ -4,9 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from gateway.geometry import load
 from gateway.people.walking.motion import travelled
-from tests.walking.physics import SINKS_S, Assumed, Setpoint, Track, World, setpoints, went
+from tests.walking.physics import Assumed, Track, World, sent_by, went
 from tests.walking.recorded import Recording, Walked
 
 OFF: Final = 0.10
@@ -65,7 +64,7 @@ class Verdict(NamedTuple):
 
 def judge(recording: Recording, assumed: Assumed) -> Verdict:
     """Stand up, the parts, sit down."""
-    track = World(assumed).run(setpoints(recording.records, load()))
+    track = World(assumed).run(sent_by(recording.records))
     results = [_result(recording.gait, walked, track, assumed) for walked in recording.parts]
     faults = [fault for result in results for fault in result.faults]
     if track.fell:
@@ -96,13 +95,6 @@ def _result(gait: str, walked: Walked, track: Track, assumed: Assumed) -> Result
         tilt_deg=track.tilt_deg(walked.begin_s, walked.end_s),
         scraped_m=track.scraped_m(walked.begin_s, walked.end_s),
     )
-
-
-def stopped_at(recording: Recording, time_s: float, assumed: Assumed) -> Track:
-    """All servos go slack at that time, as after an emergency stop: what becomes of the robot."""
-    before = [each for each in setpoints(recording.records, load()) if each.time_s < time_s]
-    servos = dict.fromkeys(each.servo_id for each in before)
-    return World(assumed).run([*before, *(Setpoint(time_s, servo_id, None) for servo_id in servos)], more_s=SINKS_S)
 
 
 def table(results: Sequence[Result]) -> str:

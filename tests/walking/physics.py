@@ -4,7 +4,7 @@ What nobody has measured is assumed there; mass, force and friction are varied b
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -22,7 +22,7 @@ from schemas.telemetry import FrameRecord
 
 LOOK_S: Final = 0.02
 FALLEN_DEG: Final = 30.0
-SUNK_M: Final = 0.09
+SUNK_M: Final = 0.092
 """The middle of a body with slack servos comes below this height. It stands at 0.154, and lies flat at 0.058.
 
 Slack legs fold below it: tibias lie under one side, their femurs at their end stops, and hold that side up, while a
@@ -94,32 +94,34 @@ class Track:
         return max(pose.tilt_deg for pose in self.poses if begin_s <= pose.time_s <= end_s)
 
 
-class Setpoint(NamedTuple):
-    """One servo at one time; no angle: stopped."""
-
-    time_s: float
-    servo_id: int
-    joint_rad: float | None
+Sent = tuple[float, Mapping[int, float | None]]
+"""When (seconds), and where servos are sent, in degrees; None: stopped."""
 
 
-def setpoints(records: Sequence[FrameRecord], geometry: Geometry) -> list[Setpoint]:
-    """What the frames say to the servos, in seconds since the first; the wire's angles are the default geometry's."""
-    found = []
-    begun_ns = records[0].monotonic_ns
+def sent_by(records: Sequence[FrameRecord], since_ns: int | None = None) -> list[Sent]:
+    """What the frames say, in seconds since then, or since the first of them."""
+    begun_ns = records[0].monotonic_ns if since_ns is None else since_ns
+    found: list[Sent] = []
     for record in records:
-        time_s = (record.monotonic_ns - begun_ns) / 1e9
-        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
-            joint_rad = None if op.op is Op.STOP else geometry.joint_rad(servo_id, op.angle_cdeg / 100)
-            found.append(Setpoint(time_s, servo_id, joint_rad))
-    return sorted(found, key=lambda each: each.time_s)
+        servos = decode(bytes.fromhex(record.bytes)).servos
+        angles = {servo_id: None if op.op is Op.STOP else op.angle_cdeg / 100 for servo_id, op in servos}
+        found.append(((record.monotonic_ns - begun_ns) / 1e9, angles))
+    return found
+
+
+def drive(world: Simulated, angles: Mapping[int, float | None], geometry: Geometry) -> None:
+    """Send servos there, in angles of this geometry."""
+    for servo_id, angle_deg in angles.items():
+        world.drive(servo_id, None if angle_deg is None else geometry.joint_rad(servo_id, angle_deg))
 
 
 class World:
-    """The robot, lying slack on its belly until its first setpoint."""
+    """The robot of the default geometry, lying slack on its belly until its first frame."""
 
-    def __init__(self, assumed: Assumed = VARIATIONS[0], geometry: Geometry | None = None) -> None:
+    def __init__(self, assumed: Assumed) -> None:
+        self._geometry = load()
         self._world = Simulated(
-            geometry or load(),
+            self._geometry,
             Assumptions(
                 mass_kg=MASSES.total_kg * assumed.mass,
                 torque_nm=TORQUE_NM * assumed.force,
@@ -130,21 +132,22 @@ class World:
         self.track = Track()
         self._turned = 0.0
 
-    def run(self, wanted: Sequence[Setpoint], more_s: float = 1.0) -> Track:
+    def run(self, sent: Sequence[Sent]) -> Track:
         """Drive it by these, and a second longer. It begins with its legs where they will first be commanded to: where
         they lie is not known, and not the test."""
-        world = self._world
+        world, geometry = self._world, self._geometry
         first: dict[int, float] = {}
-        for each in wanted:
-            if each.joint_rad is not None:
-                first.setdefault(each.servo_id, each.joint_rad)
+        for _, angles in reversed(sent):
+            first |= {
+                servo_id: geometry.joint_rad(servo_id, deg) for servo_id, deg in angles.items() if deg is not None
+            }
         world.lie_down(first)
         next_one, steps = 0, round(LOOK_S / TIMESTEP_S)
-        end_s = wanted[-1].time_s + more_s
+        end_s = sent[-1][0] + 1.0
         while world.time_s < end_s:
             for _ in range(steps):
-                while next_one < len(wanted) and wanted[next_one].time_s <= world.time_s:
-                    world.drive(wanted[next_one].servo_id, wanted[next_one].joint_rad)
+                while next_one < len(sent) and sent[next_one][0] <= world.time_s:
+                    drive(world, sent[next_one][1], geometry)
                     next_one += 1
                 world.step()
             self._look()

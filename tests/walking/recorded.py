@@ -3,15 +3,11 @@
 `record` is in lockstep: a walker's tick goes to the gateway, the gateway writes its six frames, and only then comes the
 next tick. Each frame counts at the time of the tick that it came from. So a recording is the same on a machine that is
 busy, takes less time than the walk, and what a judge finds in it is a fault of the gait and not of the machine.
-`record_live` is what a program does: `Client.walk` by the clock. Its frames have the times at which the gateway wrote
-them, and it states the longest silence between two of them, which is the machine's.
 """
 
 import math
 import queue
-import time
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -36,7 +32,6 @@ _PATIENT: Final[dict[str, dict[str, Any]]] = {
     "watchdog": {"timeout_ms": 10_000},  # it outlasts a moment in which this machine is busy
     "lease": {"ttl_ms": 10_000},
 }
-_LIVE: Final = {**_PATIENT, "limits": {"leg_rate_hz": 60}}  # at exactly the walk's rate setpoints wait for their slots
 
 
 class Leg(NamedTuple):
@@ -66,8 +61,6 @@ class Recording(NamedTuple):
     gait: str
     records: list[FrameRecord]
     parts: list[Walked]
-    stalled_s: float = 0.0
-    """The longest time between two frames within the parts; 0 in lockstep."""
 
 
 class _Written:
@@ -93,10 +86,6 @@ class _Written:
         except queue.Empty:
             raise TimeoutError(f"the gateway wrote {len(taken)} of {count} frames in {_WRITTEN_WITHIN_S} s") from None
         return taken
-
-    def all(self) -> list[FrameRecord]:
-        """What has come until now."""
-        return self.take(self._records.qsize())
 
 
 class _Lockstep:
@@ -168,27 +157,6 @@ def record(folder: Path, gait: str, course: Sequence[Leg]) -> Recording:
                 lockstep.sit()
             lockstep.stops()
         return Recording(gait, lockstep.records, parts)
-
-
-def record_live(folder: Path, gait: str, part: Leg) -> Recording:
-    """The same for one part by `Client.walk`, in real time."""
-    with Gateway(folder, _LIVE) as gateway, gateway.client(source="watcher") as watcher:
-        written = _Written(watcher)
-        with gateway.client(source="walker") as client:
-            with client.walk(gait) as walk:
-                walk.stand()
-                begin, begin_ns = walk.state.odometry, time.monotonic_ns()
-                while time.monotonic_ns() - begin_ns < part.seconds * 1e9:
-                    walk.go(*part.velocity)
-                held_s = (time.monotonic_ns() - begin_ns) / 1e9
-                walk.stand()
-                end, end_ns = walk.state.odometry, time.monotonic_ns()
-            client.state()  # answered after the walk's Stops
-        records = written.all()
-        first_ns = records[0].monotonic_ns
-        walked = Walked(part, held_s, (begin_ns - first_ns) / 1e9, (end_ns - first_ns) / 1e9, begin, end)
-        times_ns = [each.monotonic_ns for each in records if begin_ns <= each.monotonic_ns <= end_ns]
-        return Recording(gait, records, [walked], max(after - before for before, after in pairwise(times_ns)) / 1e9)
 
 
 def directions(speed_m_s: float, seconds: float) -> list[Leg]:
