@@ -5,6 +5,7 @@ import json
 import os
 import secrets
 import select
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -90,6 +91,7 @@ class BodyProcess:
 
     def _watch(self) -> None:
         status = self._process.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)  # as it has done itself, unless it was killed
         if not self._ended:
             how = f"was killed by signal {-status}" if status < 0 else f"ended with exit code {status}"
             hint(f"the physics process {how}: nobody simulates the body any more, and the gateway goes on without")
