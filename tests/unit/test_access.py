@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway.certs.fleet_files import robot_json5, router_json5
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
 from gateway.errors import ConfigError
 from gateway.robot.edge import simulated_body
@@ -162,53 +163,58 @@ def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:
     assert declared == {*TELEMETRY, ALIVE}
 
 
-FOR_BOTH: list[tuple[str, object]] = [
-    ("scouting/multicast/enabled", False),
-    ("scouting/gossip/enabled", False),
-    ("transport/shared_memory/enabled", False),
-    ("transport/link/protocols", ["tls"]),
-    ("transport/link/tx/lease", 1000),
-    ("transport/link/rx/max_message_size", 65536),
-    ("transport/link/tls/root_ca_certificate", "ca.pem"),
-    ("transport/link/tls/enable_mtls", True),
-    ("transport/link/tls/verify_name_on_connect", True),
-]
+FILES: dict[str, bytes] = {
+    "gateway": gateway_json5(["robot.local"], 7447),
+    "laptop": laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "robot1"),
+    "router": router_json5(["robot-1"], 7447),
+    "robot": robot_json5("robot-1", "router.local", 7447),
+}
+FOR_ALL: dict[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,
+    "transport/link/protocols": ["tls"],
+    "transport/link/tx/lease": 1000,
+    "transport/link/rx/max_message_size": 65536,
+    "transport/link/tls/root_ca_certificate": "ca.pem",
+    "transport/link/tls/enable_mtls": True,
+    "transport/link/tls/verify_name_on_connect": True,
+}
+LISTENS: dict[str, object] = {
+    "listen/endpoints": ["tls/[::]:7447"],
+    "transport/link/tls/listen_certificate": "gateway.pem",
+    "transport/link/tls/listen_private_key": "gateway.key",
+}
+HOLDS: dict[str, object] = {
+    "adminspace/enabled": False,
+    "transport/link/tls/close_link_on_expiration": True,
+}
+ITS_OWN: dict[str, dict[str, object]] = {
+    "gateway": {"mode": "peer", **LISTENS, **HOLDS},
+    "laptop": {
+        "mode": "client",
+        "namespace": "robot1",
+        "connect/endpoints": ["tls/robot.local:7447", "tls/[fd00::1]:7447"],
+        "transport/unicast/open_timeout": 1000,
+        "transport/link/tls/connect_certificate": "anna.pem",
+        "transport/link/tls/connect_private_key": "anna.key",
+    },
+    "router": {"mode": "router", **LISTENS, **HOLDS},
+    "robot": {"mode": "peer", "namespace": "robot-1", "listen/endpoints": [], **HOLDS},
+}
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *FOR_BOTH,
-        ("mode", "peer"),
-        ("listen/endpoints", ["tls/[::]:7447"]),
-        ("adminspace/enabled", False),
-        ("transport/link/tls/close_link_on_expiration", True),
-    ],
-)
-def test_who_comes_in_and_with_how_much(gateway: zenoh.Config, key: str, value: object) -> None:
-    assert get(gateway, key) == value
+@pytest.mark.parametrize("name", FILES)
+def test_who_comes_in_and_with_how_much(tmp_path: Path, name: str) -> None:
+    made = config(FILES[name], tmp_path)
+    wanted = FOR_ALL | ITS_OWN[name]
+    assert {key: get(made, key) for key in wanted} == wanted
 
 
-def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(gateway: zenoh.Config) -> None:
-    (limit,) = get(gateway, "low_pass_filter")
+@pytest.mark.parametrize("name", ["gateway", "router", "robot"])
+def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(tmp_path: Path, name: str) -> None:
+    (limit,) = get(config(FILES[name], tmp_path), "low_pass_filter")
     assert limit["flows"] == ["ingress"]
     assert set(limit["messages"]) == {"put", "delete", "query", "reply"}
     assert limit["key_exprs"] == ["**"]
     assert limit["size_limit"] == 16_384
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *FOR_BOTH,
-        ("mode", "client"),
-        ("transport/unicast/open_timeout", 1000),
-        ("transport/link/tls/connect_certificate", "anna.pem"),
-        ("transport/link/tls/connect_private_key", "anna.key"),
-        ("connect/endpoints", ["tls/robot.local:7447", "tls/[fd00::1]:7447"]),
-        ("namespace", "robot1"),
-    ],
-)
-def test_a_laptop_talks_to_its_own_robot_only(tmp_path: Path, key: str, value: object) -> None:
-    made = config(laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "robot1"), tmp_path)
-    assert get(made, key) == value

@@ -37,7 +37,6 @@ DEPLOY = Path(__file__).parents[2] / "deploy" / "zenoh"
 HOST = "127.0.0.1"
 ROBOTS = ["robot-1", "robot-2", "robot-3"]
 PEOPLE = [("anna", "operator", "robot-1"), ("otto", "observer", "robot-1"), ("bert", "operator", "robot-2")]
-TLS = "transport/link/tls"
 BUFFER_BYTES = 16_384
 
 
@@ -51,6 +50,7 @@ class Fleet:
         certs.add_robots(self.folder, ROBOTS)
         for name, role, robot in PEOPLE:
             certs.issue(self.folder, name, role, robot=robot)
+        certs.issue(self.folder, "olga", "operator")  # as for a single robot: the router has no rule for her
         self._end = ExitStack()
         self._router = self._end.enter_context(ExitStack())
         self.gateways = [self._gateway(folder, robot) for robot in ROBOTS]  # a robot may well be up first
@@ -155,7 +155,7 @@ def test_an_operator_commands_the_own_robot_and_sees_it(anna: Client, bert: Clie
 OTHERS = ["robot-2", "robot-$*", "*", "**"]
 
 
-@pytest.mark.parametrize("who", ["anna", "robot-1", "otto"])
+@pytest.mark.parametrize("who", ["anna", "robot-1", "otto", "olga"])
 def test_nobody_commands_or_sees_the_robot_of_another(fleet: Fleet, anna: Client, bert: Client, who: str) -> None:
     before = bert.state()
     seen: list[str] = []
@@ -244,37 +244,6 @@ def test_a_certificate_for_one_robot_drives_no_other(fleet: Fleet, anna: Client,
     assert anna.state().lease.holder is None
 
 
-def turned_away(config: zenoh.Config) -> None:
-    config.insert_json5("connect/timeout_ms", "1500")
-    with pytest.raises(zenoh.ZError, match="Unable to connect"):
-        zenoh.open(config)
-
-
-def test_another_ca_and_no_certificate_are_not_let_in(fleet: Fleet, tmp_path: Path) -> None:
-    other = tmp_path / "E"
-    certs.init(other, [HOST], port=fleet.port)
-    certs.add_robots(other, ["robot-1"])
-    certs.issue(other, "eve", "operator", robot="robot-1")
-    for name in ("eve", "robot-1"):
-        stranger = {
-            f"{TLS}/connect_certificate": f"{other}/{name}.pem",
-            f"{TLS}/connect_private_key": f"{other}/{name}.key",
-        }
-        turned_away(fleet.raw("anna", **stranger))
-    none = {f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None}
-    turned_away(fleet.raw("anna", **none))
-
-
-def test_an_operator_of_no_robot_gets_nothing(fleet: Fleet, bert: Client) -> None:
-    """A certificate of the same CA, made as for a single robot: the router has no rule for it."""
-    before = bert.state()
-    certs.issue(fleet.folder, "olga", "operator")
-    with zenoh.open(fleet.raw("olga")) as session:
-        session.put(f"robot-2/{keys.ESTOP}", b"")
-        assert list(session.get(f"robot-2/{keys.STATE}", timeout=5)) == []
-    untouched(bert, before)
-
-
 def test_people_who_ask_and_do_not_read_hold_no_other_robots_stop_up(fleet: Fleet, bert: Client) -> None:
     """The router has two threads that receive from all links: a link that is full is given up before these wait."""
     endpoint = f"tls/{HOST}:{fleet.port}#so_rcvbuf={BUFFER_BYTES}"
@@ -344,13 +313,6 @@ def test_a_robots_name_is_a_free_one(fleet: Fleet, name: str) -> None:
     before = contents(fleet.folder)
     assert name in fault(lambda: certs.add_robots(fleet.folder, ["robot-4", name]))
     assert contents(fleet.folder) == before
-
-
-def test_every_file_bounds_what_is_put_together(fleet: Fleet) -> None:
-    files = sorted(fleet.folder.glob("*.json5"))
-    assert {file.stem for file in files} >= {"gateway", "router", *ROBOTS, *(name for name, *_ in PEOPLE)}
-    for file in files:
-        assert load_config(file).get_json("transport/link/rx/max_message_size") == "65536"
 
 
 def test_the_files_in_deploy_are_those_that_certs_makes(tmp_path: Path) -> None:

@@ -11,16 +11,13 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway import certs
 from gateway.client import leg_payload
 from gateway.errors import ZenohError
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import events, states
+from tests.support.heard import events
 from tests.support.secured import HOST, Secured
-
-TLS = "transport/link/tls"
 
 
 @pytest.fixture(scope="module")
@@ -28,15 +25,6 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
     folder = tmp_path_factory.mktemp("secured")
     with Secured(folder, {"telemetry": {"frames": True}}, address="0.0.0.0") as made:  # noqa: S104  (with mTLS)
         yield made
-
-
-def test_an_operator_commands_and_watches(secured: Secured) -> None:
-    with secured.client("anna") as anna:
-        heard = states(anna)
-        assert anna.start_leg(3, 90, 45, 120).accepted
-        heard.wait(lambda state: state.mode is Mode.ACTIVE)
-        assert anna.estop().stop_frames == 6
-        assert anna.reset().accepted
 
 
 def test_an_observer_watches_and_commands_nothing(secured: Secured) -> None:
@@ -60,21 +48,6 @@ def turned_away(config: zenoh.Config) -> None:
     config.insert_json5("connect/timeout_ms", "1000")
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         zenoh.open(config)
-
-
-def test_no_certificate(secured: Secured) -> None:
-    none = {f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None}
-    turned_away(secured.raw("anna", **none))
-
-
-def test_a_certificate_of_another_ca(secured: Secured, tmp_path: Path) -> None:
-    certs.init(tmp_path / "E", [HOST])
-    certs.issue(tmp_path / "E", "eve", "operator")
-    eves = {
-        f"{TLS}/connect_certificate": str(tmp_path / "E" / "eve.pem"),
-        f"{TLS}/connect_private_key": str(tmp_path / "E" / "eve.key"),
-    }
-    turned_away(secured.raw("anna", **eves))
 
 
 @pytest.mark.parametrize(
