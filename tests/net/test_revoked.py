@@ -12,10 +12,9 @@ from typing import Any
 
 import pytest
 
-from gateway import certs
 from gateway.client import Client
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Kind
 from tests.net.hosts import LaptopHost, RobotHost, with_certificates
 from tests.net.namespaces import Network
 from tests.support.child import Child
@@ -149,34 +148,3 @@ def test_a_revoked_laptop_that_comes_again_every_50_ms_costs_nobody_a_stop(scene
         child.close()
         bert.ask("pause")
     robot.gateway.child.wait_for_output("operator-00 is revoked, tries to connect, and is turned away")
-
-
-def test_a_robot_that_was_off_when_it_was_revoked(scene: Scene, tmp_path: Path) -> None:
-    scene.robot.gateway.child.terminate()
-    scene.robot.gateway.child.wait(10)
-    child = scene.revoke("anna")
-    assert child.returncode == 4
-    assert "Once it is there: " in child.stderr
-    folder = tmp_path / "again"
-    folder.mkdir()
-    with RobotHost(scene.network, folder, port=PORT, certificates=scene.folder) as robot:
-        # The folder of this test is also the robot's: what is beside its Zenoh file counts.
-        assert "list 1 shuts out operator-00" in robot.gateway.child.stdout + robot.gateway.child.stderr
-
-
-def test_two_lists_that_cross(scene: Scene, tmp_path: Path) -> None:
-    """Two people with copies of the folder each shut somebody out; both stay out, in whichever order it arrives."""
-    theirs = tmp_path / "theirs"
-    certs.issue(scene.folder, "carl", "operator")
-    shutil.copytree(scene.folder, theirs)
-    first = certs.revoke(theirs, "anna")
-    assert scene.on_the_robot().revocation(first.pem.decode()).accepted
-    scene.bert.wait_for_answer()
-    child = scene.revoke("carl")
-    assert child.returncode == 0, child.stderr
-    assert "list 2 has both" in child.stderr
-    scene.bert.wait_for_answer()
-    answer = scene.on_the_robot().revocation(first.pem.decode())
-    assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
-    assert "number is 1, and number 2 is in force" in str(answer.detail)
-    assert scene.robot.client.revocation().number == 2

@@ -1,5 +1,6 @@
 """Who is shut out at a running gateway, over TLS: two CAs at once, a clock in 1970, a list that comes as a file."""
 
+import datetime as dt
 import json
 import os
 import shutil
@@ -7,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 import zenoh
@@ -18,10 +19,12 @@ from gateway.errors import ZenohError
 from gateway.people.client.requests import Identity
 from schemas.keys import LEASE
 from schemas.lease import LeaseAck
-from schemas.telemetry import Reason
+from schemas.telemetry import GatewayState, Reason
 from tests.support.certs_folder import NOW
 from tests.support.child import Child
+from tests.support.command import Ended, run_here
 from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import states
 
 HOST = "127.0.0.1"
 CLOCK = """
@@ -86,6 +89,11 @@ class Robot:
         child.wait()
         child.close()
         return child
+
+    def revoke(self, name: str) -> Ended:
+        """`hexapod-gateway certs revoke NAME` where the CA is, over bert's connection."""
+        bert = ("--zenoh-config", str(self.folder / "bert.json5"))
+        return run_here("certs", "revoke", name, "--dir", str(self.folder), "--to", f"tls/{HOST}:{self.port}", *bert)
 
 
 @pytest.fixture(name="robot")
@@ -164,6 +172,43 @@ def test_a_list_as_a_file_is_older_newer_or_of_another_ca(robot: Robot, tmp_path
         child = robot.keep(gateway)
         assert (child.returncode, "not signed by a CA of this robot" in child.stderr) == (2, True)
         assert (robot.state / "revoked.crl").read_bytes() == second.pem
+
+
+def test_a_robot_that_is_off_gets_its_list_later(robot: Robot) -> None:
+    ended = robot.revoke("anna")
+    assert ended.returncode == 4
+    assert "Once it is there: " in ended.stderr
+    shutil.copy(robot.folder / "revoked.crl", robot.own)  # whoever copies the folder brings it along
+    with robot.start() as gateway:
+        assert "list 1 shuts out operator-00" in gateway.child.stdout + gateway.child.stderr
+
+
+MOMENT: Final = dt.timedelta(seconds=0.1)
+
+
+def since(state: GatewayState) -> dt.datetime:
+    """When this gateway began."""
+    return state.time - dt.timedelta(seconds=state.uptime_s)
+
+
+def test_two_lists_that_cross(robot: Robot) -> None:
+    """Two people with copies of the folder each shut somebody out; both stay out, in whichever order it arrives."""
+    theirs = robot.folder.with_name("theirs")
+    certs.issue(robot.folder, "carl", "operator")
+    shutil.copytree(robot.folder, theirs)
+    first = certs.revoke(theirs, "anna").pem.decode()
+    with robot.start(), robot.laptop("bert") as bert:
+        heard, begun = states(bert), since(bert.state())
+        assert bert.revocation(first).accepted
+        begun = since(heard.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20))
+        ended = robot.revoke("carl")
+        assert ended.returncode == 0, ended.stderr
+        assert "list 2 has both" in ended.stderr
+        heard.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20)
+        answer = bert.revocation(first)
+        assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
+        assert "number is 1, and number 2 is in force" in str(answer.detail)
+        assert bert.revocation().number == 2
 
 
 def test_an_observer_may_not_bring_a_list_and_an_operator_may_not_bring_a_false_one(robot: Robot) -> None:

@@ -74,13 +74,14 @@ class Revocations:
         except ConfigError as error:
             done = partial(self.reject, Reason.REVOCATION_DENIED, str(error), reply)
         else:
-            done = partial(self._put_in_force, found, reply)
+            done = partial(self._put_in_force, kept, found, reply)
         with self._conductor.owner:
             self._keeps = False
             done()
 
-    def _put_in_force(self, found: "RevocationList", reply: Reply) -> None:
-        known = frozenset() if self._kept is None or self._kept.known is None else self._kept.known.common_names
+    def _put_in_force(self, kept: Kept, found: "RevocationList", reply: Reply) -> None:
+        known = frozenset() if kept.known is None else kept.known.common_names
+        self._kept = kept._replace(known=found)  # or an older list could still take its place before the service ends
         names = ", ".join(sorted(found.common_names - known)) or "nobody else"
         detail = f"list {found.number} shuts out {names}: all legs stop, and the service starts anew"
         self._conductor.announce(Kind.REVOKED, detail, keys.REVOCATION)

@@ -1,11 +1,13 @@
 """Who is shut out, who gets another certificate, and another CA: what a folder of certificates is then."""
 
+import asyncio
 import datetime as dt
 import re
 import shutil
 import zipfile
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 import zenoh
@@ -16,9 +18,12 @@ from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 from gateway.robot.edge import revoked
+from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get, load_config
+from schemas.revocation import RevocationAck
 from tests.support.certs_folder import NOW, contents, fault, make_folder, mode
+from tests.support.robot import Robot as HarnessedRobot
 
 __all__ = ["make_folder"]  # a fixture
 
@@ -228,6 +233,22 @@ def test_of_two_places_the_newer_list_is_in_force_and_it_is_kept_in_the_services
         assert kept is not None
         assert kept.known is not None
         assert (kept.path, kept.known.number) == (state / "revoked.crl", in_force)
+
+
+@pytest.mark.virtual_time
+async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: Path) -> None:
+    """Else an older one that comes meanwhile would take its place on the disk."""
+    conductor = HarnessedRobot().conductor
+    loop, in_force = asyncio.get_running_loop(), revoked.kept(load_config(folder / "gateway.json5"), robot(folder))
+    changes = Revocations(conductor, in_force, loop, lambda: None)
+    answers: SimpleQueue[bytes] = SimpleQueue()
+    for number, accepted in ((6, True), (5, False)):
+        changes.change(list_of(folder, number), answers.put)
+        assert RevocationAck.model_validate_json(answers.get(timeout=10)).accepted is accepted
+    kept = revoked.kept(load_config(folder / "gateway.json5"), robot(folder))
+    assert kept is not None
+    assert kept.known is not None
+    assert kept.known.number == 6
 
 
 def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concerns_nobody(folder: Path) -> None:
