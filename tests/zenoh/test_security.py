@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway import certs
 from gateway.client import leg_payload
 from gateway.errors import ZenohError
 from schemas import keys
@@ -18,6 +19,8 @@ from schemas.telemetry import Kind, Mode
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.secured import HOST, Secured
+
+TLS = "transport/link/tls"
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +51,15 @@ def turned_away(config: zenoh.Config) -> None:
     config.insert_json5("connect/timeout_ms", "1000")
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         zenoh.open(config)
+
+
+def test_without_a_certificate_of_its_ca_nobody_comes_in(secured: Secured, tmp_path: Path) -> None:
+    certs.init(tmp_path / "E", [HOST])
+    certs.issue(tmp_path / "E", "eve", "operator")
+    eve = str(tmp_path / "E" / "eve")
+    for certificate, key in ((None, None), (f"{eve}.pem", f"{eve}.key")):
+        shown = {f"{TLS}/connect_certificate": certificate, f"{TLS}/connect_private_key": key}
+        turned_away(secured.raw("anna", **{f"{TLS}/enable_mtls": certificate is not None}, **shown))
 
 
 @pytest.mark.parametrize(
