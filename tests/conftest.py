@@ -2,7 +2,9 @@
 model check, which begins early."""
 
 import asyncio
+import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import get_context
 from multiprocessing.pool import AsyncResult
@@ -25,6 +27,9 @@ hypothesis_settings.load_profile("any machine")
 
 def pytest_configure(config: pytest.Config) -> None:
     """pytest's hook."""
+    # Hundreds of processes begin here, and half of a start is to compile the gateway, where nobody keeps the result.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     if config.pluginmanager.hasplugin("xdist"):
         config.pluginmanager.import_plugin("tests.support.workers")
     # What `nohup`, or a shell's `&`, lets a program ignore is undone: tests send these signals.
