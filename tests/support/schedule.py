@@ -51,8 +51,8 @@ THOROUGH: Final = (
 """Searches of some seconds, which `make quick` leaves to `make test`."""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
-TOGETHER: Final = ("box", "console", "net", "ros2")
-"""Folders that share a machine, a browser or a bridge; files of other folders share a gateway."""
+TOGETHER: Final = ("box", "net", "ros2")
+"""Folders that share a machine or a bridge; files of other folders share a gateway."""
 SEARCHES: Final = "test_every_reachable_state"
 """The model check's: it waits for processes of its own, which search while others run alone."""
 
