@@ -6,8 +6,8 @@ from gateway.robot.core.buttons import DRIFT_PPM, MOST_BUTTONS, Buttons
 from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
-from schemas.telemetry import Kind, Mode, Reason
-from tests.support.steps import Steps, all_stopped, leg_to, legs_to
+from schemas.telemetry import Kind, Reason
+from tests.support.steps import Steps, all_stopped, leg_to
 
 TIMEOUT_MS = 1000
 KITCHEN = "k" * 32
@@ -100,6 +100,8 @@ def test_all_six_legs_stop_when_the_last_one_that_counts_falls_silent() -> None:
     )
     assert robot.running == []
     assert robot.due_ms is None
+    assert robot.supervisor.buttons.changes == {Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
+    assert robot.supervisor.buttons.names == ()
 
 
 def test_a_command_that_comes_too_late_does_not_move_before_the_stop() -> None:
@@ -361,14 +363,3 @@ def test_a_gateway_that_was_started_anew_knows_no_button() -> None:
     assert robot.button(1, "alive", "kitchen", 7) == ["button unknown_button, 0 alive"]
     assert robot.only(ButtonAnswer).reason is Reason.UNKNOWN_BUTTON
     assert robot.command(2, START) == [REFUSED]
-
-
-def test_the_mode_and_the_counters_follow() -> None:
-    robot = watched()
-    robot.command(1, legs_to("23456", "start 90"))
-    modes = [robot.supervisor.mode]
-    robot.time(TIMEOUT_MS)
-    assert [*modes, robot.supervisor.mode] == [Mode.ACTIVE, Mode.IDLE]
-    changes = robot.supervisor.buttons.changes
-    assert changes == {Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
-    assert robot.supervisor.buttons.names == ()

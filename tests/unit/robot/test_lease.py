@@ -7,7 +7,6 @@ from gateway.robot.core.lease import MOST_ASKERS, Lease, LeaseState
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
-from tests.support.transitions import LEASE_TRANSITIONS as TRANSITIONS
 
 ANNA, BERT, CARL = "a" * 32, "b" * 32, "c" * 32
 GRANTED = "lease granted"
@@ -35,13 +34,6 @@ def told(robot: Steps) -> list[tuple[Kind, str | None, str]]:
 # ---- free
 
 
-def test_while_it_is_free_commands_are_taken_as_ever() -> None:
-    robot = Steps()
-    assert robot.command(1, START) == ["command 1 start 90", "completed 1"]
-    robot.estop(2)
-    assert robot.reset(3) == ["announce estop_reset", "completed 2"]
-
-
 def test_a_token_is_rejected_while_it_is_free_and_stops_are_not() -> None:
     """It may be that of somebody whose lease was taken, and has been released since."""
     robot = Steps()
@@ -49,6 +41,7 @@ def test_a_token_is_rejected_while_it_is_free_and_stops_are_not() -> None:
     assert robot.command(2, STOP, lease=ANNA) == ["command 1 stop", "completed 2"]
     robot.estop(3)
     assert robot.reset(4, lease=ANNA) == ["rejected 3 not_holder"]
+    assert robot.lease(5, "ask bert") == ["lease no_lease"]
 
 
 def test_where_it_is_required_nothing_moves_without_it() -> None:
@@ -61,11 +54,6 @@ def test_where_it_is_required_nothing_moves_without_it() -> None:
     assert robot.command(6, START, lease=ANNA) == ["command 1 start 90", "completed 4"]
     robot.lease(7, "release", ANNA)
     assert robot.command(30, SET) == ["rejected 5 no_lease"]
-
-
-def test_nobody_can_be_asked_for_it() -> None:
-    robot = Steps()
-    assert robot.lease(1, "ask bert") == ["lease no_lease"]
 
 
 # ---- held
@@ -320,12 +308,6 @@ def test_its_states_and_its_end_without_a_supervisor() -> None:
 
 
 # ---- the table, and secrets
-
-
-def test_the_table_has_each_state_and_each_request() -> None:
-    assert TRANSITIONS.keys() == set(LeaseState)
-    for row in TRANSITIONS.values():
-        assert row.keys() == set(Do)
 
 
 def test_no_repr_shows_a_token() -> None:

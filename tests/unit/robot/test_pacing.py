@@ -72,30 +72,10 @@ def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
     assert sent_at(100, [1000, 1001, 1026, 1051, 1052]) == [1000, 1025, 1050, 1100]
 
 
-def test_a_flood_is_sent_once_a_period_after_what_the_bucket_held() -> None:
-    assert sent_at(100, list(range(1000, 1500, 5))) == [1000, 1025, 1050, 1100, 1200, 1300, 1400, 1500]
-
-
-def test_only_the_newest_goes_out() -> None:
-    assert sent(100, list(range(1000, 1300, 10))) == [
-        (1000, 0),
-        (1025, 2),
-        (1050, 5),
-        (1100, 10),
-        (1200, 20),
-        (1300, 29),
-    ]
-
-
 def test_slots_that_nobody_used_are_skipped() -> None:
     """After ten periods there are three slots, not ten."""
     arrivals_ns = [1000, *range(2020, 2500, 5)]
     assert sent_at(100, arrivals_ns) == [1000, 2020, 2045, 2070, 2120, 2220, 2320, 2420, 2520]
-
-
-def test_a_period_that_has_no_quarter_is_rounded_up() -> None:
-    """Never closer than a quarter."""
-    assert sent_at(101, [1000, 1001]) == [1000, 1026]
 
 
 def test_slots_come_on_their_grid_while_the_bucket_is_empty() -> None:

@@ -5,8 +5,6 @@ import re
 import tracemalloc
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.robot.core.staleness import CLOCKS, FORGET_MS, SOURCES, STEADY_MS, Staleness
 from schemas import keys
@@ -175,15 +173,6 @@ def test_a_source_is_forgotten_only_after_a_minute_of_silence(staleness: Stalene
     assert others[-1].asks(100 + FORGET_MS) is None, "one of the silent ones is forgotten"
     assert len(staleness._sources) == SOURCES
     assert first.arrives(100 + FORGET_MS, sent_at_ms=FORGET_MS - 200) is not None
-
-
-@given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 2**53), st.integers(0, 10**10)), max_size=60))
-def test_whatever_comes_what_is_remembered_is_bounded(commands: list[tuple[str, float, int]]) -> None:
-    staleness, now_ns = NeverStopped(MAX_AGE_MS), 0
-    for name, sent_ms, wait_ns in commands:
-        now_ns += wait_ns
-        staleness.too_old(name, sent_ms, now_ns, now_ns)
-    assert all(len(clocks) <= CLOCKS for clocks, _ in staleness._sources.values())
 
 
 def test_memory_is_bounded(staleness: Staleness) -> None:

@@ -241,7 +241,3 @@ def test_every_event_in_every_mode(mode: Mode, kind: type[Event], at_ms: float) 
     assert list(robot.supervisor.legs) == list(untouched.legs)
     assert (robot.supervisor.mode, robot.supervisor.due_ns) == (untouched.mode, untouched.due_ns)
     assert robot.supervisor.legs._pending == untouched.legs._pending
-
-
-def test_an_emergency_stop_has_its_place_in_every_mode() -> None:
-    assert all(EmergencyStop in events for events in TRANSITIONS.values())

@@ -67,13 +67,6 @@ def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last() -> None:
     assert steps.command(51, servo_to(31, "set 180"))[0] == "command 31 set 91"
 
 
-def test_after_a_stall_it_does_not_leap() -> None:
-    """60 degrees a second, and nobody looked for 150 ms: 1.2 degrees, as with any other frame."""
-    steps = speed_steps(60)
-    assert steps.command(21, servo_to(31, "set 180"))[0] == "command 31 set 91.2"
-    assert steps.time(171) == ["command 31 set 92.4"]
-
-
 def across(user_deg: float, at_ms: float = 21) -> list[float]:
     """What servo 31 is told on its way from 6 degrees at 50 degrees a second, where 1 to 4 are never sent."""
     rules = Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00))
@@ -90,10 +83,6 @@ def test_a_way_across_angles_that_are_never_sent_waits_before_them_until_it_woul
     assert said[-1] == 0
     assert 4 <= len([angle for angle in said if angle == 4]) <= 4 * 4, "for as long as the way takes, in each rate slot"
     assert not [angle for angle in said if 1 <= angle < 4]
-
-
-def test_a_target_before_them_is_simply_reached() -> None:
-    assert across(4)[-1] == 4
 
 
 def test_a_target_among_them_is_rejected() -> None:
