@@ -27,7 +27,7 @@ from gateway.robot.core.latency import Latency
 from gateway.robot.protocol.frames import ONE_LEG_LEN, Frame
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.spi import SpiDevice, Transfer
-from gateway.robot.spi.guard import GuardedDevice
+from gateway.robot.spi.guard import Guard
 from gateway.robot.spi.one_by_one import OneByOne
 from gateway.robot.spi.plain_settings import SpiValues
 
@@ -118,8 +118,8 @@ class Bus:
         self._avoid_cdeg = settings.avoid_cdeg
         self._clock = clock
         self._pause = pause
-        self._opened: SpiDevice | None = None
-        self._device: GuardedDevice | None = None
+        self._device: SpiDevice | None = None
+        self._guard: Guard | None = None
         self._most = PREAMBLE_ZEROS
         """The most transfers of a call."""
         self._moves_at_once = 1
@@ -140,12 +140,12 @@ class Bus:
         """Open the device anew. Raises SpiError."""
         self.close()
         try:
-            self._opened = self._open_device()
+            self._device = self._open_device()
         except SpiError:
             self.errors += 1
             raise
-        self._device = self._guarded(self._opened)
-        self._most = self._opened.most_transfers
+        self._guard = self._guarded(self._device)
+        self._most = self._device.most_transfers
         longest_ns = self._byte_ns * ONE_LEG_LEN + self._announced_ns
         most_moves = (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)
         self._moves_at_once = max(1, min(self._most // self._size, most_moves))
@@ -207,7 +207,7 @@ class Bus:
         if self._device is not None:
             with suppress(SpiError):
                 self._device.close()
-        self._device = self._opened = None
+        self._device = self._guard = None
         self._synchronised = self.resync_due = False
         self._zeros = 0
 
@@ -231,7 +231,7 @@ class Bus:
         self, report: Report, zeros: int, data: Sequence[bytes] = (), first: int = 0, *, heard: bool = True
     ) -> None:
         """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
-        if self._device is None:
+        if self._guard is None:
             raise SpiError("the SPI device is closed")
         batch = [self._zero] * zeros
         for each in data:
@@ -244,7 +244,7 @@ class Bus:
         self._failures += 1
         begun_ns = self._clock()
         try:
-            self._device.transfer(batch)
+            self._guard.transfer(batch)
         except BatchRejectedError as rejection:
             report.rejection = self._go_one_by_one(batch, rejection)
         finally:
@@ -267,21 +267,21 @@ class Bus:
 
     def _go_one_by_one(self, batch: list[Transfer], rejection: BatchRejectedError) -> str:
         """Nothing of it was written. If it can be written transfer by transfer, all that follows is; returns why."""
-        if not self._batch or self._opened is None:
+        if not self._batch or self._device is None:
             raise rejection
         self._batch = False
-        device = self._guarded(self._opened)
+        guard = self._guarded(self._device)
         try:
-            device.transfer(batch)
+            guard.transfer(batch)
         except SpiError:
             self._batch = True
             raise
-        self._device = device
+        self._guard = guard
         return str(rejection)
 
-    def _guarded(self, device: SpiDevice) -> GuardedDevice:
+    def _guarded(self, device: SpiDevice) -> Guard:
         written = device if self._batch else OneByOne(device, self._clock, self._pause)
-        return GuardedDevice(written, self._framing, self._avoid_cdeg)
+        return Guard(written, self._framing, self._avoid_cdeg)
 
     # ---- Stops that failed
 

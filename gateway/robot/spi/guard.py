@@ -18,6 +18,7 @@ from gateway.robot.protocol.frames import (
 )
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS, SERVO_IDS
 
 _ANNOUNCEMENTS: Final = frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))
@@ -34,8 +35,8 @@ class IllegalTransferError(RuntimeError):
     """The gateway tried to write an illegal transfer: a bug in it, never a fault of the caller or the wire."""
 
 
-class GuardedDevice:
-    """An SPI device that rejects every batch that `framing` does not make of legal frames, before any byte leaves.
+class Guard:
+    """Rejects every batch that `framing` does not make of legal frames, before any byte leaves.
 
     PLAIN: legal are frames. LENGTH_PREFIXED: legal are announcements with the frame of exactly that length right behind
     them, and zeros between frames, which the controller ignores. A batch ends with a whole frame, or with zeros.
@@ -44,9 +45,10 @@ class GuardedDevice:
     `Framing.avoid_cdeg`). A Stop has no angle, so none is rejected for it.
     """
 
-    def __init__(self, device: SpiDevice, framing: Framing, avoid_cdeg: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self, device: SpiDevice | OneByOne, framing: Framing, avoid_cdeg: tuple[int, int] | None = None
+    ) -> None:
         self._device = device
-        self.most_transfers = device.most_transfers
         self._announces = framing is Framing.LENGTH_PREFIXED
         self._avoid_cdeg = avoid_cdeg or (0, 0)
 
@@ -66,14 +68,6 @@ class GuardedDevice:
         if announced_len is not None:
             raise IllegalTransferError(f"the frame of {announced_len} bytes announced is in no batch")
         self._device.transfer(batch)
-
-    def stop_servos_at_work(self) -> bool:
-        """As the device sees it."""
-        return self._device.stop_servos_at_work()
-
-    def close(self) -> None:
-        """Release the device."""
-        self._device.close()
 
 
 def _announced_len(data: bytes) -> int:

@@ -24,7 +24,7 @@ _QUEUE, _BUS = 0, 1  # bytes of the device on which the locks lie; 2 and 3 are t
 
 
 class OneByOne:
-    """A device that takes single transfers, as one that takes batches."""
+    """Writes batches to a device transfer by transfer."""
 
     def __init__(
         self,
@@ -36,7 +36,6 @@ class OneByOne:
         self._clock = clock
         self._pause = pause
         self._patience_s = PATIENCE_S
-        self.most_transfers = device.most_transfers
 
     def transfer(self, batch: Batch) -> None:
         """Write transfer by transfer. Raises SpiError, also where the program stood still within the batch."""
@@ -48,18 +47,6 @@ class OneByOne:
                 written_ns = self._clock()
                 self._device.transfer(((data, 0),))
                 self._pause(pause_us / 1e6)
-
-    def fileno(self) -> int | None:
-        """The device's."""
-        return self._device.fileno()
-
-    def stop_servos_at_work(self) -> bool:
-        """As the device sees it."""
-        return self._device.stop_servos_at_work()
-
-    def close(self) -> None:
-        """Release the device."""
-        self._device.close()
 
     @contextmanager
     def _bus_lock(self) -> Iterator[None]:

@@ -10,7 +10,7 @@ from gateway.errors import SpiError
 from gateway.robot.protocol.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import Batch
-from gateway.robot.spi.guard import GuardedDevice, IllegalTransferError, _is_frame
+from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.unshared import UnsharedDevice
@@ -28,16 +28,9 @@ class Recorder(UnsharedDevice):
 
     def __init__(self) -> None:
         self.batches: list[Batch] = []
-        self.closed = 0
 
     def transfer(self, batch: Batch) -> None:
         self.batches.append(batch)
-
-    def stop_servos_at_work(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        self.closed += 1
 
 
 def passes(framing: Framing, *data: bytes) -> bool:
@@ -45,7 +38,7 @@ def passes(framing: Framing, *data: bytes) -> bool:
     device = Recorder()
     batch = [(each, 7) for each in data]
     try:
-        GuardedDevice(device, framing).transfer(batch)
+        Guard(device, framing).transfer(batch)
     except IllegalTransferError:
         assert device.batches == []
         return False
@@ -137,9 +130,9 @@ def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle
         OneLeg(6, (elsewhere, STOP, servo)),
     ):
         batch = [(data, 0) for each in (stop_leg(1), frame) for data in PREFIXED.transfers(each.to_bytes())]
-        GuardedDevice(Recorder(), PREFIXED).transfer(batch)
+        Guard(Recorder(), PREFIXED).transfer(batch)
         device = Recorder()
-        guarded = GuardedDevice(device, PREFIXED, (1_00, 4_00))
+        guarded = Guard(device, PREFIXED, (1_00, 4_00))
         if avoided:
             with pytest.raises(IllegalTransferError, match=f"to {angle_cdeg / 100:g} degrees, which is never sent"):
                 guarded.transfer(batch)
@@ -151,7 +144,7 @@ def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle
 def test_the_reason_is_the_first_servo_that_is_not_allowed_not_one_at_the_end_of_the_interval() -> None:
     frame = OneLeg(6, (ServoOp(Op.SET, 4_00), ServoOp(Op.SET, 2_00), STOP))
     with pytest.raises(IllegalTransferError, match="moves servo 62 to 2 degrees"):
-        GuardedDevice(Recorder(), Framing.PLAIN, (1_00, 4_00)).transfer([(frame.to_bytes(), 0)])
+        Guard(Recorder(), Framing.PLAIN, (1_00, 4_00)).transfer([(frame.to_bytes(), 0)])
 
 
 def test_no_stop_is_rejected_for_its_angle() -> None:
@@ -159,13 +152,13 @@ def test_no_stop_is_rejected_for_its_angle() -> None:
     stops: list[Frame] = [*(stop_leg(leg) for leg in LEGS), *(OneServo(servo, STOP) for servo in SERVO_IDS)]
     for stop in stops:
         device = Recorder()
-        GuardedDevice(device, Framing.PLAIN, (0, 180_01)).transfer([(stop.to_bytes(), 0)])
+        Guard(device, Framing.PLAIN, (0, 180_01)).transfer([(stop.to_bytes(), 0)])
         assert len(device.batches) == 1
 
 
 def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
     with pytest.raises(IllegalTransferError, match="06 02 20 02 00 00"):
-        GuardedDevice(Recorder(), Framing.PLAIN).transfer([(STOP_WITH_ANGLE, 0)])
+        Guard(Recorder(), Framing.PLAIN).transfer([(STOP_WITH_ANGLE, 0)])
 
 
 def test_plain_has_no_preamble_and_no_announcements() -> None:
@@ -183,7 +176,7 @@ def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> 
 
 def test_a_device_s_fault_comes_through_and_changes_nothing() -> None:
     controller = SimulatedController(PREFIXED)
-    guarded = GuardedDevice(controller, PREFIXED)
+    guarded = Guard(controller, PREFIXED)
     batch = [(data, 0) for data in (b"\x0e", STOP_1)]
     controller.fail_next(1)
     with pytest.raises(SpiError):
@@ -196,15 +189,6 @@ def test_a_bug_is_not_an_spi_error() -> None:
     """Else a bug would be taken for a fault of the bus, and tried again for ever."""
     assert not issubclass(IllegalTransferError, SpiError)
     assert issubclass(IllegalTransferError, RuntimeError)
-
-
-def test_the_rest_is_the_device_s() -> None:
-    device = Recorder()
-    guarded = GuardedDevice(device, Framing.PLAIN)
-    guarded.close()
-    assert device.closed == 1
-    assert guarded.stop_servos_at_work()
-    assert guarded.most_transfers == device.most_transfers
 
 
 # ---- the guard's quick look accepts just what reading the frame and writing it again accepts
