@@ -24,11 +24,11 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind
+from tests.support.faulty_controller import FaultyController
 
 MS = 1_000_000
 WALL_NS = 1_790_000_000_123_456_789
@@ -55,7 +55,7 @@ class Robot:
         """How long it takes to deal with one message."""
         self.loop = asyncio.get_running_loop()
         self._instants = 0  # a nanosecond for each message, so that no two share an instant by accident
-        self.controller = SimulatedController(self.settings.spi.framing, clock=self.now_ns)
+        self.controller = FaultyController(self.settings.spi.framing, clock=self.now_ns)
         self.openings_ns: list[int] = []
         self.reports: list[tuple[str, BaseModel]] = []
         self._acks: list[tuple[int, Ack]] = []
@@ -95,7 +95,7 @@ class Robot:
         """The whole process is stopped for so long, between two turns of its loop."""
         self._instants += round(seconds * 1e9)
 
-    def _open(self) -> SimulatedController:
+    def _open(self) -> FaultyController:
         self.openings_ns.append(self.now_ns())
         return self.controller
 

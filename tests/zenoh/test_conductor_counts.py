@@ -7,9 +7,9 @@ import pytest
 from gateway.errors import SpiError
 from gateway.robot.core.intake import MAX_KEY
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO
-from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
+from tests.support.faulty_controller import FaultyController
 from tests.support.robot import MS, Robot, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
@@ -26,7 +26,7 @@ class WillNotOpen:
         self.tried_ns: list[int] = []
         robot.conductor.bus._open_device = self
 
-    def __call__(self) -> SimulatedController:
+    def __call__(self) -> FaultyController:
         self.tried_ns.append(self._robot.now_ns())
         self._left -= 1
         if self._left >= 0:

@@ -24,7 +24,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.errors import SpiError
 from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import Batch
@@ -61,14 +60,13 @@ class ServoState:
 
 
 class SimulatedController:
-    """An SpiDevice with a controller and its servos behind it, and faults that tests can cause."""
+    """An SpiDevice with a controller and its servos behind it."""
 
     def __init__(
         self,
         framing: Framing,
         *,
         clock: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
         on_change: Callable[[str], None] | None = None,
         tick_phase_ns: int = 0,
         page: ServoPage | None = None,
@@ -82,7 +80,6 @@ class SimulatedController:
         """What it died of; it receives nothing until `reset`."""
         self._announced = framing is Framing.LENGTH_PREFIXED
         self._clock = clock
-        self._sleep = sleep
         self._on_change = on_change
         self._tick_phase_ns = tick_phase_ns
         self._page = page
@@ -94,39 +91,19 @@ class SimulatedController:
         self._servos = {servo_id: ServoState() for servo_id in SERVO_IDS}
         self._moved_ns = clock()
 
-        self._failing_transfers = 0
-        self._failing_until_ns = self._moved_ns
-        self._silent_until_ns = self._moved_ns
-        self._bytes_to_lose = 0
-        self._stall_s = 0.0
-
     # ---- the device
 
     most_transfers = 64
 
     def transfer(self, batch: Batch) -> None:
-        """Take the transfers one after the other. Raises SpiError only for a fault that was caused on purpose."""
+        """Take the transfers one after the other."""
         for data, _ in batch:
             self.take(data)
 
     def take(self, data: bytes) -> None:
-        """Take the bytes of one transfer. Raises SpiError only for a fault that was caused on purpose."""
-        if self._stall_s > 0:
-            stall_s, self._stall_s = self._stall_s, 0.0
-            self._sleep(stall_s)
+        """Take the bytes of one transfer."""
         now_ns = self._clock()
-        if self._failing_transfers > 0:
-            self._failing_transfers -= 1
-            raise SpiError("the simulated SPI device failed a transfer")
-        if now_ns < self._failing_until_ns:
-            raise SpiError("the simulated SPI device fails for a while")
         self.transfers.append((now_ns, data))
-        if now_ns < self._silent_until_ns:
-            return
-        if self._bytes_to_lose > 0:
-            lost = min(self._bytes_to_lose, len(data))
-            self._bytes_to_lose -= lost
-            data = data[lost:]
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
 
@@ -161,28 +138,6 @@ class SimulatedController:
         self._expire_receive(self._clock())
         return self._body_len - len(self._body)
 
-    # ---- faults, caused on purpose
-
-    def fail_next(self, count: int) -> None:
-        """Let the next `count` transfers raise SpiError; the controller sees none of their bytes."""
-        self._failing_transfers = count
-
-    def fail_for_ms(self, duration_ms: float) -> None:
-        """Let every transfer raise SpiError for a while from now; the controller sees none of their bytes."""
-        self._failing_until_ns = self._clock() + round(duration_ms * 1e6)
-
-    def silent_for_ms(self, duration_ms: float) -> None:
-        """Let the controller hear nothing for a while from now, although transfers succeed."""
-        self._silent_until_ns = self._clock() + round(duration_ms * 1e6)
-
-    def lose_bytes(self, count: int) -> None:
-        """Lose the next `count` bytes on the wire."""
-        self._bytes_to_lose = count
-
-    def stall(self, duration_s: float) -> None:
-        """Let the next transfer take that long."""
-        self._stall_s = duration_s
-
     def reset(self) -> None:
         """Somebody presses its reset button: it awaits a length, and all servos are off."""
         self.dead = None
@@ -194,13 +149,6 @@ class SimulatedController:
         if self._page is not None:
             for servo_id in SERVO_IDS:
                 self._page.write(servo_id, None)
-
-    def heal(self) -> None:
-        """End all faults."""
-        self._failing_transfers = 0
-        self._failing_until_ns = self._silent_until_ns = self._clock()
-        self._bytes_to_lose = 0
-        self._stall_s = 0.0
 
     # ---- the firmware
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import pytest
 
 from gateway.robot.core.events import StoppedOutside
-from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Kind, Reason
+from tests.support.faulty_controller import FaultyController
 from tests.support.robot import Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
@@ -113,7 +113,7 @@ async def test_of_stops_those_are_named_that_were_written() -> None:
     assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, [1, 2, 3, 4, 5, 6])
 
 
-class ThirdFails(SimulatedController):
+class ThirdFails(FaultyController):
     """Of the transfers from now on the third fails."""
 
     _count = 0

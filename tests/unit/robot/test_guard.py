@@ -11,8 +11,8 @@ from gateway.robot.protocol.frames import STOP, Frame, FrameError, OneLeg, OneSe
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import Batch
 from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
-from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
+from tests.support.faulty_controller import FaultyController
 from tests.support.unshared import UnsharedDevice
 from tests.unit.robot.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
@@ -175,7 +175,7 @@ def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> 
 
 
 def test_a_device_s_fault_comes_through_and_changes_nothing() -> None:
-    controller = SimulatedController(PREFIXED)
+    controller = FaultyController(PREFIXED)
     guarded = Guard(controller, PREFIXED)
     batch = [(data, 0) for data in (b"\x0e", STOP_1)]
     controller.fail_next(1)

@@ -35,9 +35,9 @@ from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
+from tests.support.faulty_controller import FaultyController
 from tests.support.history import demand
 from tests.support.oracle import Oracle
 from tests.support.transitions import TRANSITIONS
@@ -119,7 +119,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         for supervisor in (self.supervisor, self.nameless):
             supervisor.calibrating.load(calibration, fault)
         self.oracle = Oracle(rules, calibration=calibration, fault=fault)
-        self.controller = SimulatedController(Framing.PLAIN, clock=lambda: self.now_ns)
+        self.controller = FaultyController(Framing.PLAIN, clock=lambda: self.now_ns)
         self.number = self.tokens = 0
         self.carries = "now"
         self.instant_ns: int | None = None
@@ -270,7 +270,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(wait_ns=WAITS_NS)
     def bus_opens(self, wait_ns: int) -> None:
         if BusOpened in TRANSITIONS[self.supervisor.mode]:
-            self.controller.heal()
+            self.controller.fail_next(0)
             self.step(BusOpened(), wait_ns)
 
     @rule(rarely=st.integers(0, 5), wait_ns=WAITS_NS)
