@@ -127,8 +127,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/calibration.py": (
         ByHand(
             "two joints get each other's angles",
-            "        first, second, third = (self._wire_op(servo_id, op) for servo_id, op in frame.servos)\n",
-            "        first, third, second = (self._wire_op(servo_id, op) for servo_id, op in frame.servos)\n",
+            "    first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)\n",
+            "    first, third, second = (op_of(servo_id, op) for servo_id, op in frame.servos)\n",
         ),
     ),
     "gateway/robot/core/lease.py": (

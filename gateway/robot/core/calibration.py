@@ -7,7 +7,7 @@ angles stand in commands, limits, state and events; only frames carry the servo'
 where one becomes the other, and where hundredths become the degrees of `schemas.calibration`, and back.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Self
 
@@ -112,12 +112,7 @@ class Calibration:
 
     def frame(self, frame: Frame) -> Frame:
         """The frame that goes on the wire for one in users' angles, whose angles `why_not` has nothing against."""
-        if not self.servos:
-            return frame
-        if isinstance(frame, OneServo):
-            return OneServo(frame.servo_id, self._wire_op(frame.servo_id, frame.command))
-        first, second, third = (self._wire_op(servo_id, op) for servo_id, op in frame.servos)
-        return OneLeg(frame.leg, (first, second, third))
+        return _mapped(frame, self._wire_op) if self.servos else frame
 
     def _wire_op(self, servo_id: int, op: ServoOp) -> ServoOp:
         servo = self.servos.get(servo_id)
@@ -127,13 +122,18 @@ class Calibration:
 
     def user_frame(self, frame: Frame) -> Frame:
         """A frame of the wire in users' angles: the way back. Raises FrameError where no user could have meant it."""
-        if isinstance(frame, OneServo):
-            return OneServo(frame.servo_id, self._user_op(frame.servo_id, frame.command))
-        first, second, third = (self._user_op(servo_id, op) for servo_id, op in frame.servos)
-        return OneLeg(frame.leg, (first, second, third))
+        return _mapped(frame, self._user_op)
 
     def _user_op(self, servo_id: int, op: ServoOp) -> ServoOp:
         return STOP if op.op is OP_STOP else ServoOp(op.op, self.of(servo_id).user_cdeg(op.angle_cdeg))
+
+
+def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
+    """The frame with what becomes of each servo's operation."""
+    if isinstance(frame, OneServo):
+        return OneServo(frame.servo_id, op_of(frame.servo_id, frame.command))
+    first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)
+    return OneLeg(frame.leg, (first, second, third))
 
 
 class ServoChange(NamedTuple):

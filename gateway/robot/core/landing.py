@@ -6,14 +6,9 @@ Nothing may start a servo in it, turn it round, or make it longer or faster.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-
-class _Servo(Protocol):
-    @property
-    def servo_id(self) -> int: ...
-    @property
-    def angle_cdeg(self) -> int | None: ...
+from gateway.robot.core.leg import Servo
 
 
 class Landing(NamedTuple):
@@ -41,7 +36,7 @@ class Landing(NamedTuple):
         first, last = self.ways_cdeg[servo_id]
         return first + (last - first) * part_ns // self.length_ns
 
-    def moves(self, servos: Iterable[_Servo]) -> bool:
+    def moves(self, servos: Iterable[Servo]) -> bool:
         """Whether one of these servos runs and is not yet where it goes."""
         return any(
             servo.angle_cdeg is not None and servo.angle_cdeg != self.ways_cdeg[servo.servo_id][1] for servo in servos
