@@ -9,7 +9,7 @@ Zenoh compares a rule's keys with those on the wire, which begin with the robot'
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
@@ -27,7 +27,9 @@ from schemas.keys import (
     SIM_UPRIGHT,
 )
 
-WIDTH: Final = 120
+INDENT: Final = 16
+IN_A_LINE: Final = 4
+"""How the lists stand in the file."""
 
 
 class Traffic(NamedTuple):
@@ -98,12 +100,12 @@ def body_rules(namespace: str = "") -> list[dict[str, Any]]:
 
 def names(prefix: str = "", *, roles: tuple[str, ...]) -> str:
     """The names of those rules that are for exactly these roles, as a JSON5 list."""
-    return _list([_name(each, prefix, robots_side=False) for each in TRAFFIC if each.roles == roles], 16)
+    return listed([f"{prefix}{each.what}" for each in TRAFFIC if each.roles == roles])
 
 
 def robots_names(prefix: str) -> str:
     """The names of all rules at a router's end of the link to the robot."""
-    return _list([_name(each, prefix, robots_side=True) for each in _on(robots_side=True)], 16)
+    return listed([f"{prefix}{each.what}" for each in _on(robots_side=True)])
 
 
 def _on(*, robots_side: bool) -> list[Traffic]:
@@ -116,9 +118,10 @@ def subject(name: str, common_names: list[str]) -> str:
     return f'      {{ id: "{name}",\n        cert_common_names: {listed(common_names)} }},\n'
 
 
-def listed(common_names: list[str]) -> str:
-    """What follows `cert_common_names:`."""
-    return _list(common_names, 28)
+def listed(texts: Sequence[str]) -> str:
+    """A JSON5 list, some of its elements in each line."""
+    lines = (texts[first : first + IN_A_LINE] for first in range(0, len(texts), IN_A_LINE))
+    return "[" + (",\n" + " " * INDENT).join(", ".join(map(json.dumps, line)) for line in lines) + "]"
 
 
 class _Rule(NamedTuple):
@@ -134,39 +137,16 @@ class _Rule(NamedTuple):
         return (
             f'      {{ id: "{self.id}", permission: "{self.permission}", flows: {json.dumps(self.flows)},\n'
             f"        messages: {json.dumps(self.messages)},\n"
-            f"        key_exprs: {_list(self.key_exprs, 20)} }},\n"
+            f"        key_exprs: {listed(self.key_exprs)} }},\n"
         )
 
 
 def _rule(each: Traffic, prefix: str, namespace: str, *, robots_side: bool) -> _Rule:
     named = (each.robots_keys if robots_side else ()) or each.keys
     return _Rule(
-        _name(each, prefix, robots_side=robots_side),
+        f"{prefix}{each.what}",
         "allow",
         ("ingress" if each.from_people is not robots_side else "egress",),
         each.messages,
         tuple(f"{namespace}/{key}" if namespace else key for key in named),
     )
-
-
-def _name(each: Traffic, prefix: str, *, robots_side: bool) -> str:
-    into = each.from_people is not robots_side
-    end = "robot's end, " if robots_side else ""
-    return f"{prefix}{each.what} ({end}{'in' if into else 'out'})"
-
-
-def _list(texts: Sequence[str], indent: int) -> str:
-    """A JSON list, broken into lines that begin below its first element; its first line begins at `indent` - 1."""
-    return "[" + ("\n" + " " * indent).join(_lines([json.dumps(text) for text in texts], WIDTH - indent - 6)) + "]"
-
-
-def _lines(items: list[str], width: int) -> Iterator[str]:
-    line = ""
-    for place, item in enumerate(items):
-        text = item + ("," if place + 1 < len(items) else "")
-        if line and len(line) + 1 + len(text) > width:
-            yield line
-            line = text
-        else:
-            line = f"{line} {text}" if line else text
-    yield line

@@ -148,8 +148,8 @@ def robot_json5(name: str, host: str, port: int) -> bytes:
 
 def _rules(robot: str) -> str:
     """The robot's side and the people's side of the same traffic: what comes in at one goes out at the other."""
-    sides = (access.rules(f"{robot}: ", robot, robots_side=side) for side in (False, True))
-    return f"      // ---- {robot}\n" + "".join(sides)
+    peoples, robots = access.rules(f"{robot}: ", robot), access.rules(f"{robot}'s end: ", robot, robots_side=True)
+    return f"      // ---- {robot}\n{peoples}{robots}"
 
 
 def _subjects(robot: str, numbers: Iterable[int], revoked: Container[str]) -> str:
@@ -166,7 +166,7 @@ def _policies(robot: str) -> str:
     return fill(
         _POLICIES,
         NAME=robot,
-        ROBOTS_RULES=access.robots_names(prefix),
+        ROBOTS_RULES=access.robots_names(f"{robot}'s end: "),
         OPERATORS_RULES=access.names(prefix, roles=(OPERATOR,)),
         BUTTONS_RULES=access.names(prefix, roles=(BUTTON,)),
         EVERYONES_RULES=access.names(prefix, roles=LAPTOP_ROLES),

@@ -133,6 +133,31 @@ def test_with_a_namespace_the_same_holds_behind_it_and_nothing_without_it(tmp_pa
     assert allowed(made, "operator") == allowed(made, "operator", "robot2/") == set()
 
 
+TAKEN_BY_A_ROBOT = {
+    ({"ingress": "egress", "egress": "ingress"}[flow], message, key)
+    for flow, message, key in WATCHING | COMMANDING
+    if key not in WILD or "declare" not in message
+}
+"""At a router's end of the link to the robot: what comes in from people goes out, and declared is what is exact."""
+
+
+@pytest.mark.parametrize(
+    ("role", "expected"),
+    [
+        ("robot", TAKEN_BY_A_ROBOT),
+        ("operator", WATCHING | COMMANDING),
+        ("observer", WATCHING),
+        ("button", WATCHING | PRESSING),
+    ],
+)
+def test_a_router_lets_a_robot_and_its_people_reach_each_other_and_nobody_else(
+    tmp_path: Path, role: str, expected: set[Said]
+) -> None:
+    made = config(router_json5(["robot1", "robot2"], 7447), tmp_path)
+    assert allowed(made, f"{role}.robot1", "robot1/") == expected
+    assert allowed(made, f"{role}.robot1") == allowed(made, f"{role}.robot1", "robot2/") == set()
+
+
 @pytest.mark.parametrize("namespace", ["", "robot1"])
 def test_a_simulated_body_comes_in_by_its_socket_and_changes_nothing_for_people(tmp_path: Path, namespace: str) -> None:
     made = config(gateway_json5(["robot.local"], 7447, namespace), tmp_path)
