@@ -67,7 +67,11 @@ JUDGES: Final = {
     "gateway/robot/spi/stop_all.py": (f"{_UNIT}test_stop.py",),
     "gateway/robot/edge/exposure.py": (f"{_UNIT}test_exposure.py",),
     "gateway/certs/access.py": ("tests/unit/test_access.py",),
-    "gateway/certs/zenoh_files.py": ("tests/unit/test_access.py", "tests/unit/people/test_certs.py"),
+    "gateway/certs/zenoh_files.py": (
+        "tests/unit/test_access.py",
+        "tests/unit/people/test_certs.py",
+        "tests/unit/people/test_check_access.py",
+    ),
     "gateway/certs/proof.py": _CHECKER,
     "gateway/robot/edge/inbox.py": _INBOX,
     "gateway/robot/edge/rings.py": _INBOX,

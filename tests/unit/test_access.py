@@ -41,6 +41,7 @@ Said = tuple[str, str, str]
 
 
 def config(text: bytes, folder: Path) -> zenoh.Config:
+    assert b"@" not in text, "each name in the template has its value"
     (folder / "zenoh.json5").write_bytes(text)
     return zenoh.Config.from_file(str(folder / "zenoh.json5"))
 

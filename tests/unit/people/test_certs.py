@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.zenoh_files import endpoint
+from gateway.certs.zenoh_files import endpoint, laptop_readme
 from gateway.errors import ConfigError
 from gateway.people.tools.certs import app
 from gateway.zenoh_config import certificate_files, load_client_config, load_config
@@ -122,12 +122,20 @@ def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp
         assert archive.read("ca.pem") == (folder / "ca.pem").read_bytes()
         readme = archive.read("README.txt").decode()
         assert "@" not in readme
-        assert "  hexapod-gateway walk --zenoh-config path/to/alice.json5\n" in readme
         archive.extractall(tmp_path / "elsewhere")
     config = load_client_config(tmp_path / "elsewhere" / "alice.json5")
     tls = json.loads(config.get_json("transport/link/tls"))
     assert tls["connect_private_key"] == str(tmp_path / "elsewhere" / "alice.key")
     assert tls["root_ca_certificate"] == str(tmp_path / "elsewhere" / "ca.pem")
+
+
+@pytest.mark.parametrize(
+    ("role", "commands"),
+    [("operator", ["watch", "walk", "estop"]), ("observer", ["watch"]), ("button", ["watch", "button", "estop"])],
+)
+def test_a_bundles_readme_suggests_what_its_role_may(role: str, commands: list[str]) -> None:
+    readme = laptop_readme("alice", role, HOSTS, "2028").decode()
+    assert re.findall(r"hexapod-gateway (\w+) --zenoh-config path/to/alice.json5\n", readme) == commands
 
 
 def test_full_paths_on_request_and_never_in_the_zip(folder: Path, tmp_path: Path) -> None:
@@ -164,6 +172,7 @@ def test_the_gateways_zenoh_file_names_its_files_wherever_the_folder_is(
     config = load_config(folder / "gateway.json5")
     assert json.loads(config.get_json("transport/link/tls/listen_private_key")) == str(folder / "gateway.key")
     assert certificate_files(config) == [folder / "ca.pem", folder / "gateway.pem"]
+    assert json.loads(config.get_json("listen/endpoints")) == ["tls/[::]:7447"]
     folder.rename(tmp_path / "robot")
     assert load_config(tmp_path / "robot" / "gateway.json5")
 

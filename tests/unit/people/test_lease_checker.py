@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.certs import authority
-from gateway.certs.proof import ProofChecker
+from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose
 from gateway.people.client.requests import Identity
 from gateway.robot.core.events import LeaseRequest
 from gateway.robot.core.message import Reply
@@ -102,7 +102,38 @@ def test_an_rsa_key_and_a_certificate_of_somebodys_own_tools(tmp_path: Path) -> 
 
 def test_an_issuer_beside_others() -> None:
     checker = ProofChecker([OTHER_CA.certificate, CA.certificate])
-    assert checker.fault(proof(), "acquire", "anna", NOW) is None
+    chain = proof(certificate=pem(ANNA.certificate) + pem(CA.certificate))
+    assert checker.fault(chain, "acquire", "anna", NOW) is None
+
+
+def test_a_certificate_that_lives_as_long_as_its_ca_is_good_from_the_first_moment_to_the_last() -> None:
+    start, end = CA.certificate.not_valid_before_utc, CA.certificate.not_valid_after_utc
+    made = proof(
+        authority.KeyPair(own_certificate(ANNA.key, name_of("operator", "anna"), start=start, end=end), ANNA.key)
+    )
+    for now in (start, end):
+        assert CHECKER.fault(made, "acquire", "anna", now) is None
+
+
+@pytest.mark.parametrize(
+    ("role", "source", "purpose", "fault"),
+    [
+        ("button", "anna", WATCHING, None),
+        ("button", "anna/phone", WATCHING, None),
+        ("operator", "anna/phone", WATCHING, None),
+        ("observer", "anna", WATCHING, "not that of an operator or a button of this robot"),
+        ("button", "bert/anna", WATCHING, "source is not the person"),
+        ("operator", "anna/phone", DRIVING, "source is not the person"),
+    ],
+)
+def test_who_may_watch_with_a_hand_on_a_stop_and_under_which_names(
+    role: str, source: str, purpose: Purpose, fault: str | None
+) -> None:
+    anna = authority.make_laptop(CA, "anna", role, 30, NOW)
+    signature = anna.key.sign(purpose.signed("register", source, NONCE), ec.ECDSA(hashes.SHA256()))
+    made = proof(anna, signature=base64.b64encode(signature).decode())
+    found = CHECKER.fault(made, "register", source, NOW, purpose)
+    assert found is None if fault is None else fault in str(found)
 
 
 def test_in_a_fleet_the_role_names_the_robot() -> None:
@@ -177,7 +208,8 @@ BAD: dict[str, tuple[Callable[[], Proof], str]] = {
         "no X.509 certificate in PEM form",
     ),
     "nothing": (lambda: proof(certificate="", signature=""), "no X.509 certificate in PEM form"),
-    "no base64": (lambda: proof(signature="§"), "proof.signature is not made"),
+    "no base64": (lambda: proof(signature=f"§{proof().signature}"), "proof.signature is not made"),
+    "base64 with more in it": (lambda: proof(signature=f"!{proof().signature}"), "proof.signature is not made"),
     "an empty signature": (lambda: proof(signature=""), "proof.signature is not made"),
 }
 
