@@ -293,7 +293,7 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
 
 def test_of_a_flooded_ring_no_more_than_its_depth_is_taken_at_once() -> None:
     flood = iter(range(1000))
-    assert len(Ring(LEG_1, 0, lambda: next(flood), RING_DEPTH).rest(-1)) == RING_DEPTH
+    assert len(Ring(LEG_1, lambda: next(flood), RING_DEPTH).rest(-1)) == RING_DEPTH
 
 
 async def test_looking_again_ends(session: zenoh.Session) -> None:

@@ -195,6 +195,7 @@ def test_what_was_sent_before_a_reset_is_taken_before_it() -> None:
         ([(LEG, "put"), (LEGS_COMMAND, "put"), (SERVO, "get")], ServoOp(Op.SET, 1), False),
         ([(leg_command(2), "put"), (LEG, "put")], STOP, False),
         ([(RESET, "put"), (RESET, "get")], STOP, False),
+        ([(key, verb) for key in COMMAND_KEYS for verb in ("put", "get")], ServoOp(Op.SET, 1), False),
     ],
 )
 def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
@@ -272,7 +273,7 @@ def test_a_deeper_ring_is_searched_for_stops_until_it_is_full() -> None:
         58,
     )
     setpoints = [Message(LEG, "put", START, (11,))] * 60
-    waiting.extend([Message(LEG, "put", STOP, (12,)), *setpoints[:56]])
+    waiting.extend([*setpoints[:20], Message(LEG, "put", STOP, (12,)), *setpoints[:36]])
     assert [item and item.op for _, item in rings.read([LEG])] == [STOP] + [START] * RING_DEPTH
     waiting.extend(setpoints)
     assert [item and item.op for _, item in rings.read([LEG])] == [None] + [START] * RING_DEPTH

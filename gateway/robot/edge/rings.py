@@ -58,9 +58,9 @@ class Ring(Generic[Item]):
 
     __slots__ = ("before", "depth", "follows", "key", "others", "place", "receive", "servos")
 
-    def __init__(self, key: str, place: int, receive: Receive[Item], depth: int) -> None:
+    def __init__(self, key: str, receive: Receive[Item], depth: int) -> None:
         self.key = key
-        self.place = place
+        self.place: int
         """Where its commands stand among those of one instant."""
         self.servos = servos_of(COMMAND_KEYS[key])
         """Those that a message in it may stop. Without any (a reset), no message in it is a Stop."""
@@ -92,15 +92,12 @@ class Rings(Generic[Item, Message]):
     ):
         self._make = make
         self._words_of_stop = words_of_stop
-        places = {key: place for place, key in enumerate(COMMAND_KEYS)}
-        self._of = {
-            key: (Ring(key, 2 * places[key], put, depth), Ring(key, 2 * places[key] + 1, get, RING_DEPTH))
-            for key, (put, get) in receivers.items()
-        }
+        self._of = {key: (Ring(key, put, depth), Ring(key, get, RING_DEPTH)) for key, (put, get) in receivers.items()}
         self._all = [ring for key in COMMAND_KEYS if key in self._of for ring in self._of[key]]
-        for ring in self._all:
+        for place, ring in enumerate(self._all):
+            ring.place = place
             ring.others = frozenset(each for each in self._all if each is not ring and ring.follows & each.servos)
-            ring.before = frozenset(other for other in ring.others if other.place < ring.place)
+            ring.before = ring.others.intersection(self._all[:place])
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
 
