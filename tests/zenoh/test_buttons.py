@@ -1,6 +1,5 @@
 """Stop buttons on a real gateway: programs that are one, attacks, certificates, and a restart."""
 
-import asyncio
 import json
 import threading
 import time
@@ -12,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.client import AsyncClient, Client, RejectedError
+from gateway.client import Client, RejectedError
 from gateway.people.client.requests import Identity
 from schemas import keys
 from schemas.button import ButtonAck, signed_text
@@ -93,38 +92,6 @@ def test_a_press_is_the_emergency_stop_by_the_buttons_name(gateway: Gateway) -> 
         assert robot.reset().accepted is False, "nobody is alive"
         button.alive()
         assert robot.reset().accepted
-
-
-def test_leaving_stops_at_once(robot: Client) -> None:
-    with robot.button("kitchen") as button:
-        button.alive()
-        assert robot.start_leg(3, POSE).accepted
-    assert robot.state().mode == Mode.IDLE
-
-
-def test_the_same_for_asyncio(gateway: Gateway) -> None:
-    async def main() -> None:
-        async with AsyncClient(gateway.endpoint) as robot, robot.button("kitchen") as button:
-            assert (await button.alive()).alive == 1
-            assert (await button.press()).accepted
-            await button.alive()
-            assert (await robot.reset()).accepted
-            assert button.name == "kitchen"
-            assert button.timeout_ms == TIMEOUT_MS
-
-    asyncio.run(main())
-
-
-def test_a_recorded_check_in_and_another_buttons_token_count_for_nothing(robot: Client) -> None:
-    token = ask(robot.session, "register", source="kitchen").button
-    assert token is not None
-    alive = {"button": token, "count": 7}
-    assert ask(robot.session, "alive", **alive).accepted
-    again = ask(robot.session, "alive", **alive)
-    assert (again.accepted, again.reason) == (False, Reason.STALE)
-    newer = ask(robot.session, "register", source="kitchen").button
-    assert ask(robot.session, "alive", button=token, count=8).reason == Reason.UNKNOWN_BUTTON
-    assert ask(robot.session, "leave", button=newer).accepted
 
 
 def test_a_put_is_rejected_with_a_sentence(robot: Client) -> None:

@@ -7,10 +7,24 @@ import sys
 import threading
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from gateway.client import AsyncClient, AsyncLease, AsyncStream, Client, DisconnectedError, Lease, StoppedError, Stream
+from gateway.client import (
+    AsyncButton,
+    AsyncClient,
+    AsyncLease,
+    AsyncStream,
+    AsyncWalk,
+    Button,
+    Client,
+    DisconnectedError,
+    Lease,
+    StoppedError,
+    Stream,
+    Walk,
+)
 from gateway.errors import ZenohError
 from gateway.people.client.aio import KEPT_EVENTS, MAX_QUESTIONS, _Threads
 from schemas import keys
@@ -39,23 +53,30 @@ async def running(client: AsyncClient) -> list[int]:
 
 
 def public(kind: type) -> dict[str, list[str]]:
-    """Its methods and properties, with the names of what they take."""
-    return {
-        name: list(inspect.signature(member).parameters) if callable(member) else []
-        for name, member in vars(kind).items()
-        if not name.startswith("_")
-    }
+    """Its methods, with the names of what they take, and its properties; a value is what those take that can be set."""
+
+    def taken(member: Any) -> list[str]:
+        if isinstance(member, property):
+            return ["value"] if member.fset else []
+        return list(inspect.signature(member).parameters)
+
+    return {name: taken(member) for name, member in vars(kind).items() if not name.startswith("_")}
 
 
 STEPS = {
     Client: {"carry", "carried_lease"},
     Stream: {"open", "close", "read", "check_open", "due_s", "must_ask", "send"},
     Lease: {"acquire", "release", "token", "elsewhere", "check", "confirm", "judge"},
+    Walk: {"open", "close", "error"},
+    Button: {"leave"},
 }
 """What they take of one another."""
 
 
-@pytest.mark.parametrize(("twin", "own"), [(AsyncClient, Client), (AsyncStream, Stream), (AsyncLease, Lease)])
+@pytest.mark.parametrize(
+    ("twin", "own"),
+    [(AsyncClient, Client), (AsyncStream, Stream), (AsyncLease, Lease), (AsyncWalk, Walk), (AsyncButton, Button)],
+)
 def test_both_have_the_same_names_and_arguments(twin: type, own: type) -> None:
     wanted = {name: taken for name, taken in public(own).items() if name not in STEPS[own]}
     assert {name: taken for name, taken in public(twin).items() if name in wanted} == wanted

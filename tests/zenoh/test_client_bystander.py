@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from gateway.client import AsyncClient, Client, DisconnectedError, RejectedError, StoppedError, Stream
+from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.robot.protocol.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
@@ -64,17 +64,6 @@ def test_a_rejected_bystander_stops_nobody(
         assert running(watcher) == [1, 2]
         assert not stops(written)
         assert not [event for event in happened.all if event.kind == Kind.SOURCE_CHANGED]
-
-
-async def test_nor_does_one_on_asyncio(gateway: Gateway, anna: Client) -> None:
-    with anna.lease(), anna.stream(HZ) as stream:
-        stream.set({1: POSE})
-        with pytest.raises(RejectedError, match="anna holds the lease"):
-            async with AsyncClient(gateway.endpoint, source="bert") as bert, bert.stream(HZ) as other:
-                await other.set({1: POSE})
-        for _ in range(10):
-            stream.set({1: POSE})
-        assert running(anna) == [1]
 
 
 def test_who_drove_before_a_takeover_stops_nothing_of_the_new_holder(anna: Client, bert: Client) -> None:

@@ -320,16 +320,6 @@ def test_a_rate_that_the_watchdog_would_not_live_with_is_reported(robot: Client)
             robot.stream(hz)
 
 
-def test_several_legs_in_one_message(robot: Client, watcher: Client) -> None:
-    before = watcher.state().commands.accepted
-    assert robot.start_legs({1: POSE, 5: POSE}).accepted
-    assert robot.set_legs({1: POSE, 5: POSE}).accepted
-    rejected = robot.set_legs({1: POSE, 2: POSE})
-    assert rejected.reason == "servo_stopped"
-    assert watcher.state().commands.accepted == before + 2
-    assert robot.stop().accepted
-
-
 def test_ready_is_waited_for(robot: Client, watcher: Client) -> None:
     assert robot.connected
     assert robot.wait_ready().mode == Mode.IDLE

@@ -1,6 +1,5 @@
 """Walking through a real gateway: what it sends, and how a walk ends."""
 
-import asyncio
 import time
 from collections.abc import Callable, Iterator, Mapping
 from itertools import count
@@ -9,16 +8,16 @@ from typing import Any, Final
 
 import pytest
 
-from gateway.client import AsyncClient, Client, Walk
+from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, RejectedError, StoppedError, WalkError
 from gateway.people.client.walk import LONGEST_S
 from gateway.people.walking import STILL, Posture
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
-from schemas.telemetry import Ack, FrameRecord, GatewayState, Kind, Mode, Reason
+from schemas.telemetry import Ack, FrameRecord, GatewayState, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames, states
+from tests.support.heard import frames, states
 
 PATIENT: Final[dict[str, dict[str, Any]]] = {
     "watchdog": {"timeout_ms": 10_000},
@@ -260,27 +259,3 @@ def test_settings_and_calibration_are_kept(tmp_path: Path) -> None:
         assert min(seen[11]) >= 80_00
         assert min(seen[31]) >= 70_00
         assert max(seen[31]) <= 110_00
-
-
-async def test_the_same_for_asyncio(gateway: Gateway, watcher: Client) -> None:
-    happened = events(watcher)
-    async with AsyncClient(gateway.endpoint, source="walker") as robot, robot.walk(gait="ripple") as walk:
-        await walk.stand()
-        for _ in range(40):
-            await walk.go(left_m_s=0.03)
-        assert walk.state.odometry.y_m > 0.005
-        walk.walk_as("wave")
-        walk.hold_s = 0.4
-        assert walk.hold_s == 0.4
-        await asyncio.to_thread(watcher.stop, 5)
-
-        async def go_on() -> None:
-            for _ in range(500):
-                await walk.go(left_m_s=0.03)
-
-        with pytest.raises(StoppedError, match="leg 5 is stopped"):
-            await go_on()
-        await walk.start_again()
-        await walk.sit()
-    assert watcher.state().mode == Mode.IDLE
-    assert [event.kind for event in happened.all].count(Kind.WATCHDOG_EXPIRED) == 0

@@ -179,57 +179,26 @@ def test_headers(console: Console, session: SignedIn) -> None:
     assert console.get("/%2e%2e/app.py", **session.headers).status_code in (403, 404)
 
 
-def test_revoke_ends_open_pages(gateway: Gateway, tmp_path: Path) -> None:
-    """Of a console of its own, since all sessions of that folder end."""
-    with Console(tmp_path, "--connect", gateway.endpoint) as other:
-        session = other.sign_in()
-        with other.page(session) as page:
-            assert "1 session ended" in other.run("--revoke").stdout
-            with pytest.raises(ConnectionClosed) as closed:
-                page.wait("never")
-            assert closed.value.rcvd is not None
-            assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1008, "signed out")
-        assert other.get(**session.headers).status_code == 403
-
-
-def test_a_session_outlives_the_console(gateway: Gateway, tmp_path: Path) -> None:
-    port = free_port()
-    with Console(tmp_path, "--connect", gateway.endpoint, port=port) as first:
-        session = first.sign_in()
-        first.child.send_signal(signal.SIGTERM)
-        assert first.child.wait() == 0
-    with Console(tmp_path, "--connect", gateway.endpoint, port=port) as second, second.page(session) as page:
-        assert page.state()["mode"] == "idle"
-
-
 # ---- bad pages
 
 
 @pytest.mark.parametrize(
-    "message",
+    ("message", "code"),
     [
-        {"type": "shutdown"},
-        {"type": "command", "key": "hexapod/estop/cmd", "payload": {}, "sent_ms": 1},
-        {"type": "command", "key": LEG_3, "payload": {**START, "source": "somebody"}, "sent_ms": 1},
-        {"type": "alive", "now_ms": 1, "padding": "x" * 9000},
+        ('{"type": "command", "key": "hexapod/estop/cmd", "payload": {}, "sent_ms": 1}', 1008),
+        ('{"type": "alive", "now_ms": 1, "padding": "' + "x" * 9000 + '"}', 1009),
+        (b"{}", 1008),
     ],
-    ids=["unknown", "no leg", "forged source", "too long"],
+    ids=["no message of a page", "too long", "no text"],
 )
-def test_what_no_page_sends_ends_it(console: Console, session: SignedIn, message: dict[str, object]) -> None:
+def test_what_no_page_sends_ends_it(console: Console, session: SignedIn, message: str | bytes, code: int) -> None:
     with console.page(session) as page:
-        page.send(**message)
+        page.socket.send(message)
         with pytest.raises(ConnectionClosed) as closed:
             page.wait("never")
         assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == (1009 if "padding" in message else 1008)
+        assert closed.value.rcvd.code == code
         assert closed.value.rcvd.reason
-
-
-def test_binary_ends_it(console: Console, session: SignedIn) -> None:
-    with console.page(session) as page:
-        page.socket.send(b"{}")
-        with pytest.raises(ConnectionClosed, match="a page sends text"):
-            page.wait("never")
 
 
 def test_a_flood_ends_it_and_delays_nobody(console: Console, session: SignedIn, page: Page) -> None:

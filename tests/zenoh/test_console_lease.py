@@ -4,14 +4,12 @@ import itertools
 import re
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
 from tests.support.console_process import Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
-from tests.support.secured import Secured
 
 LEG_3: Final = "hexapod/leg/3/cmd"
 START: Final = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
@@ -134,13 +132,3 @@ def test_without_it_there_is_nothing_to_renew(anna: Page) -> None:
     for do in ("renew", "release"):
         answer = lease(anna, do)
         assert (answer["mine"], answer["accepted"], answer["reason"]) == (False, False, "not_holder")
-
-
-def test_the_holder_is_the_certificates_person(tmp_path: Path) -> None:
-    with Secured(tmp_path) as secured:
-        config = str(secured.folder / "anna.json5")
-        with Console(tmp_path, "--zenoh-config", config) as console, console.page(console.sign_in()) as page:
-            page.state()
-            got = lease(page, "acquire")
-            assert (got["mine"], got["holder"], got["verified"]) == (True, "anna", True), got
-            assert page.ask(LEG_3, START)["ack"]["accepted"]

@@ -58,6 +58,9 @@ def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
             page.state()
             if role == "operator":
                 assert page.stop_all()["stop_frames"] == 6
+                page.send(type="lease", id=1, do="acquire")
+                got = page.wait("lease")
+                assert (got["mine"], got["holder"], got["verified"]) == (True, person, True)
     finally:
         child.close()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway.client import AsyncClient, Client, Lease, LeaseError, LeaseLostError, RejectedError, Stream, leg_payload
+from gateway.client import AsyncClient, Client, Lease, LeaseLostError, RejectedError, Stream, leg_payload
 from gateway.errors import GatewayError
 from gateway.robot.protocol.frames import decode
 from schemas import keys
@@ -19,7 +19,7 @@ from schemas.lease import LeaseAck
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord, Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 from tests.support.secured import Secured
 
@@ -125,15 +125,6 @@ def test_it_is_released_at_the_end_and_by_a_client_that_closes(gateway: Gateway,
         lease.acquire()
         assert bert.state().lease.holder == "anna"
     assert bert.state().lease.holder is None
-
-
-def test_whoever_drives_is_named_to_who_would_like_to(anna: Client, bert: Client) -> None:
-    with anna.lease():
-        with pytest.raises(LeaseError, match="anna") as caught:
-            bert.lease().acquire()
-        assert (caught.value.reason, caught.value.holder) == (Reason.LEASE_HELD, "anna")
-    with bert.lease():
-        pass
 
 
 def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: Client, bert: Client) -> None:
@@ -288,20 +279,6 @@ def test_what_was_published_after_a_loss_moves_nothing_though_nobody_drives(anna
             anna.start_leg(1, *POSE)
         assert lease.lost is not None
     assert anna.start_leg(1, *POSE).accepted, "outside it is a program that does nothing about leases"
-
-
-def test_a_gateway_that_is_started_again_knows_of_no_lease(tmp_path: Path) -> None:
-    settings = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
-    told = threading.Event()
-    with (
-        Gateway(tmp_path, settings) as first,
-        first.client(source="anna") as anna,
-        anna.lease(on_lost=lambda _: told.set()) as lease,
-    ):
-        first.child.kill()
-        with Gateway(tmp_path, settings):
-            assert told.wait(LATE_S)
-            assert not lease.held
 
 
 def test_the_same_for_asyncio(gateway: Gateway) -> None:

@@ -2,6 +2,7 @@
 
 import doctest
 import math
+import re
 from array import array
 from collections.abc import Callable
 from decimal import Decimal
@@ -18,6 +19,20 @@ def test_the_examples_are_right() -> None:
     assert doctest.testmod(payloads) == (0, 3)
 
 
+class Float32:
+    """What numpy's floats are to others."""
+
+    def __float__(self) -> float:
+        return 45.5
+
+
+class Int64:
+    """What numpy's integers are to others."""
+
+    def __index__(self) -> int:
+        return 90
+
+
 @pytest.mark.parametrize(
     ("given", "sent"),
     [
@@ -29,6 +44,8 @@ def test_the_examples_are_right() -> None:
         (180.0051, 180.0051),  # for the gateway to reject
         (-0.0051, -0.0051),
         (90.123, 90.123),
+        (Float32(), 45.5),
+        (Int64(), 90),
     ],
 )
 def test_what_is_outside_by_arithmetic_only_is_the_limit(given: Any, sent: float) -> None:
@@ -41,15 +58,21 @@ def test_a_leg_takes_its_angles_as_one_list_or_array(angles: Any) -> None:
     assert legs_payload("set", {3: angles})["legs"]["3"] == leg_payload("set", (90, 45, 120))
 
 
+def test_a_leg_has_three_angles() -> None:
+    with pytest.raises(ValueError, match="2 angles; a leg has three joints"):
+        leg_payload("start", (1, 2))
+
+
 @pytest.mark.parametrize("wrong", [{90, 45, 120}, {1: 90, 2: 45, 3: 120}, "abc", b"abc", 90, None])
 def test_what_has_no_order_of_joints_is_no_leg(wrong: Any) -> None:
     with pytest.raises(TypeError, match="a leg's angles are a list, a tuple or an array of three"):
         legs_payload("set", {3: wrong})
 
 
-def test_a_list_among_angles_is_no_angle() -> None:
-    with pytest.raises(TypeError, match=r"an angle is a number of degrees, and not \[90, 45, 120\]"):
-        leg_payload("set", row(([90, 45, 120], 45, 120)))
+@pytest.mark.parametrize("wrong", [[90, 45, 120], True, "90", None])
+def test_what_is_no_number_is_no_angle(wrong: Any) -> None:
+    with pytest.raises(TypeError, match=rf"an angle is a number of degrees, and not {re.escape(repr(wrong))}"):
+        leg_payload("set", row((wrong, 45, 120)))
 
 
 @pytest.mark.parametrize(
