@@ -16,7 +16,8 @@ AGAIN_S: Final = 0.1
 class UntilConfirmed:
     """Each press begins a request on a thread of its own; the last of them goes on until the Stop is confirmed.
 
-    Only the gateway's answer ends it: whatever else comes of a request, also a fault in this program, counts as none.
+    The threads exist from the beginning: a press finds one also where the system allows no more. Only the gateway's
+    answer ends it: whatever else comes of a request, also a fault in this program, counts as none.
     """
 
     def __init__(self, request: Callable[[], Ack], note: Callable[[Ack | None, int], bool]) -> None:
@@ -25,6 +26,9 @@ class UntilConfirmed:
         self._note = note
         self._lock = threading.Lock()
         self._under_way = 0
+        self._pressed = threading.Semaphore(0)
+        for _ in range(AT_ONCE):
+            threading.Thread(target=self._serve, name="stop", daemon=True).start()
 
     def press(self) -> None:
         """Request it now. Never waits."""
@@ -32,7 +36,12 @@ class UntilConfirmed:
             if self._under_way >= AT_ONCE:
                 return
             self._under_way += 1
-        threading.Thread(target=self._run, name="stop", daemon=True).start()
+        self._pressed.release()
+
+    def _serve(self) -> None:
+        while True:
+            self._pressed.acquire()
+            self._run()
 
     def _run(self) -> None:
         while True:

@@ -11,6 +11,7 @@ import zenoh
 from pydantic import BaseModel
 
 from gateway.client import Client
+from gateway.errors import DisconnectedError
 from gateway.people.client.live import KEPT_EVENTS, Live, OnLoop, Order, Receiver, ReportQueue, Starts
 from gateway.people.client.stops import AT_ONCE, UntilConfirmed
 from schemas.keys import EVENT, STATE
@@ -231,4 +232,15 @@ def test_a_press_waits_for_no_earlier_request_and_a_held_key_begins_a_few_only()
         assert gateway.asked.acquire(timeout=10)
     assert not gateway.asked.acquire(blocking=False)
     gateway.may_answer.release(AT_ONCE)
+    assert gateway.confirmed.wait(10)
+
+
+def test_a_press_finds_a_thread_where_the_system_allows_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    gateway = Gateway(DisconnectedError("no answer"), STOPPED)
+    monkeypatch.setattr(threading.Thread, "start", start)
+    gateway.stops.press()
+    gateway.may_answer.release(2)
     assert gateway.confirmed.wait(10)
