@@ -36,6 +36,12 @@ Object.defineProperty(document, "visibilityState", { value: "hidden", configurab
 document.dispatchEvent(new Event("visibilitychange"));
 """
 
+GAMEPAD: Final = """
+window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
+               buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
+navigator.getGamepads = () => [window.pad];
+"""
+
 expect.set_options(timeout=LATE_MS)
 
 

@@ -7,18 +7,16 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
 from gateway.client import Client
 from schemas.telemetry import Cause
-from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor
+from tests.console.picture import looked_at
 from tests.support.child import Child
-from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
 
 ELKAPOD: Final = Path(__file__).parents[2] / "examples" / "elkapod"
-SIZE: Final = {"width": 1240, "height": 800}
 FRAMES: Final = re.compile(r"^(2[5-9]|3[0-9])\d")
 """Hundreds a second, once the page has counted for a while: six legs at 50 Hz are 300."""
 STANDS: Final = 1000
@@ -27,33 +25,26 @@ STANDS: Final = 1000
 
 def main() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as name:
         env = {
             **os.environ,
             "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]',
             "HEXAPOD_RECORDER__PATH": name,
             "HEXAPOD_CALIBRATION__PATH": str(ELKAPOD / "calibration.toml"),
         }
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         gateway = Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD / "gateway.toml")], env)
         gateway.wait_for_output(READY)
-        shape = ("--geometry", str(ELKAPOD / "geometry.json"))
         with (
-            Console(folder, "--connect", endpoint, *shape, env={"LOGNAME": "anna"}) as console,
-            Visitor(browser, console.url, console.sign_in()) as visitor,
+            looked_at(endpoint, "--geometry", str(ELKAPOD / "geometry.json")) as page,
             Client(endpoint, source="picture") as client,
         ):
             written = frames(client)
-            page = visitor.open(webgl=True, viewport=SIZE, color_scheme="light")
-            page.insist_on_three_dimensions()
             gait = Child([sys.executable, str(ELKAPOD / "gait.py"), "--connect", endpoint], env)
             page.expect_status(6, "runs")
             expect(page["number-frames"]).to_have_text(FRAMES)
             written.wait(lambda record: record.cause is Cause.COMMAND, count=STANDS, timeout_s=30)
             page.page.screenshot(path=ELKAPOD / "walking.png")
             gait.close()
-        browser.close()
         gateway.close()
 
 

@@ -14,7 +14,7 @@ from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.robot.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
-from tests.console.browser import ARGUMENTS, CHROMIUM, HIDE, LATE_MS, Opened, Visitor, put_to_rest
+from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor, put_to_rest
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 from tests.support.console_process import Console
@@ -26,12 +26,6 @@ TIMEOUT_MS: Final = 1000.0
 """Four times the default: on a busy machine the page itself is silent for longer than that, which ends a hold."""
 LEEWAY_MS: Final = 50.0
 NS_PER_MS: Final = 1e6
-
-GAMEPAD: Final = """
-window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
-               buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
-navigator.getGamepads = () => [window.pad];
-"""
 
 
 class Robot:

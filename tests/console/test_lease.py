@@ -46,15 +46,11 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
         assert robot.state().mode == "estopped"
 
 
-@pytest.mark.parametrize("how", ["closed", "hidden"])
-def test_a_page_that_is_closed_or_hidden_drives_no_more(visitor: Visitor, gateway: Gateway, how: str) -> None:
+def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, gateway: Gateway) -> None:
     page, other = visitor.open(), visitor.open()
     page["lease-acquire"].click()
     expect(other["driver"]).to_contain_text("(page ")
-    if how == "closed":
-        page.page.close()
-    else:
-        page.page.evaluate(HIDE)
+    page.page.evaluate(HIDE)
     expect(other["driver"]).to_have_text("nobody")
     with gateway.client() as robot:
         assert robot.start_leg(1, 90, 90, 90).accepted

@@ -207,17 +207,6 @@ def test_a_session_that_was_ended_says_how_to_go_on(browser: Browser, gateway: G
         expect(page["stop-known"]).to_contain_text("You are not signed in")
 
 
-def test_a_foreign_page_reaches_nothing(visitor: Visitor, console: Console) -> None:
-    page = visitor.open().context.new_page()
-    page.goto("about:blank")
-    ended = page.evaluate(
-        "(url) => new Promise((done) => { const socket = new WebSocket(url);"
-        " socket.onopen = () => done('open'); socket.onclose = () => done('closed'); })",
-        console.url.replace("http", "ws") + "/ws",
-    )
-    assert ended == "closed"
-
-
 def test_how_late_a_state_is_shows_although_clocks_differ(visitor: Visitor) -> None:
     """States that waited in a frozen page, or behind it, are as old as they are, not as new as their arrival."""
     page = visitor.open()

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
-from tests.console.browser import HIDE, Opened, Visitor, put_to_rest
+from tests.console.browser import GAMEPAD, HIDE, Opened, Visitor, put_to_rest
 from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
 
@@ -18,11 +18,6 @@ pytestmark = pytest.mark.browser
 
 PHONES: Final = {"portrait": (320, 568), "landscape": (568, 320), "wide": (844, 390)}
 TALL: Final = {"width": 390, "height": 844}
-GAMEPAD: Final = """
-window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
-               buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
-navigator.getGamepads = () => [window.pad];
-"""
 
 
 @pytest.fixture(scope="module")

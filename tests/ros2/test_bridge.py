@@ -7,10 +7,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import zenoh
-from zenoh import ext
-
-from gateway import certs
 from gateway.client import Client
 from gateway.people.ros2.cdr import decode, encode
 from gateway.people.ros2.messages import (
@@ -34,7 +30,6 @@ from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, states
 from tests.support.ros2_peer import Peer
 from tests.support.router import zenoh_listening
-from tests.support.secured import Secured
 
 # ---- in the graph
 
@@ -61,29 +56,12 @@ def test_a_peer_sees_its_topics_and_services(peer: Peer) -> None:
     }
 
 
-def test_the_description_is_given_to_who_comes_later(bridge: Bridge) -> None:
-    received: Any = ext.declare_advanced_subscriber(
-        bridge.router,
-        bridge.names.topic_key("robot_description", String),
-        zenoh.handlers.FifoChannel(10),
-        history=ext.HistoryConfig(detect_late_publishers=True),
-    )
-    assert '<joint name="joint_63"' in decode(String, received.handler.recv().payload.to_bytes()).data
-
-
 def test_without_a_namespace_a_peer_asks_for_the_description_itself(gateway: Gateway) -> None:
     """In a namespace, zenoh-ros2-sdk 0.1.8 looks for a token that it does not mangle."""
     with bridged(gateway, "--ros-namespace", "/") as bare, Peer(bare.endpoint) as peer:
         peer.subscribe("/robot_description", String, latched=True)
         assert '<robot name="elkapod"' in peer.next("/robot_description")["data"]
         assert "/joint_states" in peer.graph()
-
-
-def test_humble_peers_know_no_hashes(gateway: Gateway) -> None:
-    with bridged(gateway, "--distro", "humble") as old:
-        seen = Received(old, "diagnostics", DiagnosticArray).wait(lambda _: True)
-        assert seen.status
-        assert "/TypeHashNotSupported" in old.names.topic_key("diagnostics", DiagnosticArray)
 
 
 def test_diagnostics_say_what_the_gateway_does(bridge: Bridge, watcher: Client) -> None:
@@ -241,7 +219,9 @@ def test_a_request_without_an_attachment_drives_nothing(bridge: Bridge, watcher:
 
 
 def test_it_ends_when_asked_and_stops_what_runs(gateway: Gateway, watcher: Client) -> None:
-    with bridged(gateway, "--drive") as own:
+    """Here beside peers that know no hashes."""
+    with bridged(gateway, "--drive", "--distro", "humble") as own:
+        assert "/TypeHashNotSupported" in own.names.topic_key("joint_commands", JointState)
         assert watcher.state().lease.holder == "ros2", str(own.child)
         publisher = own.publisher("joint_commands", JointState)
         keeps(lambda: publisher.publish(resting()), lambda: len(running(watcher)) == 6)
@@ -292,17 +272,6 @@ def test_a_router_that_was_away_finds_it_again(gateway: Gateway) -> None:
             done, _ = peer.call("/hexapod/estop")
             assert done
             assert peer.call("/hexapod/reset")[0]
-
-
-def test_its_certificate_says_who_drives(tmp_path: Path) -> None:
-    with Secured(tmp_path, PATIENT) as secured:
-        certs.issue(secured.folder, "ros2", "operator")
-        config = str(secured.folder / "ros2.json5")
-        with bridged(secured.gateway, "--zenoh-config", config) as own, Peer(own.endpoint) as peer:
-            assert peer.call("/hexapod/drive") == (True, "drives as ros2")
-            with secured.client("anna") as anna:
-                lease = anna.state().lease
-                assert (lease.holder, lease.verified) == ("ros2", True)
 
 
 def test_without_its_extra_it_names_what_to_install() -> None:
