@@ -10,8 +10,7 @@ import hashlib
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -29,6 +28,7 @@ MAX_ENTRIES: Final = 256
 MAX_BYTES: Final = 1_000_000
 STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
 """Of the service hexapod-console."""
+_LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
 
 
 class Entry(BaseModel):
@@ -77,8 +77,7 @@ class Register:
 
     def begin(self, url: str, role: Role) -> None:
         """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError."""
-        with self._changing() as change:
-            change(change().model_copy(update={"url": url, "role": role, "links": ()}))
+        self._change(lambda now: now.model_copy(update={"url": url, "role": role, "links": ()}))
 
     @property
     def url(self) -> str:
@@ -89,27 +88,30 @@ class Register:
         """A link that works once. Raises ConfigError where no console has begun or the folder cannot be written."""
         if not self._read().url:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
-        with self._changing() as change:
-            now = change()
-            token, entry = self._new(now.role, LINK_S)
-            change(now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]}))
-        return f"{now.url}/?token={token}"
+        token = secrets.token_urlsafe(32)
+
+        def add(now: _Entries) -> _Entries:
+            entry = self._entry(token, now.role, LINK_S)
+            return now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]})
+
+        return f"{self._change(add).url}/?token={token}"
 
     def exchange(self, token: str) -> SignIn | None:
         """A new session for a link's token, which is void from now on; None for what is no valid link."""
         found = _find(self._read().links, token, self._now_s())
         if found is None:
             return None
-        with self._changing() as change:
-            now = change()
+        cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
+        entry = self._entry(cookie, found.role, SESSION_S, key)
+
+        def enter(now: _Entries) -> _Entries:
             if found not in now.links:
-                return None  # somebody else was quicker
-            cookie, entry = self._new(found.role, SESSION_S)
-            key = secrets.token_urlsafe(32)
-            entry = entry.model_copy(update={"key_sha256": _sha256(key)})
+                return now
             links = tuple(link for link in now.links if link != found)
-            change(now.model_copy(update={"links": links, "sessions": (*now.sessions, entry)[-MAX_ENTRIES:]}))
-        return SignIn(cookie, key, entry)
+            return now.model_copy(update={"links": links, "sessions": (*now.sessions, entry)[-MAX_ENTRIES:]})
+
+        before = self._change(enter)
+        return SignIn(cookie, key, entry) if found in before.links else None  # somebody else was quicker
 
     def cookie(self, cookie: str | None) -> Entry | None:
         """The session of that cookie, if it is valid. It opens nothing that matters without the key."""
@@ -126,14 +128,13 @@ class Register:
 
     def revoke(self) -> int:
         """End all sessions and links; how many sessions there were."""
-        with self._changing() as change:
-            now = change()
-            change(now.model_copy(update={"links": (), "sessions": ()}))
-        return len(now.sessions)
+        before = self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()}))
+        return len(before.sessions)
 
-    def _new(self, role: Role, lives_s: float) -> tuple[str, Entry]:
-        token = secrets.token_urlsafe(32)
-        return token, Entry(sha256=_sha256(token), role=role, created_s=self._now_s(), lives_s=lives_s)
+    def _entry(self, token: str, role: Role, lives_s: float, key: str | None = None) -> Entry:
+        hashed = "" if key is None else _sha256(key)
+        created_s = self._now_s()
+        return Entry(sha256=_sha256(token), key_sha256=hashed, role=role, created_s=created_s, lives_s=lives_s)
 
     def _read(self) -> _Entries:
         """The file as it is now; a missing or faulty one has no entries, so nobody is let in.
@@ -162,45 +163,28 @@ class Register:
         except ValidationError:
             return _Entries()
 
-    @contextmanager
-    def _changing(self) -> Iterator["_Change"]:
+    def _change(self, change: Callable[[_Entries], _Entries]) -> _Entries:
+        """Replace the valid entries by what `change` makes of them; returns those before. Raises ConfigError.
+
+        Nobody else changes them meanwhile.
+        """
         try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with _Change(self.path, self._load, self._now_s) as change:
-                yield change
+            with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
+                _like_the_folder(self.path, lock.fileno())
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                now_s = self._now_s()
+                found = self._load() if self.path.exists() else _Entries()
+                links = tuple(link for link in found.links if link.is_valid(now_s))
+                sessions = tuple(session for session in found.sessions if session.is_valid(now_s))
+                before = found.model_copy(update={"links": links, "sessions": sessions})
+                write_private(self.path, change(before).model_dump_json())
         except OSError as error:
             raise ConfigError(
                 f"cannot write {self.path}: {error.strerror}; the console keeps its sessions there, "
                 "so make the folder writable or name another (STATE_DIRECTORY)"
             ) from error
-
-
-class _Change:
-    """One change of the file, which nobody else changes meanwhile: call it to read, and with entries to write."""
-
-    def __init__(self, path: Path, load: Callable[[], _Entries], now_s: Callable[[], float]) -> None:
-        self._path = path
-        self._load = load
-        self._now_s = now_s
-        self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-
-    def __enter__(self) -> "_Change":
-        _like_the_folder(self._path, self._lock)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._lock)
-
-    def __call__(self, entries: _Entries | None = None) -> _Entries:
-        if entries is None:
-            now_s = self._now_s()
-            found = self._load() if self._path.exists() else _Entries()
-            links = tuple(link for link in found.links if link.is_valid(now_s))
-            sessions = tuple(session for session in found.sessions if session.is_valid(now_s))
-            return found.model_copy(update={"links": links, "sessions": sessions})
-        write_private(self._path, entries.model_dump_json())
-        return entries
+        return before
 
 
 def write_private(path: Path, content: str) -> None:

@@ -7,7 +7,7 @@
  */
 
 import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
-import { obstacle, PERIOD_MS, whyNot } from "./hold.js";
+import { obstacle, PERIOD_MS, whenLost, whyNot } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
@@ -69,14 +69,12 @@ export class Calibrate {
     byId("cal-write").addEventListener("click", () => this.#write());
     byId("cal-landing").addEventListener("click", () => this.#landing());
     byId("cal-accept").addEventListener("click", () => this.#accept());
-    for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
-      [window, "blur"],
-      [document, "visibilitychange"],
-    ])) {
-      target.addEventListener(name, () => this.servo !== null && this.#stopIf(obstacle(this, performance.now())));
-    }
-    window.addEventListener("pagehide", () => this.stop("this page was closed or left"));
-    document.addEventListener("freeze", () => this.stop("this page was frozen"));
+    whenLost(this, (why) => this.stop(why));
+  }
+
+  /** Whether a servo runs by it, or is about to. */
+  get active() {
+    return this.servo !== null;
   }
 
   /** End the test: its leg is stopped, and the watchdog does it where that does not arrive. @param {string} why */
@@ -131,7 +129,7 @@ export class Calibrate {
   refresh() {
     const { view } = this;
     const mine = this.told.mine();
-    const tested = this.servo !== null;
+    const tested = this.active;
     const fault = this.model.state?.calibration?.fault ?? null;
     show(byId("cal-untrusted"), fault !== null);
     text(byId("cal-fault"), fault ?? "");
@@ -262,11 +260,6 @@ export class Calibrate {
     if (this.link.sendNow({ type: "calibrate", id, do: step, ...more })) return;
     this.asked.delete(id);
     if (step !== "leave") this.told.say("Not connected.");
-  }
-
-  /** @param {string} why "" where nothing is amiss */
-  #stopIf(why) {
-    if (why) this.stop(why);
   }
 
   #table() {

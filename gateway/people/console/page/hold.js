@@ -16,7 +16,7 @@ export const PERIOD_MS = 50;
 /** How fast a hand's slider moves a servo; a servo alone goes ten times as fast. */
 const SPEED_DEG_S = 60;
 /** With an older state than this, nothing is sent: who drives has to see. */
-export const FRESH_MS = 500;
+const FRESH_MS = 500;
 /** A tick that comes later than this tells of a page that was frozen. */
 const FROZEN_MS = 250;
 
@@ -40,6 +40,24 @@ export function obstacle({ link, model, told, lastTickMs }, nowMs) {
   if (mode !== "idle" && mode !== "active") return `the gateway is not ready (${mode})`;
   if (!told.mine()) return "this page does not have the lease";
   return "";
+}
+
+/**
+ * Call `lose`, with why, as soon as this page is one that must not drive: hidden, without the focus, left or frozen.
+ * @param {Parameters<typeof obstacle>[0] & {active: boolean}} driver @param {(why: string) => void} lose
+ */
+export function whenLost(driver, lose) {
+  for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
+    [window, "blur"],
+    [document, "visibilitychange"],
+  ])) {
+    target.addEventListener(name, () => {
+      const why = driver.active ? obstacle(driver, performance.now()) : "";
+      if (why) lose(why);
+    });
+  }
+  window.addEventListener("pagehide", () => lose("this page was closed or left"));
+  document.addEventListener("freeze", () => lose("this page was frozen"));
 }
 
 /** Why a command was not accepted, in words; "" where it was. @param {AckMessage} message */
@@ -76,16 +94,7 @@ export class Hold {
     /** What it was cut off from, until the watchdog is seen to have stopped it. @type {number[]} */
     this.left = [];
     this.why = "";
-    for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
-      [window, "blur"],
-      [window, "pagehide"],
-      [document, "visibilitychange"],
-      [document, "freeze"],
-    ])) {
-      target.addEventListener(name, () => this.active && this.#dropIf(obstacle(this, performance.now())));
-    }
-    window.addEventListener("pagehide", () => this.drop("this page was closed or left"));
-    document.addEventListener("freeze", () => this.drop("this page was frozen"));
+    whenLost(this, (why) => this.drop(why));
   }
 
   get active() {
@@ -187,13 +196,7 @@ export class Hold {
   heardEvent(event) {
     const stopped = event.kind === "overflow" && event.legs?.some((leg) => this.running.has(leg));
     const rejected = event.kind === "command_rejected" && event.source === this.model.hello?.source;
-    if (!stopped && !rejected) return;
-    this.#dropIf(`${event.reason}: ${event.detail}`);
-  }
-
-  /** @param {string} why "" where nothing is amiss */
-  #dropIf(why) {
-    if (why) this.drop(why);
+    if (stopped || rejected) this.drop(`${event.reason}: ${event.detail}`);
   }
 
   /** @returns {number[]} the legs that ran or were about to */

@@ -54,12 +54,12 @@ const hold = new Hold(link, model, {
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: (why) => (walk.active ? walk.end(why) : calibrate.servo !== null ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
+  lost: (why) => (walk.active ? walk.end(why) : calibrate.active ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
 });
 const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active || walk.active, say });
 const walk = new Walk(link, model, {
   mine: () => lease.mine,
-  busy: () => (hold.active ? "legs are held; let go first" : calibrate.servo !== null ? "a servo is under test; stop it first" : ""),
+  busy: () => (hold.active ? "legs are held; let go first" : calibrate.active ? "a servo is under test; stop it first" : ""),
   say,
 });
 const drive = new Drive(model, targets, hold, { say, select });

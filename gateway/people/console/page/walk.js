@@ -8,7 +8,7 @@
  */
 
 import { attribute, byId, enable, show, text } from "./dom.js";
-import { obstacle, PERIOD_MS } from "./hold.js";
+import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { Stick } from "./stick.js";
 
@@ -63,17 +63,7 @@ export class Walk {
         if (this.active) this.#press(false);
       });
     }
-    for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
-      [window, "blur"],
-      [document, "visibilitychange"],
-    ])) {
-      target.addEventListener(name, () => {
-        const why = this.active ? obstacle(this, performance.now()) : "";
-        if (why) this.drop(why);
-      });
-    }
-    window.addEventListener("pagehide", () => this.drop("this page was closed or left"));
-    document.addEventListener("freeze", () => this.drop("this page was frozen"));
+    whenLost(this, (why) => this.drop(why));
   }
 
   /** Whether the robot stands or walks by this page, or is about to. */
