@@ -95,6 +95,7 @@ def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
         if importlib.util.find_spec(library.partition(".")[0]):
             importlib.import_module(library)
     anew: list[int] = []
+    order: list[str] = []
     limits = _Limits()
     loader, pipe = _forked(None)
     if loader == 0:
@@ -108,6 +109,8 @@ def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
                         raise TestsFailError(test)
                     case {"limits": [processor_s, all_s]}:
                         limits = _Limits(processor_s, all_s)
+                    case {"order": tests}:
+                        order = tests
                     case {"number": number, "outcome": None}:
                         anew.append(number)
                     case {"number": number, "outcome": outcome, "test": test}:
@@ -121,8 +124,11 @@ def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
         if pid == 0:
             file = str(subject.root / subject.file)
             sys.meta_path.insert(0, MutatedImport(subject.module, file, subject.mutated[number]))
-            _run_tests(subject, _Tests(pipe))
-        yield number, _awaited(pid, pipe, limits)
+            _run_tests(subject, _Anew(pipe, order))
+        verdict = _awaited(pid, pipe, limits)
+        if verdict.test in order:
+            order.insert(0, order.pop(order.index(verdict.test)))
+        yield number, verdict
 
 
 def _forked(limits: _Limits | None) -> tuple[int, int]:
@@ -203,6 +209,19 @@ class _Tests:
 
 
 @dataclass(slots=True, eq=False)  # pytest hashes its plugins
+class _Anew(_Tests):
+    """For a mutant that is imported: the tests that noticed others come first, and then the quick ones."""
+
+    order: list[str]
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """What a mutant has made of the parameters' names comes last."""
+        ranks = {test: rank for rank, test in enumerate(self.order)}
+        items.sort(key=lambda item: ranks.get(item.nodeid, len(ranks)))
+
+
+@dataclass(slots=True, eq=False)  # pytest hashes its plugins
 class _Loaded(_Tests):
     """Once the tests are collected: a process for each mutant, which goes on where this one stands."""
 
@@ -213,6 +232,8 @@ class _Loaded(_Tests):
     """The subject's functions that are called while modules are imported."""
     now: set[int] = field(default_factory=set)
     """What the present test has called of them, by first line."""
+    took_s: float = 0
+    """How long the present test has taken."""
     noted: int | None = None
     """Where that is written at its end, in the process that runs the tests without a mutant."""
     killers: list[str] = field(default_factory=list)
@@ -250,7 +271,9 @@ class _Loaded(_Tests):
             return True
         limits = _Limits(5 + 4 * (_children_used_s() - used_s), 15 + 6 * (time.monotonic() - begun_s))
         _tell(self.report, limits=[limits.processor_s, limits.all_s])
-        calls = dict(json.loads(line) for line in _text(noted).splitlines())
+        notes = [json.loads(line) for line in _text(noted).splitlines()]
+        calls = {test: called for test, _, called in notes}
+        quick_first = [test for test, _, _ in sorted(notes, key=lambda note: float(note[1]))]
         for number, mutated in enumerate(self.subject.mutated):
             exchange = in_place(module, source, mutated)
             if exchange is None or self.imported & {each.__code__ for each in exchange.functions}:
@@ -260,23 +283,29 @@ class _Loaded(_Tests):
             pid, self.pipe = _forked(limits)
             if pid == 0:
                 exchange()
-                session.items[:] = sorted(tests, key=lambda item: self._rank(item.nodeid))
+                ranks = {test: rank for rank, test in enumerate(dict.fromkeys([*self.killers, *quick_first]))}
+                session.items[:] = sorted(tests, key=lambda item: ranks[item.nodeid])
                 return None
             verdict = _awaited(pid, self.pipe, limits)
             if verdict.test:
                 self.killers = [verdict.test, *(test for test in self.killers if test != verdict.test)]
             _tell(self.report, number=number, outcome=verdict.outcome, test=verdict.test)
+        _tell(self.report, order=list(dict.fromkeys([*self.killers, *quick_first])))
         return True
+
+    @pytest.hookimpl
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """A part of a test has ended: its preparation, itself, or the tidying after it."""
+        _Tests.pytest_runtest_logreport(self, report)
+        self.took_s += report.duration
 
     @pytest.hookimpl
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
         """A test has ended."""
         if self.noted is not None:
-            os.write(self.noted, f"{json.dumps([nodeid, sorted(self.now)])}\n".encode())
+            os.write(self.noted, f"{json.dumps([nodeid, self.took_s, sorted(self.now)])}\n".encode())
             self.now.clear()
-
-    def _rank(self, test: str) -> int:
-        return self.killers.index(test) if test in self.killers else len(self.killers)
+            self.took_s = 0
 
 
 def _text(file: int) -> str:

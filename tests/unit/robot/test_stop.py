@@ -1,12 +1,20 @@
 """The last attempt to stop the robot: each leg is tried, whatever another one's Stop met."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
 import pytest
 
 from gateway.errors import SpiError
+from gateway.robot.host import stop_note
 from gateway.robot.protocol.frames import stop_leg
+from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
+from gateway.robot.spi import stop_all
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.stop_all import stop_once
+from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
+from gateway.robot.spi.stop_all import stop_once, stop_servos
 from schemas.robot import LEGS
 from tests.support.unshared import UnsharedDevice
 
@@ -56,10 +64,146 @@ def test_each_leg_tries_to_open_a_device_that_does_not_answer(mistake: Exception
     assert device.openings == 1 + len(LEGS)
 
 
-def test_a_device_that_works_is_not_opened_again() -> None:
+@pytest.mark.parametrize("opened", [True, False])
+def test_a_device_that_works_is_not_opened_again(opened: bool) -> None:
     """Opening could fail where writing does not: no descriptor may be left for it."""
     device = Device(KeyError(), LEGS[-1])
     bus = Bus(SpiSettings(), device.open)
-    bus.open()
-    stop_once(bus, opened=True)
+    if opened:
+        bus.open()
+    stop_once(bus, opened=opened)
     assert device.openings == 1
+
+
+def test_a_device_at_fault_is_opened_again_for_the_leg_that_got_no_stop() -> None:
+    class Recovers(Device):
+        def take(self, data: bytes) -> None:
+            if self.openings > 1:
+                self._failing = None
+            super().take(data)
+
+    device = Recovers(SpiError("told to fail"), LEGS[-1])
+    stopped, fault = stop_once(Bus(SpiSettings(), device.open))
+    assert (stopped, str(fault), device.openings) == (set(LEGS), "told to fail", 2)
+
+
+def test_a_repetition_resynchronises_the_controller_first() -> None:
+    device = Device(KeyError(), None)
+    bus = Bus(SpiSettings(framing=Framing.LENGTH_PREFIXED), lambda: device)
+    bus.open()
+    for _ in range(2):
+        device.seen.clear()
+        stop_once(bus, opened=True)
+        assert device.seen[:PREAMBLE_ZEROS] == [ZERO] * PREAMBLE_ZEROS
+        assert device.seen[PREAMBLE_ZEROS + 1] == stop_leg(LEGS[0]).to_bytes()
+
+
+# ---- stop-servos: in rounds
+
+
+@dataclass
+class Rounds:
+    """A device whose Stops for these legs fail in the first rounds, `stop-servos`, a gateway, and a clock."""
+
+    failing: set[int]
+    failing_rounds: int
+    gateway_runs: bool = False
+    log: list[str] = field(default_factory=list)
+    sleeps_ms: list[float] = field(default_factory=list)
+
+    def monotonic_ns(self) -> int:
+        return len(self.sleeps_ms) + 1
+
+    def sleep(self, pause_s: float) -> None:
+        self.sleeps_ms.append(pause_s * 1000)
+
+    def device(self, path: str, speed_hz: int, *, exclusive: bool = True) -> "OfRounds":
+        assert (path, speed_hz, exclusive) == ("/dev/spidev0.0", 2_500_000, False)
+        return OfRounds(self)
+
+    def notice(self, path: str) -> "Rounds":
+        assert path == "/dev/spidev0.0"
+        return self
+
+    def give(self) -> None:
+        self.log.append("given")
+
+    def end(self) -> bool:
+        self.log.append("ended")
+        return True
+
+
+class OfRounds(UnsharedDevice):
+    """That device, opened."""
+
+    def __init__(self, rounds: Rounds) -> None:
+        self._rounds = rounds
+        self._failing = {stop_leg(leg).to_bytes() for leg in rounds.failing}
+
+    def take(self, data: bytes) -> None:
+        if len(self._rounds.sleeps_ms) < self._rounds.failing_rounds and data in self._failing:
+            raise SpiError("told to fail")
+        self._rounds.log.append("stop")
+
+    def close(self) -> None:
+        self._rounds.log.append("closed")
+
+
+@pytest.fixture
+def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[Rounds], bool | None]:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+
+    def run(rounds: Rounds) -> bool | None:
+        for name, replaced in (("KernelDevice", rounds.device), ("Notice", rounds.notice), ("time", rounds)):
+            monkeypatch.setattr(stop_all, name, replaced)
+        return stop_servos(PlainSpi(Framing.PLAIN), PlainRepeats(repeats=2, repeat_interval_ms=30))
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("failing", "rounds", "pauses_ms", "first_ns"),
+    [
+        (set(), 0, [30, 30], 1),
+        ({3}, 1, [30, 30], 1),
+        (set(LEGS), 1, [30, 30], 2),
+        (set(LEGS), 2, [30, 30], 3),
+        ({3}, 3, [30, 30, 20], 1),
+        (set(LEGS), 12, [30, 30, *[20] * 10], 13),
+    ],
+    ids=[
+        "no fault",
+        "once one leg",
+        "once all",
+        "but for the last repeat",
+        "one leg in all repeats",
+        "but for the last",
+    ],
+)
+def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
+    failing: set[int], rounds: int, pauses_ms: list[float], first_ns: int, stops: Callable[[Rounds], bool | None]
+) -> None:
+    scene = Rounds(failing, rounds)
+    assert stops(scene) is None, "no gateway runs"
+    assert scene.sleeps_ms == pauses_ms
+    assert scene.log[-2:] == ["closed", "ended"]
+    assert scene.log.count("given") == 1 + len(pauses_ms)
+    assert stop_note.take() == (first_ns, 1 + len(pauses_ms))
+
+
+@pytest.mark.parametrize("failing", [{3}, set(LEGS)])
+def test_it_ends_with_the_fault_where_a_leg_got_no_stop(
+    failing: set[int], stops: Callable[[Rounds], bool | None]
+) -> None:
+    scene = Rounds(failing, 1000)
+    with pytest.raises(SpiError, match="told to fail"):
+        stops(scene)
+    assert scene.sleeps_ms == [30, 30, *[20] * 10]
+    assert scene.log[-2:] == ["closed", "ended"]
+    assert stop_note.take() is None
+
+
+def test_the_notice_is_given_after_the_first_stops(stops: Callable[[Rounds], bool | None]) -> None:
+    scene = Rounds(set(), 0, gateway_runs=True)
+    assert stops(scene) is True, "the gateway has noticed"
+    assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "given"] * 3, "ended"]
