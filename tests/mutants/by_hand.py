@@ -183,13 +183,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "the last comes first: the others may wait for ever", "self.legs.append(leg)", "self.legs.insert(0, leg)"
         ),
     ),
-    "gateway/robot/spi/bus.py": (
-        ByHand(
-            "a device opened again gets no preamble",
-            "        self._synchronised = self.resync_due = False\n        self._zeros = 0\n",
-            "        self._synchronised = self.resync_due = False\n",
-        ),
-    ),
 }
 
 

@@ -33,8 +33,11 @@ _SUPERVISOR: Final = (
     f"{_UNIT}test_supervisor_calibration.py",
     "tests/zenoh/test_supervisor_outside.py",
     f"{_UNIT}test_lease.py",
+    f"{_UNIT}test_buttons.py",
     f"{_UNIT}test_preamble.py",
     f"{_UNIT}test_conductor_safety.py",
+    f"{_UNIT}test_conductor.py",
+    f"{_UNIT}test_conductor_landing.py",
 )
 _CALIBRATION: Final = (
     f"{_UNIT}test_calibration.py",
@@ -102,7 +105,7 @@ JUDGES: Final = {
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/robot/core/calibration.py": _CALIBRATION,
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", *_INBOX, f"{_UNIT}test_intake.py"),
+    "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": _CONDUCTOR,

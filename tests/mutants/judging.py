@@ -119,16 +119,20 @@ def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
         with suppress(ProcessLookupError):
             os.killpg(loader, signal.SIGKILL)
         os.waitpid(loader, 0)
-    for number in anew:
-        pid, pipe = _forked(limits)
-        if pid == 0:
-            file = str(subject.root / subject.file)
-            sys.meta_path.insert(0, MutatedImport(subject.module, file, subject.mutated[number]))
-            _run_tests(subject, _Anew(pipe, order))
-        verdict = _awaited(pid, pipe, limits)
-        if verdict.test in order:
-            order.insert(0, order.pop(order.index(verdict.test)))
-        yield number, verdict
+    yield from ((number, _judged_anew(subject, number, order, limits)) for number in anew)
+
+
+def _judged_anew(subject: Subject, number: int, order: list[str], limits: _Limits) -> Verdict:
+    """By tests in this order; the one that notices it becomes the first."""
+    pid, pipe = _forked(limits)
+    if pid == 0:
+        file = str(subject.root / subject.file)
+        sys.meta_path.insert(0, MutatedImport(subject.module, file, subject.mutated[number]))
+        _run_tests(subject, _Anew(pipe, order))
+    verdict = _awaited(pid, pipe, limits)
+    if verdict.test in order:
+        order.insert(0, order.pop(order.index(verdict.test)))
+    return verdict
 
 
 def _forked(limits: _Limits | None) -> tuple[int, int]:

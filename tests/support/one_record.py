@@ -21,7 +21,7 @@ def writers(folder: Path) -> dict[str, Callable[[], None]]:
     recorder.open()
     key, target = leg_command(3), ServoOp(Op.SET, 90_00)
     heard = Heard(5_000_000, 1, "put", key, "anna", 12.0, tuple((31 + joint, target) for joint in range(3)))
-    sent = Sent(0, b"\x0e" * 14, 5_100_000, 45_000)
+    sent = Sent(0, b"\x0e" * 14, 5_100_000, 45_000, heard=True)
     transmit = Transmit(OneLeg(3, (target, target, target)), Cause.COMMAND, None, (1,))
 
     return {

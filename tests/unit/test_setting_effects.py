@@ -235,11 +235,14 @@ def test_batch(batch: bool, calls: int) -> None:
 def test_the_guard_knows_avoid_deg(spi: dict[str, object], written: bool, batch: bool) -> None:
     settings = Settings.model_validate({"spi": {**spi, "batch": batch, "frame_gap_us": 0}})
     controller = SimulatedController(settings.spi.framing)
-    bus = Bus(settings.spi, lambda: controller, pause=lambda _: None)
+    pauses_s: list[float] = []
+    bus = Bus(settings.spi, lambda: controller, pause=pauses_s.append)
     bus.open()
     frame = OneServo(11, ServoOp(Op.SET, 1_99))
     with nullcontext() if written else pytest.raises(IllegalTransferError):
         bus.write([frame])
+    if written:
+        assert bool(pauses_s) is not batch
     assert (frame.to_bytes() in [data for _, data in controller.transfers]) is written
 
 

@@ -70,7 +70,7 @@ class Sent:
     """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
     call_ns: int
     """How long its call took."""
-    heard: bool = True
+    heard: bool
     """False: it counts as failed, since the zeros before it did."""
 
 
@@ -163,7 +163,7 @@ class Bus:
                 part = min(zeros, ZEROS_AT_ONCE, self._most)
                 self._call(report, part)
                 zeros -= part
-            at_once = max(1, (self._most - zeros) // self._size) if stops else self._moves_at_once
+            at_once = max(1, self._most // self._size) if stops else self._moves_at_once
             for first in range(0, len(data), at_once):
                 self._call(report, zeros, data[first : first + at_once], first)
                 zeros = 0
@@ -189,7 +189,7 @@ class Bus:
         To be called in a pause of the stream, part by part, so that a Stop waits for one part at most.
         """
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
-            at_once = ZEROS_AT_ONCE if self._batch else 1
+            at_once = min(ZEROS_AT_ONCE, self._most) if self._batch else 1
             try:
                 self._call(Report(), min(at_once, PREAMBLE_ZEROS - self._zeros))
             except SpiError:
@@ -222,8 +222,8 @@ class Bus:
                 self._synchronised_ns = now_ns
             overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
             # A preamble that was begun is finished first; begun again after each frame, it would never end.
-            wanted = not stops and (overdue or 0 < self._zeros < PREAMBLE_ZEROS)
-        return max(0, PREAMBLE_ZEROS - self._zeros) if wanted else 0
+            wanted = not stops and (overdue or bool(self._zeros))
+        return PREAMBLE_ZEROS - self._zeros if wanted and not self.just_resynchronised else 0
 
     # ---- one call
 
@@ -294,7 +294,7 @@ class Bus:
         self._failures = 0
         for _ in range(MOST_CALLS):
             if not left or self._failures >= GIVEN_UP or self._clock() >= give_up_ns:
-                break
+                return
             heard = self._synchronised or not self.announces
             with suppress(SpiError):
                 # Without any zero, a Stop may be tried all the same: a synchronised controller receives it. Behind a

@@ -1,5 +1,9 @@
 """The bus and its device: opened, guarded, counted, closed, and the batches that it is given."""
 
+import itertools
+from collections.abc import Sequence
+from math import ceil
+
 import pytest
 
 from gateway.errors import BatchRejectedError, SpiError
@@ -29,9 +33,10 @@ class Devices(UnsharedDevice):
         self.calls: list[Batch] = []
         self.failing: set[int] = set()
         """Numbers of calls, from when it was set."""
-        self.takes_lists = True
+        self.takes_lists, self.rejects_all = True, False
         self.stall_ns = 0
         """By how much the next pause takes longer."""
+        self.stops_at_work = False
         self._count = 0
 
     def open(self) -> "Devices":
@@ -46,7 +51,7 @@ class Devices(UnsharedDevice):
         self._count += 1
         if self._count in self.failing:
             raise SpiError("told to fail")
-        if len(batch) > 1 and not self.takes_lists:
+        if self.rejects_all or (len(batch) > 1 and not self.takes_lists):
             raise BatchRejectedError("no lists here")
         self.calls.append(tuple(batch))
         self.now_ns += wire_ns(batch) + batch[-1][1] * 1000
@@ -57,6 +62,9 @@ class Devices(UnsharedDevice):
     def pause(self, duration_s: float) -> None:
         self.now_ns += round(duration_s * 1e9) + self.stall_ns
         self.stall_ns = 0
+
+    def stop_servos_at_work(self) -> bool:
+        return self.stops_at_work
 
     def clock(self) -> int:
         return self.now_ns
@@ -100,6 +108,7 @@ def test_stops_are_one_call(framing: Framing) -> None:
 
 def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length() -> None:
     devices = Devices()
+    devices.most_transfers = PREAMBLE_ZEROS + 2 * len(STOPS)
     devices.bus().write(STOPS, preamble=True)
     (batch,) = devices.calls
     assert [data for data, _ in batch[:PREAMBLE_ZEROS]] == [ZERO] * PREAMBLE_ZEROS
@@ -121,43 +130,70 @@ def test_what_moves_is_split_so_that_no_call_takes_more_than_a_millisecond(frami
         assert len(batch) % a_frame == 0, "a frame is never split"
         assert wire_ns(batch) <= LONGEST_NS or len(batch) == a_frame
     if frame_gap_us == 50:
-        assert max(devices.sizes) == 6 * a_frame if bus.announces else 10, "six legs are one call"
+        assert max(devices.sizes) == (12 if bus.announces else 10), "six legs are one call"
 
 
-def test_zeros_of_a_stream_are_two_calls() -> None:
+@pytest.mark.parametrize(
+    ("most", "batch", "sizes"),
+    [(32, True, [8, 8]), (5, True, [5, 5, 5, 1]), (32, False, [1] * 16)],
+    ids=["two calls", "a device that takes less", "one by one"],
+)
+def test_zeros_of_a_stream_are_written_in_parts(most: int, batch: bool, sizes: list[int]) -> None:
     devices = Devices()
-    bus = devices.bus()
+    devices.most_transfers = most
+    bus = devices.bus(batch=batch)
     bus.write([STOP])
     devices.calls.clear()
-    assert [bus.write_zeros() for _ in range(3)] == [True, False, False]
-    assert devices.sizes == [8, 8]
+    assert [bus.write_zeros() for _ in sizes] == [True] * (len(sizes) - 1) + [False]
+    assert bus.write_zeros() is False
+    assert devices.sizes == sizes
     assert all(wire_ns(batch) <= LONGEST_NS for batch in devices.calls)
+
+
+@pytest.mark.parametrize(("frame_gap_us", "preamble_ms"), [(50, 4.0), (400, 8.8)])
+def test_a_preamble_takes_16_pauses_and_150_us_for_each_zero(frame_gap_us: int, preamble_ms: float) -> None:
+    assert Devices().bus(frame_gap_us=frame_gap_us).preamble_ns == preamble_ms * 1_000_000
 
 
 @pytest.mark.parametrize("most", range(1, 33))
 @pytest.mark.parametrize("preamble", [False, True])
 def test_a_device_that_takes_less_gets_the_same_in_more_calls(most: int, preamble: bool) -> None:
-    for frames in (STOPS, MOVES, SERVO_STOPS):
+    each: tuple[Sequence[Frame], ...] = (STOPS, MOVES, SERVO_STOPS)
+    for framing, frames in itertools.product(Framing, each):
         devices = Devices()
         devices.most_transfers = most
-        bus = devices.bus()
+        bus = devices.bus(framing)
+        a_frame = 2 if bus.announces else 1
         assert bus.write(frames, preamble=preamble).fault is None
         written = [data for batch in devices.calls for data, _ in batch]
-        zeros = [ZERO] * PREAMBLE_ZEROS if preamble else []
-        assert written == [*zeros, *(data for frame in frames for data in PREFIXED.transfers(frame.to_bytes()))]
-        assert max(devices.sizes) <= max(2, most), "an announcement and its body stay together"
+        zeros = [ZERO] * PREAMBLE_ZEROS if preamble and bus.announces else []
+        assert written == [*zeros, *(data for frame in frames for data in framing.transfers(frame.to_bytes()))]
+        assert max(devices.sizes) <= max(a_frame, most), "an announcement and its body stay together"
+        if frames is not MOVES and not zeros:
+            assert len(devices.calls) == ceil(len(frames) / max(1, most // a_frame)), "Stops take no more than needed"
 
 
 def test_each_frame_has_its_own_time_by_its_place_on_the_wire() -> None:
     devices = Devices()
     bus = devices.bus()
-    devices.now_ns = 0
+    devices.now_ns = begun_ns = 7_000
     report = bus.write(STOPS[:2], preamble=True)
     zeros_ns = PREAMBLE_ZEROS * (3200 + 100_000 + CS_CHANGE_NS)
     frame_ns = 3200 + 50_000 + CS_CHANGE_NS + 14 * 3200
-    assert [sent.ns for sent in report.sent] == [zeros_ns + frame_ns, zeros_ns + 2 * frame_ns + 50_000 + CS_CHANGE_NS]
-    assert {sent.call_ns for sent in report.sent} == {devices.now_ns}
+    assert [sent.ns - begun_ns - zeros_ns for sent in report.sent] == [frame_ns, 2 * frame_ns + 50_000 + CS_CHANGE_NS]
+    assert {sent.call_ns for sent in report.sent} == {devices.now_ns - begun_ns}
     assert [sent.data for sent in report.sent] == [stop.to_bytes() for stop in STOPS[:2]]
+
+
+@pytest.mark.parametrize("framing", Framing)
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_last_frame_of_a_call_leaves_a_pause_before_its_end(framing: Framing, fails: bool) -> None:
+    """Also that of a second call, and of one that is written by itself after a failure."""
+    devices = Devices()
+    bus = devices.bus(framing)
+    devices.fail(*[1] * fails)
+    report = bus.write(STOPS[:1] if fails else MOVES * 2)
+    assert report.sent[-1].ns == devices.now_ns - 50_000
 
 
 # ---- one call each
@@ -191,9 +227,12 @@ def test_what_a_kernel_rejects_as_a_list_is_written_one_by_one_at_once_and_so_is
     report = bus.write(STOPS)
     assert (report.fault, report.rejection) == (None, "no lists here")
     assert [sent.place for sent in report.sent] == list(range(6))
-    assert devices.sizes == [1] * 6
-    bus.open()
-    assert bus.write(STOPS).rejection is None, "published once"
+    for _ in range(2):
+        assert devices.sizes == [1] * 6
+        devices.calls.clear()
+        report = bus.write(STOPS)
+        assert (report.fault, report.rejection) == (None, None), "published once"
+        bus.open()
     assert bus.errors == 0
 
 
@@ -205,9 +244,23 @@ def test_what_is_rejected_one_by_one_as_well_is_no_matter_of_lists() -> None:
     report = bus.write(MOVES)
     assert (str(report.fault), report.rejection, report.sent) == ("told to fail", None, [])
     devices.takes_lists = True
-    devices.calls.clear()
+    for _ in range(2):
+        devices.calls.clear()
+        bus.write(STOPS)
+        assert devices.sizes == [6]
+        bus.open()
+
+
+def test_what_is_rejected_one_by_one_already_is_a_fault() -> None:
+    devices = Devices()
+    bus = devices.bus(Framing.PLAIN, batch=False)
+    devices.rejects_all = True
+    report = bus.write(MOVES)
+    assert (str(report.fault), report.rejection) == ("no lists here", None)
+    devices.rejects_all = False
+    bus.open()
     bus.write(STOPS)
-    assert devices.sizes == [6]
+    assert devices.sizes == [1] * 6
 
 
 # ---- opened, guarded, counted
@@ -217,11 +270,15 @@ def test_a_device_that_cannot_be_opened_is_an_error() -> None:
     def fails() -> Devices:
         raise SpiError("told to fail")
 
-    bus = Bus(SpiSettings(framing=PREFIXED), fails)
-    with pytest.raises(SpiError):
-        bus.open()
-    assert bus.errors == 1
-    assert "closed" in str(bus.write([STOP]).fault)
+    for framing, frame in itertools.product(Framing, (STOP, START)):
+        bus = Bus(SpiSettings(framing=framing), fails)
+        assert not bus.resync_due
+        for errors in (1, 3):
+            assert "closed" in str(bus.write([frame]).fault), "before anything was opened, too"
+            assert not bus.resync_due
+            assert bus.errors == errors
+            with pytest.raises(SpiError):
+                bus.open()
 
 
 def test_opening_again_releases_what_was_open() -> None:
@@ -230,6 +287,16 @@ def test_opening_again_releases_what_was_open() -> None:
     for _ in range(5):
         bus.open()
     assert (devices.opened, devices.open_now) == (6, 1)
+
+
+def test_stop_servos_is_seen_by_the_device_that_is_open() -> None:
+    devices = Devices()
+    bus = Bus(SpiSettings(framing=PREFIXED), devices.open)
+    for devices.stops_at_work in (True, False):
+        assert not bus.stop_servos_at_work()
+        bus.open()
+        assert bus.stop_servos_at_work() is devices.stops_at_work
+        bus.close()
 
 
 def test_what_it_opens_is_guarded() -> None:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from gateway.robot.core import intake
 from gateway.robot.core.intake import Rejection, decode, deleted, too_large
 from gateway.robot.core.targets import Intent
 from gateway.robot.protocol.frames import STOP as STOP_OP
@@ -298,11 +299,27 @@ def test_the_longest_answer_is_well_below_the_bound() -> None:
     assert len(longest.detail) < MAX_DETAIL // 1.5
 
 
-def test_a_start_with_all_fields_is_not_taken_for_too_many() -> None:
-    """The fullest legal command: six legs, three moves each, a source of nothing but colons."""
-    leg = {"servos": [START_90] * 3}
-    full = {"legs": {str(number): leg for number in range(1, 7)}, "source": ":" * 64, "sent_ms": 1}
-    full["lease"] = "0" * 32
-    answer = decode(LEGS_KEY, as_json(full), JSON)
-    assert isinstance(answer, Intent)
-    assert len(answer.targets) == 18
+SENT = {"sent_ms": 1, "lease": "0" * 32}
+ALL_LEGS = {"legs": {str(number): {"servos": [START_90] * 3} for number in range(1, 7)}}
+
+
+@pytest.mark.parametrize(
+    ("key", "command"),
+    [
+        *((SERVO_32, command) for command in (STOP, START_90, START_90 | SENT, STOP | {"sent_ms": None})),
+        *((LEG_3, command) for command in (LEG, LEG | SENT, {"servos": [STOP] * 3})),
+        *((LEGS_KEY, command) for command in (ALL_LEGS | SENT, {"legs": {"2": LEG}}, {"legs": {"2": LEG, "6": LEG}})),
+        *((RESET_KEY, command) for command in ({}, {"estop": 7}, {"estop": 7} | SENT)),
+    ],
+    ids=repr,
+)
+def test_only_a_payload_with_more_colons_than_fields_is_read_twice(
+    key: CommandKey, command: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_twice: list[bytes] = []
+    monkeypatch.setattr(intake, "name_given_twice", read_twice.append)
+    assert isinstance(decode(key, as_json(command | {"source": "x"}), JSON), Intent)
+    assert read_twice == [] or None in command.values()
+    for source in ("x:", ":" * 64):
+        assert isinstance(decode(key, as_json(command | {"source": source}), JSON), Intent)
+        assert read_twice.pop() == as_json(command | {"source": source})

@@ -7,14 +7,17 @@ from typing import cast
 import pytest
 
 from gateway.robot.core import targets
-from gateway.robot.core.intake import deleted
+from gateway.robot.core.intake import Rejection, decode, deleted, intent_of
 from gateway.robot.core.losses import Losses
-from gateway.robot.core.targets import TARGETS, Intent, follows, servos_of
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.targets import TARGETS, Intent, follows, servos_of, stops_of
 from gateway.robot.edge.rings import Rings
 from gateway.robot.protocol.frames import STOP
 from schemas import keys
 from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, servo_command
 from schemas.robot import SERVO_IDS
+from schemas.telemetry import Reason
+from tests.support.commands import as_json
 
 BODY = "hexapod/body/cmd"
 BODY_KEY = CommandKey(cast("Target", "body"))
@@ -26,14 +29,41 @@ def test_every_target_has_its_row() -> None:
     assert TARGETS.keys() == set(Target)
 
 
-def test_only_a_reset_names_no_servos() -> None:
-    """Any other message becomes a Command, which is done when each of its servos is: without one, never."""
-    assert [key for key in COMMAND_KEYS if not servos_of(COMMAND_KEYS[key])] == [keys.RESET]
+LEG_3_IDS = (31, 32, 33)
+ROWS = [
+    # key, the servos it may stop, those it follows, the most fields of its payload
+    (keys.LEGS_COMMAND, SERVO_IDS, SERVO_IDS, 3 + 1 + 6 * (2 + 3 * 2)),
+    (leg_command(3), LEG_3_IDS, LEG_3_IDS, 3 + 1 + 3 * 2),
+    (servo_command(32), (32,), (32,), 3 + 2),
+    (keys.ESTOP, SERVO_IDS, SERVO_IDS, 0),
+    (keys.RESET, (), SERVO_IDS, 3 + 1),
+]
 
 
-@pytest.mark.parametrize("key", COMMAND_KEYS.values(), ids=str)
-def test_a_key_follows_at_least_what_it_may_stop(key: CommandKey) -> None:
-    assert servos_of(key) <= follows(key), "an older Start on another key would come after a Stop on this one"
+@pytest.mark.parametrize(("key", "servos", "followed", "fields"), ROWS, ids=lambda value: str(value)[:30])
+def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[int, ...], fields: int) -> None:
+    target = COMMAND_KEYS[key]
+    assert servos_of(target) == set(servos), "without one, a message would never be done, but for a reset"
+    assert follows(target) == set(followed), "an older Start on another key must not come after a Stop on this one"
+    assert stops_of(target) == tuple((servo_id, STOP) for servo_id in servos)
+    assert isinstance(deleted(target), Rejection if key == keys.RESET else Intent)
+    for count, rejected in ((fields + 64, False), (fields + 65, True)) if fields else ():
+        answer = decode(target, as_json({f"x{number}": 0 for number in range(count)}), "application/json")
+        assert isinstance(answer, Rejection)
+        assert (answer.detail == "the payload has more fields than any command of its key has") is rejected
+
+
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET, Verb.DELETE])
+@pytest.mark.parametrize("key", COMMAND_KEYS)
+def test_a_wildcard_may_mean_any_key_but_a_reset(key: str, verb: Verb) -> None:
+    target, stop = COMMAND_KEYS[key], b'{"op": "stop"}'
+    exact, meant = (
+        intent_of(Received(key, expression, target, verb, stop, len(stop), "", None, 0))
+        for expression in (key, "hexapod/**")
+    )
+    wildcard = Rejection(Reason.INVALID, "a wildcard does not reset; put {} on hexapod/reset/cmd")
+    assert meant == (wildcard if key == keys.RESET else exact)
+    assert meant != exact or key != keys.RESET
 
 
 def read_twice(first: str, second: str) -> list[str]:
