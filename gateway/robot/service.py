@@ -27,12 +27,6 @@ from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.outbox import ZenohOutbox
 from gateway.robot.edge.proofs import checker_of
-from gateway.robot.edge.request_reader import (
-    ButtonRequestReader,
-    CalibrationRequestReader,
-    LeaseRequestReader,
-    RevocationRequestReader,
-)
 from gateway.robot.edge.revoked import Kept, OlderCa, kept, leave_out
 from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
@@ -60,7 +54,7 @@ from gateway.robot.spi.kernel import RELEASING_DRIVERS, KernelDevice, driver_of
 from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.zenoh_config import open_session
-from schemas.keys import BUTTON, CALIBRATION, CALIBRATION_CMD, LEASE, REVOCATION, STATE
+from schemas.keys import CALIBRATION, STATE
 
 if TYPE_CHECKING:
     from gateway.certs import ProofChecker
@@ -245,15 +239,7 @@ async def _run(
         session = opening.result()
         outbox.open(session)
         with owner:  # its threads hear at once, and have to wait until it is connected
-            inbox = _inbox(
-                session,
-                loop,
-                conductor,
-                checker,
-                settings,
-                calibrations,
-                RevocationRequestReader(revocations, shut_out),
-            )
+            inbox = _inbox(session, loop, conductor, checker, settings, calibrations, revocations)
         realtime.freeze_gc()
         # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
         logger.info(
@@ -324,11 +310,11 @@ def _inbox(
     checker: "ProofChecker | None",
     settings: Settings,
     calibrations: Calibrations,
-    revocations: RevocationRequestReader,
+    revocations: Revocations,
 ) -> Inbox:
     """What comes in, connected with the conductor."""
-    lease = LeaseRequestReader(LeaseAnswers(conductor, settings.lease.ttl_ms), checker, wall_clock=wall_clock)
-    button = ButtonRequestReader(ButtonAnswers(conductor, settings.buttons), checker, wall_clock=wall_clock)
+    lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
+    button = ButtonAnswers(conductor, settings.buttons, checker)
     inbox = Inbox(
         session,
         loop,
@@ -337,10 +323,7 @@ def _inbox(
         on_estop=lambda received: conductor.tick((received,)),
         on_state_query=conductor.answer_state,
         readers={
-            LEASE: lease.note,
-            BUTTON: button.note,
-            CALIBRATION_CMD: CalibrationRequestReader(calibrations).note,
-            REVOCATION: revocations.note,
+            **{each.key: each.note for each in (lease, button, calibrations, revocations)},
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
         },
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),

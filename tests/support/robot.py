@@ -8,19 +8,17 @@ import asyncio
 import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 from pydantic import BaseModel
 
 from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder
-from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge.request_reader import ButtonRequestReader, CalibrationRequestReader, LeaseRequestReader
 from gateway.robot.protocol.frames import Frame, decode
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
+from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
@@ -74,16 +72,9 @@ class Robot:
         )
         self.conductor.connect(self)
         fresh = (f"{number:032x}" for number in itertools.count(1))
-        answers = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms)
-        self.desk = LeaseRequestReader(answers, None, wall_clock=lambda: datetime.now(UTC), fresh=lambda: next(fresh))
-        self.button_desk = ButtonRequestReader(
-            ButtonAnswers(self.conductor, self.settings.buttons),
-            None,
-            wall_clock=lambda: datetime.now(UTC),
-            fresh=lambda: next(fresh),
-        )
+        self.leases = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms, None, fresh=lambda: next(fresh))
+        self.buttons = ButtonAnswers(self.conductor, self.settings.buttons, None, fresh=lambda: next(fresh))
         self.calibrations = Calibrations(self.conductor, keep, self.loop)
-        self.calibration_request_reader = CalibrationRequestReader(self.calibrations)
         self._beat()
 
     def _beat(self) -> None:
@@ -162,32 +153,30 @@ class Robot:
 
     def lease(self, do: str, source: str | None = None, **more: Any) -> LeaseAck:
         """A request for the lease, and its answer."""
-        self._instants += 1
-        answers: list[bytes] = []
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
-        self.desk.read(json.dumps(fields).encode(), self.now_ns(), answers.append)()
+        answers: list[bytes] = []
+        self._request(self.leases, fields, answers.append)
         (answer,) = answers
         return LeaseAck.model_validate_json(answer)
 
     def button(self, do: str, source: str | None = None, **more: Any) -> ButtonAck:
         """A button's request, and its answer."""
-        self._instants += 1
-        answers: list[bytes] = []
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
-        self.button_desk.read(json.dumps(fields).encode(), self.now_ns(), answers.append)()
+        answers: list[bytes] = []
+        self._request(self.buttons, fields, answers.append)
         (answer,) = answers
         return ButtonAck.model_validate_json(answer)
 
     def calibrate(self, payload: object) -> list[Ack]:
         """A change of the calibration; the list that its answer will be in."""
-        self._instants += 1
         answers: list[Ack] = []
-        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        deal = self.calibration_request_reader.read(
-            data, lambda answer: answers.append(Ack.model_validate_json(answer))
-        )
-        deal()
+        self._request(self.calibrations, payload, lambda answer: answers.append(Ack.model_validate_json(answer)))
         return answers
+
+    def _request(self, of: RequestAnswers, payload: object, reply: Reply) -> None:
+        self._instants += 1
+        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+        of.read(data, self.now_ns(), reply)()
 
     # ---- what came of it
 

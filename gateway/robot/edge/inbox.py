@@ -23,9 +23,8 @@ import zenoh
 from zenoh.handlers import Handler, RingChannel
 
 from gateway.robot.core.message import Received, Reply, Verb
-from gateway.robot.edge.receiver import Deal, ReceiverThread
+from gateway.robot.edge.receiver import Deal, Reader, ReceiverThread
 from gateway.robot.edge.replies import ReplySender
-from gateway.robot.edge.request_reader import Reader
 from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.host.realtime import LOOP_PRIORITY

@@ -10,11 +10,14 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import Handler
 
+from gateway.robot.core.message import Reply
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.realtime import RECEIVER_PRIORITY, prefer_thread
 
 Deal = Callable[[], float | None]
 """What an owner of the state is to do with an item. Returns for how long to wait before the next one, if at all."""
+Reader = Callable[[zenoh.Query, int, Reply], Deal]
+"""Reads one question, which came at this time (ns), on a thread that owns nothing."""
 MOST_LOOKS: Final = 30
 """Beats of the loop, 3 s. At each the loop owns the state, and so a thread that only waits for it has had its turn."""
 

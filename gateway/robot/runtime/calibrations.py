@@ -6,16 +6,19 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from gateway.robot.core import calibration_intake
 from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.calibration_intake import CalibrationIntent
 from gateway.robot.core.events import Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
+from gateway.robot.edge.receiver import Deal
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from schemas import keys
-from schemas.telemetry import Reason
+from schemas.telemetry import Ack, Reason
 
 WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
 """Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
@@ -29,13 +32,17 @@ HANGS: Final = (
 logger = logging.getLogger(__name__)
 
 
-class Calibrations:
-    """Asks the conductor. Everything here is called by the owner of the robot's state."""
+class Calibrations(RequestAnswers):
+    """Answers requests for a change, and tells what is in force."""
+
+    key = keys.CALIBRATION_CMD
+    ack = Ack
+    pause_s = PAUSE_S
 
     def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
         """Without `keep`, a calibration lives as long as the process."""
+        super().__init__(conductor)
         self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
-        self._conductor = conductor
         self._keep = keep
         self._written = b""
         self._written_of: Calibration | None = None
@@ -58,24 +65,26 @@ class Calibrations:
             self._written = report_of(self._in_force).model_dump_json().encode()
         reply(self._written)
 
+    def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+        intent = calibration_intake.read(payload)
+        if isinstance(intent, Rejection):
+            return partial(self.reject, source, intent.reason, intent.detail, reply)
+        return partial(self.change, intent, intent.source or source, reply)
+
     def change(self, intent: CalibrationIntent, source: str | None, reply: Reply) -> None:
         """Decide about a change, and answer once it is on the disk, or rejected."""
-        conductor, answers, key = self._conductor, self._conductor.answers, keys.CALIBRATION_CMD
+        conductor, answers = self._conductor, self._conductor.answers
         now_ns = conductor.turned()
         servos = (*intent.change.servos.items(), *intent.change.landing_cdeg.items())
         too_old = conductor.too_old(intent, source, now_ns, now_ns)
         if too_old is not None:
-            answers.reject(key, source, reply, Reason.STALE, too_old, servos=servos)
+            answers.reject(self.key, source, reply, Reason.STALE, too_old, servos=servos)
             return
-        number = answers.expect(key, source, reply, servos)
-        event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, key, intent.lease)
+        number = answers.expect(self.key, source, reply, servos)
+        event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, self.key, intent.lease)
         keep = conductor.ask(event).keep
         if keep is not None:
             self._hand_on(keep)
-
-    def reject(self, source: str | None, rejection: Rejection, reply: Reply) -> None:
-        """Answer a message that is no change, and tell of it."""
-        self._conductor.answers.reject(keys.CALIBRATION_CMD, source, reply, rejection.reason, rejection.detail)
 
     def _hand_on(self, keep: Keep) -> None:
         kept = partial(self._kept, keep.number)

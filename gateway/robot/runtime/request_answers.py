@@ -1,74 +1,226 @@
-"""What becomes of a request for the lease, or of a button's: the supervisor decides, and here it is answered."""
+"""What is asked on the keys that take `get` only: read, and its proof checked, before anybody owns the robot's state.
 
-from gateway.robot.core.events import ButtonRequest, LeaseRequest
+Each key has its own `RequestAnswers`, and one thread, which reads them one by one; an owner of the state decides and
+answers.
+"""
+
+import datetime as dt
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar, Final
+
+import zenoh
+from pydantic import BaseModel, ValidationError
+
+from gateway import certs
+from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
+from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
 from gateway.robot.core.message import Reply
+from gateway.robot.edge.proofs import Proofs, fresh_token
+from gateway.robot.edge.receiver import Deal
 from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.report import wall_clock
 from gateway.robot.settings import ButtonSettings
 from schemas import keys
-from schemas.button import ButtonAck
-from schemas.lease import LeaseAck
+from schemas.button import BUTTON_REQUEST, Alive, ButtonAck, Leave, Register
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
 
+if TYPE_CHECKING:
+    from gateway.certs import ProofChecker
 
-class LeaseAnswers:
-    """Asks the conductor, as owner of the robot's state, and sends the answer after the frames."""
+PAUSE_S: Final = 0.05
+"""Between two that change a file: twenty a second, each of which may take a millisecond. A person writes one."""
+BY_WILDCARD: Final = Rejection(Reason.INVALID, "this key is not asked by wildcard: name it")
+BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
 
-    def __init__(self, conductor: Conductor, ttl_ms: float) -> None:
+_LEASE_DOES: Final = '"challenge", "acquire", "ask", "take", "renew" or "release"'
+_BUTTON_DOES: Final = '"challenge", "register", "alive" or "leave"'
+
+
+def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
+    """Why a request cannot be read, which may `do` these. Nothing of what was sent is repeated: it may be a secret."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    if first["type"] == "json_invalid":
+        return Reason.MALFORMED, "the payload is not JSON"
+    # The names in it are ours, but for one that is not known; the first is the verb's, which pydantic adds.
+    known = [str(part) for part in first["loc"][1:]]
+    if first["type"].startswith("union_tag") or not known:
+        return Reason.INVALID, f"do must be {does}"
+    if first["type"] == "extra_forbidden":
+        return Reason.INVALID, "the payload has a field that is not known here"
+    return Reason.INVALID, f"{'.'.join(known)} is missing, or not what docs/interface.md says"
+
+
+def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
+    """The payload, of `most` bytes at most, or why it is not read."""
+    payload = query.payload
+    if "*" in str(query.key_expr):  # whoever lists what there is wants to see, and asks for nothing
+        return BY_WILDCARD
+    if payload is not None and len(payload) > most:
+        return too_large(len(payload), most)
+    if query.encoding is not None and str(query.encoding) not in ENCODINGS:
+        return BAD_ENCODING
+    return b"" if payload is None else payload.to_bytes()
+
+
+class RequestAnswers(ABC):
+    """One key's. A thread that owns nothing calls `note` and `read`, an owner of the robot's state all else."""
+
+    key: ClassVar[str]
+    ack: ClassVar[type[BaseModel]]
+    most_bytes: ClassVar[int] = MAX_PAYLOAD_BYTES
+    pause_s: ClassVar[float | None] = None
+    """After each of them."""
+
+    def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor
+
+    def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> Deal:
+        """Read one query, which came at this time; what is then to be done with it."""
+        source = str(query.source_info.source_id.zid) if query.source_info is not None else None
+        payload = payload_of(query, self.most_bytes)
+        if isinstance(payload, Rejection):
+            deal: Deal = partial(self.reject, source, payload.reason, payload.detail, reply)
+        else:
+            deal = self.read(payload, now_ns, reply, source)
+        return deal if self.pause_s is None else partial(_with_pause, deal, self.pause_s)
+
+    @abstractmethod
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+        """Read one payload, which came at this time; `source`: who asks, where it names nobody."""
+
+    def accepted(self, **fields: object) -> bytes:
+        """The answer to what is accepted."""
+        return self.ack(accepted=True, **fields).model_dump_json().encode()
+
+    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
+        """Answer what changes nothing, and publish that."""
+        self._conductor.answers.reject_unread(self.key, source, detail, reason)
+        reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
+
+
+def _with_pause(deal: Deal, pause_s: float) -> float:
+    deal()
+    return pause_s
+
+
+# ---- lease and buttons: who asks is proved
+
+
+class LeaseAnswers(RequestAnswers):
+    """To those for the lease."""
+
+    key = keys.LEASE
+    ack = LeaseAck
+
+    def __init__(
+        self,
+        conductor: Conductor,
+        ttl_ms: float,
+        checker: "ProofChecker | None",
+        *,
+        wall_clock: Callable[[], dt.datetime] = wall_clock,
+        fresh: Callable[[], str] = fresh_token,
+    ) -> None:
+        """Without a `checker` names are taken as they are."""
+        super().__init__(conductor)
         self._ttl_ms = ttl_ms
+        self._proofs = Proofs(checker, wall_clock, fresh)
+
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+        try:
+            request = LEASE_REQUEST.validate_json(payload)
+        except ValidationError as error:
+            return partial(self.reject, source, *why_unread(error, _LEASE_DOES), reply)
+        match request:
+            case Challenge():
+                return partial(reply, self.accepted(nonce=self._proofs.challenge(now_ns)))
+            case Claim():
+                denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
+                if denied is not None:
+                    return partial(self.reject, request.source, Reason.LEASE_DENIED, denied, reply)
+                fresh = self._proofs.fresh()
+                asked = LeaseRequest(Do(request.do), request.source, self._proofs.wanted, fresh_token=fresh)
+            case Renew():
+                asked = LeaseRequest(Do.RENEW, token=request.lease)
+            case Release():
+                asked = LeaseRequest(Do.RELEASE, token=request.lease, to=request.to)
+        return partial(self.ask, asked, reply)
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
-        """Whoever asks is known, or has said a name that needs no proof."""
+        """Have the supervisor decide, and answer after the frames."""
         answer = self._conductor.ask(request).lease
         if answer is None:  # the service has ended
             return
         if answer.reason is not None:
             self.reject(request.source, answer.reason, answer.detail or "", reply, holder=answer.holder)
             return
-        held = answer.holder is not None
-        ack = LeaseAck(
-            accepted=True,
-            lease=answer.token,
-            holder=answer.holder,
-            ttl_ms=self._ttl_ms,
-            verified=answer.verified if held else None,
-        )
-        reply(ack.model_dump_json().encode())
+        verified = None if answer.holder is None else answer.verified
+        reply(self.accepted(lease=answer.token, holder=answer.holder, ttl_ms=self._ttl_ms, verified=verified))
 
-    def reject(
-        self, source: str | None, reason: Reason, detail: str, reply: Reply, *, holder: str | None = None
+
+class ButtonAnswers(RequestAnswers):
+    """To those of buttons."""
+
+    key = keys.BUTTON
+    ack = ButtonAck
+
+    def __init__(
+        self,
+        conductor: Conductor,
+        settings: ButtonSettings,
+        checker: "ProofChecker | None",
+        *,
+        fresh: Callable[[], str] = fresh_token,
     ) -> None:
-        """Answer a request that changes nothing, and tell of it."""
-        ack = LeaseAck(accepted=False, reason=reason, detail=detail, holder=holder)
-        reply(ack.model_dump_json().encode())
-        self._conductor.answers.reject_unread(keys.LEASE, source, detail, reason)
-
-
-class ButtonAnswers:
-    """The same of a button's."""
-
-    def __init__(self, conductor: Conductor, settings: ButtonSettings) -> None:
-        self._conductor = conductor
+        """Without a `checker` names are taken as they are."""
+        super().__init__(conductor)
         self._settings = settings
+        # `cryptography` is loaded for a gateway with certificates only.
+        self._proofs = Proofs(checker, wall_clock, fresh, None if checker is None else certs.proof.WATCHING)
+
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+        try:
+            request = BUTTON_REQUEST.validate_json(payload)
+        except ValidationError as error:
+            return partial(self.reject, source, *why_unread(error, _BUTTON_DOES), reply)
+        match request:
+            case Challenge():
+                return partial(reply, self.accepted(nonce=self._proofs.challenge(now_ns)))
+            case Register():
+                denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
+                if denied is not None:
+                    return partial(self.reject, request.source, Reason.BUTTON_DENIED, denied, reply)
+                asked = ButtonRequest(
+                    ButtonDo.REGISTER,
+                    now_ns,
+                    request.source,
+                    sent_ms=request.sent_ms,
+                    fresh_token=self._proofs.fresh(),
+                )
+            case Alive():
+                asked = ButtonRequest(
+                    ButtonDo.ALIVE, now_ns, token=request.button, count=request.count, sent_ms=request.sent_ms
+                )
+            case Leave():
+                asked = ButtonRequest(ButtonDo.LEAVE, now_ns, token=request.button)
+        return partial(self.ask, asked, reply)
 
     def ask(self, request: ButtonRequest, reply: Reply) -> None:
-        """Whoever asks is known, or has a name that needs no proof."""
+        """Have the supervisor decide, and answer after the frames."""
         answer = self._conductor.ask(request).button
         if answer is None:  # the service has ended
             return
         if answer.reason is not None:
             self.reject(request.source, answer.reason, answer.detail or "", reply)
             return
-        ack = ButtonAck(
-            accepted=True,
+        ack = self.accepted(
             button=answer.token,
             timeout_ms=self._settings.timeout_ms,
             alive=answer.alive,
             required=self._settings.required,
         )
-        reply(ack.model_dump_json().encode())
-
-    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply) -> None:
-        """Answer a request that changes nothing, and tell of it."""
-        reply(ButtonAck(accepted=False, reason=reason, detail=detail).model_dump_json().encode())
-        self._conductor.answers.reject_unread(keys.BUTTON, source, detail, reason)
+        reply(ack)

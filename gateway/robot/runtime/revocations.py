@@ -7,22 +7,31 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
+from pydantic import ValidationError
+
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.robot.core.message import Reply
 from gateway.robot.edge import revoked
+from gateway.robot.edge.receiver import Deal
 from gateway.robot.edge.revoked import Kept
 from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from schemas import keys
-from schemas.revocation import RevocationAck
+from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
 from schemas.telemetry import Kind, Reason
 
 if TYPE_CHECKING:
     from gateway.certs.revocation import RevocationList
 
 
-class Revocations:
-    """Everything here is called by the owner of the robot's state, but for the thread that writes."""
+class Revocations(RequestAnswers):
+    """Nothing here is judged by the clock."""
+
+    key = keys.REVOCATION
+    ack = RevocationAck
+    most_bytes = MAX_REVOCATION_BYTES
+    pause_s = PAUSE_S
 
     def __init__(
         self,
@@ -31,48 +40,62 @@ class Revocations:
         loop: asyncio.AbstractEventLoop,
         begin_again: Callable[[], None],
     ) -> None:
-        """`begin_again` ends the service, so that it starts anew; it is called on the loop."""
-        self._conductor = conductor
+        """`kept`: None where there is no CA, and so nobody to shut out.
+
+        `begin_again` ends the service, so that it starts anew; it is called on the loop.
+        """
+        super().__init__(conductor)
         self._kept = kept
         self._loop = loop
         self._begin_again = begin_again
         self._keeps = False
         """A list is being written; the service starts anew once it is."""
 
+    def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+        try:
+            text = RevocationRequest.model_validate_json(payload).revoked if payload else None
+        except ValidationError:
+            detail = 'the payload is not {"revoked": "a certificate revocation list as PEM"}'
+            return partial(self.reject, source, Reason.INVALID, detail, reply)
+        if text is None:
+            return partial(self.answer, reply)
+        if self._kept is None:
+            detail = "this gateway's Zenoh file names no CA, so it knows nobody by a certificate"
+            return partial(self.reject, source, Reason.REVOCATION_DENIED, detail, reply)
+        try:
+            found = certs.revocation.parse(text.encode(), self._kept.cas)
+        except ConfigError as error:
+            return partial(self.reject, source, Reason.REVOCATION_DENIED, str(error), reply)
+        return partial(self.change, found, reply)
+
     def answer(self, reply: Reply) -> None:
         """Say which list is in force."""
         known = None if self._kept is None else self._kept.known
-        ack = (
-            RevocationAck(accepted=True, number=0)
-            if known is None
-            else RevocationAck(accepted=True, number=known.number, revoked=known.pem.decode())
-        )
-        reply(ack.model_dump_json().encode())
+        if known is None:
+            reply(self.accepted(number=0))
+        else:
+            reply(self.accepted(number=known.number, revoked=known.pem.decode()))
 
     def change(self, found: "RevocationList", reply: Reply) -> None:
         """Keep this list, if it is newer, and start anew with it. The one that is in force is accepted again."""
-        known = None if self._kept is None else self._kept.known
+        kept = self._kept
+        known = None if kept is None else kept.known
         if known is not None and found.pem == known.pem:
-            reply(RevocationAck(accepted=True, number=known.number).model_dump_json().encode())
+            reply(self.accepted(number=known.number))
             return
         fault = "another list is being kept; try again" if self._keeps else certs.revocation.why_not_newer(found, known)
-        if fault is not None or self._kept is None:
-            self.reject(Reason.REVOCATION_DENIED, fault or "this gateway keeps no list", reply)
+        if fault is not None or kept is None:
+            self.reject(None, Reason.REVOCATION_DENIED, fault or "this gateway keeps no list", reply)
             return
         self._keeps = True
         # A disk may take seconds, and no Stop waits for one.
-        threading.Thread(target=self._write, args=(self._kept, found, reply), name="keep list", daemon=True).start()
-
-    def reject(self, reason: Reason, detail: str, reply: Reply) -> None:
-        """Answer what changes nothing, and tell of it."""
-        reply(RevocationAck(accepted=False, reason=reason, detail=detail).model_dump_json().encode())
-        self._conductor.answers.reject_unread(keys.REVOCATION, None, detail, reason)
+        threading.Thread(target=self._write, args=(kept, found, reply), name="keep list", daemon=True).start()
 
     def _write(self, kept: Kept, found: "RevocationList", reply: Reply) -> None:
         try:
             revoked.keep(kept.path, found)
         except ConfigError as error:
-            done = partial(self.reject, Reason.REVOCATION_DENIED, str(error), reply)
+            done = partial(self.reject, None, Reason.REVOCATION_DENIED, str(error), reply)
         else:
             done = partial(self._put_in_force, kept, found, reply)
         with self._conductor.owner:
@@ -84,7 +107,7 @@ class Revocations:
         self._kept = kept._replace(known=found)  # or an older list could still take its place before the service ends
         names = ", ".join(sorted(found.common_names - known)) or "nobody else"
         detail = f"list {found.number} shuts out {names}: all legs stop, and the service starts anew"
-        self._conductor.announce(Kind.REVOKED, detail, keys.REVOCATION)
-        reply(RevocationAck(accepted=True, number=found.number).model_dump_json().encode())
+        self._conductor.announce(Kind.REVOKED, detail, self.key)
+        reply(self.accepted(number=found.number))
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             self._loop.call_soon_threadsafe(self._begin_again)

@@ -5,7 +5,7 @@ import datetime as dt
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from cryptography import x509
@@ -22,7 +22,8 @@ from gateway.robot.core.events import LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import MOST_NONCES, NONCE_NS, Nonces
 from gateway.robot.edge.proofs import CHECKS_PER_S
-from gateway.robot.edge.request_reader import LeaseRequestReader
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.request_answers import LeaseAnswers
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 
@@ -269,10 +270,12 @@ def test_few_nonces_are_remembered_the_newest() -> None:
 # ---- the desk
 
 
-class Asked:
-    """What the desk hands on, and what it rejects."""
+class Desk(LeaseAnswers):
+    """Wants proofs, in a time of the test's; keeps what it would ask the conductor, and what it rejects."""
 
-    def __init__(self) -> None:
+    def __init__(self, checker: ProofChecker | None = CHECKER) -> None:
+        super().__init__(cast(Conductor, None), 1000, checker, wall_clock=lambda: NOW)
+        self.now_ns = 1_000_000_000_000
         self.requests: list[LeaseRequest] = []
         self.rejected: list[tuple[str | None, Reason, str]] = []
 
@@ -280,39 +283,30 @@ class Asked:
         self.requests.append(request)
         reply(b"{}")
 
-    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply) -> None:
+    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **_: object) -> None:
         self.rejected.append((source, reason, detail))
         reply(b"{}")
 
-
-class Desk:
-    """A desk that wants proofs, in a time of the test's."""
-
-    def __init__(self) -> None:
-        self.asked = Asked()
-        self.now_ns = 1_000_000_000_000
-        self.desk = LeaseRequestReader(self.asked, CHECKER, wall_clock=lambda: NOW)
-
-    def read(self, request: dict[str, Any]) -> bytes:
+    def answer_to(self, request: dict[str, Any]) -> bytes:
         answers: list[bytes] = []
-        self.desk.read(json.dumps(request).encode(), self.now_ns, answers.append)()
+        self.read(json.dumps(request).encode(), self.now_ns, answers.append)()
         (answer,) = answers
         return answer
 
     def nonce(self) -> str:
-        nonce = LeaseAck.model_validate_json(self.read({"do": "challenge"})).nonce
+        nonce = LeaseAck.model_validate_json(self.answer_to({"do": "challenge"})).nonce
         assert nonce is not None
         return nonce
 
     def claim(self, do: str, made: Proof | None, source: str = "anna") -> None:
-        self.read({"do": do, "source": source, **({} if made is None else {"proof": made.model_dump()})})
+        self.answer_to({"do": do, "source": source, **({} if made is None else {"proof": made.model_dump()})})
 
 
 @pytest.mark.parametrize("do", ["acquire", "ask", "take"])
 def test_who_has_proved_a_name_is_handed_on_with_it(do: str) -> None:
     desk = Desk()
     desk.claim(do, proof(do=do, nonce=desk.nonce()))
-    (request,) = desk.asked.requests
+    (request,) = desk.requests
     assert (request.do, request.source, request.verified) == (do, "anna", True)
     assert len(request.fresh_token) == 32
 
@@ -341,10 +335,10 @@ def test_who_has_not_is_denied(case: str, sentence: str) -> None:
         made = None
     elif case == "replayed":
         desk.claim("acquire", made)
-        desk.asked.requests.clear()
+        desk.requests.clear()
     elif case == "replayed after it failed":
         desk.claim("acquire", proof(BERT, nonce=nonce))
-        desk.asked.rejected.clear()
+        desk.rejected.clear()
     elif case == "stale":
         desk.now_ns += NONCE_NS
     elif case == "unknown":
@@ -352,8 +346,8 @@ def test_who_has_not_is_denied(case: str, sentence: str) -> None:
     elif case == "forged":
         made = proof(BERT, nonce=nonce, certificate=pem(ANNA.certificate))
     desk.claim("acquire", made)
-    assert not desk.asked.requests
-    ((source, reason, detail),) = desk.asked.rejected
+    assert not desk.requests
+    ((source, reason, detail),) = desk.rejected
     assert (source, reason) == ("anna", Reason.LEASE_DENIED)
     assert sentence in detail
 
@@ -362,26 +356,25 @@ def test_a_flood_of_proofs_is_not_checked() -> None:
     desk = Desk()
     for _ in range(CHECKS_PER_S + 5):
         desk.claim("ask", proof(do="ask", nonce=desk.nonce()))
-    assert len(desk.asked.requests) == CHECKS_PER_S
-    assert "too many proofs" in desk.asked.rejected[0][2]
+    assert len(desk.requests) == CHECKS_PER_S
+    assert "too many proofs" in desk.rejected[0][2]
     desk.now_ns += 1_000_000_000 // CHECKS_PER_S
     desk.claim("ask", proof(do="ask", nonce=desk.nonce()))
-    assert len(desk.asked.requests) == CHECKS_PER_S + 1
+    assert len(desk.requests) == CHECKS_PER_S + 1
 
 
 def test_the_holder_of_a_token_proves_nothing() -> None:
     desk = Desk()
-    desk.read({"do": "renew", "lease": NONCE})
-    desk.read({"do": "release", "lease": NONCE, "to": "bert"})
-    assert [(each.do, each.token, each.to) for each in desk.asked.requests] == [
+    desk.answer_to({"do": "renew", "lease": NONCE})
+    desk.answer_to({"do": "release", "lease": NONCE, "to": "bert"})
+    assert [(each.do, each.token, each.to) for each in desk.requests] == [
         ("renew", NONCE, None),
         ("release", NONCE, "bert"),
     ]
 
 
 def test_without_a_ca_names_are_taken_as_they_are_and_no_nonce_is_needed() -> None:
-    desk = Desk()
-    desk.desk = LeaseRequestReader(desk.asked, None, wall_clock=lambda: NOW)
-    assert json.loads(desk.read({"do": "challenge"})) == {"accepted": True}
+    desk = Desk(None)
+    assert json.loads(desk.answer_to({"do": "challenge"})) == {"accepted": True}
     desk.claim("acquire", None)
-    assert [(each.source, each.verified) for each in desk.asked.requests] == [("anna", False)]
+    assert [(each.source, each.verified) for each in desk.requests] == [("anna", False)]

@@ -8,10 +8,10 @@ from typing import Any, cast
 import pytest
 
 from gateway.robot.core.calibration import Calibration
-from gateway.robot.edge.request_reader import PAUSE_S
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.protocol.frames import OneLeg, Op
 from gateway.robot.runtime.calibrations import HANGS
+from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
 from schemas.telemetry import Kind, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
@@ -201,7 +201,7 @@ async def test_what_is_no_command_is_answered_and_told() -> None:
 
 
 class Question:
-    """A query, as far as a desk looks at it."""
+    """A query, as far as a reader looks at it."""
 
     def __init__(self, payload: bytes) -> None:
         self.key_expr, self.payload, self.encoding, self.source_info = keys.CALIBRATION_CMD, Bytes(payload), None, None
@@ -216,7 +216,7 @@ async def test_after_each_question_there_is_a_pause_so_that_a_flood_of_them_dela
     robot = await started_and_quiet()
     for payload in (json.dumps(OWN).encode(), b"{"):
         answers: list[bytes] = []
-        deal = robot.calibration_request_reader.note(cast(Any, Question(payload)), 0, answers.append)
+        deal = robot.calibrations.note(cast(Any, Question(payload)), 0, answers.append)
         assert deal() == PAUSE_S > 0
         assert len(answers) == 1
 

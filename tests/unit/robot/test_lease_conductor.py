@@ -145,7 +145,7 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
 ) -> None:
     robot = await started_and_quiet()
     answers: list[bytes] = []
-    robot.desk.read(payload, robot.now_ns(), answers.append)()
+    robot.leases.read(payload, robot.now_ns(), answers.append)()
     ack = LeaseAck.model_validate_json(answers[0])
     assert (ack.accepted, ack.reason) == (False, reason)
     assert ack.detail is not None
