@@ -35,6 +35,7 @@ from gateway.robot.edge.upkeep import Upkeep
 from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
 from gateway.robot.host.calibration_file import CalibrationWriter
 from gateway.robot.host.descriptors import Spare
+from gateway.robot.host.directories import runtime_directory
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
@@ -341,7 +342,7 @@ def _attendants(
 ) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that look after the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
-    conductor.reports.use_certificate(upkeep.certificate)
+    conductor.reports.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
     older = OlderCa(shut_out, conductor.metrics.count_older_ca)
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
@@ -364,7 +365,7 @@ async def _beat(
     While somebody keeps the state, this waits, so that systemd hears nothing either.
     """
     loop = asyncio.get_running_loop()
-    servos = ServosFile()
+    servos = ServosFile(runtime_directory())
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
         with conductor.owner:

@@ -5,7 +5,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from gateway.robot.host.systemd import SERVICE_STATE, state_directory
+from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
 from gateway.robot.settings import Settings
 
 RING: Final = "black-box"
@@ -63,9 +63,9 @@ def prepare(folder: Path) -> Path:
 
 def in_memory(folder: Path) -> Path:
     """A place in memory for the ring of this folder; where a system has none, the folder itself."""
-    runtime = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
-    if runtime:
-        return Path(runtime) / RING
+    runtime = runtime_directory()
+    if runtime is not None:
+        return runtime / RING
     name = f"hexapod-gateway-{os.geteuid()}-{zlib.crc32(bytes(folder.resolve())):08x}"
     for candidate in (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm"):  # noqa: S108  the owner is checked
         if candidate and os.access(candidate, os.W_OK):

@@ -6,7 +6,7 @@ Zenoh's access control is read when a session opens, so a newer list takes effec
 import json
 import logging
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -16,7 +16,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import pool
 from gateway.errors import ConfigError
-from gateway.robot.host.systemd import SERVICE_STATE, state_directory
+from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get
 
@@ -121,15 +121,13 @@ class OlderCa:
     A CA that takes another's place has common names of its own, so the name alone says it. On one thread.
     """
 
-    def __init__(
-        self, kept: Kept | None, count: Callable[[int], None], environment: Mapping[str, str] = os.environ
-    ) -> None:
+    def __init__(self, kept: Kept | None, count: Callable[[int], None]) -> None:
         """`count` is called with how many they are, since the start."""
         self._first = None if kept is None else kept.first_number
         self._count = count
         self._names: set[str] = set()
-        folder = environment.get("RUNTIME_DIRECTORY", "")
-        self._path = Path(folder) / OLDER_CA if folder else None
+        folder = runtime_directory()
+        self._path = None if folder is None else folder / OLDER_CA
         self._write()
 
     def note(self, common_names: Collection[str]) -> None:
@@ -152,7 +150,6 @@ class OlderCa:
             logger.warning("`check` cannot see who still has a certificate of the older CA: %s", error)
 
 
-def of_older_ca(environment: Mapping[str, str] = os.environ) -> list[str]:
+def of_older_ca() -> list[str]:
     """Who has come with one since the start of the service, as it has noted them. Raises OSError."""
-    folder = Path(environment.get("RUNTIME_DIRECTORY") or _RUNTIME)
-    return (folder / OLDER_CA).read_text().split()
+    return ((runtime_directory() or _RUNTIME) / OLDER_CA).read_text().split()

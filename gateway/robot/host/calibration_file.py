@@ -24,9 +24,9 @@ from pydantic_core import ErrorDetails
 
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
+from gateway.robot.host.directories import SERVICE_STATE, state_directory
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
-from gateway.robot.host.systemd import SERVICE_STATE, state_directory
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import Settings
 from schemas import calibration as wire

@@ -10,11 +10,11 @@ import sys
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Final, Literal
 
 import structlog
 
+from gateway.robot.host.directories import runtime_directory
 from gateway.robot.host.log_writer import LogWriter, Stream
 from gateway.robot.settings import LogSettings
 
@@ -75,10 +75,10 @@ def keep_stacks() -> None:
     Not on stderr: the handler writes from within the signal. With a stuck stderr the process would not die, and
     `stop-servos` would not run. The folder is in memory, so writing never blocks. The unit logs the file afterwards.
     """
-    folder = os.environ.get("RUNTIME_DIRECTORY")
-    if folder:
+    folder = runtime_directory()
+    if folder is not None:
         try:
-            stacks = (Path(folder) / "stacks").open("w")
+            stacks = (folder / "stacks").open("w")
             faulthandler.enable(stacks)
             faulthandler.register(signal.SIGALRM, stacks, chain=True)  # see SystemdNotifier; `chain`: then it ends
         except OSError as error:

@@ -8,7 +8,6 @@ nothing: the service hangs.
 import logging
 import mmap
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -20,15 +19,14 @@ logger = logging.getLogger(__name__)
 
 
 class ServosFile:
-    """The file in systemd's RuntimeDirectory=; nothing without one."""
+    """The file in the service's runtime directory; nothing without one."""
 
-    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
-        folder = environment.get("RUNTIME_DIRECTORY", "")
+    def __init__(self, folder: Path | None) -> None:
         self._map: mmap.mmap | None = None
-        if not folder:
+        if folder is None:
             return
         try:
-            descriptor = os.open(Path(folder) / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            descriptor = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             try:
                 os.ftruncate(descriptor, _BYTES)
                 self._map = mmap.mmap(descriptor, _BYTES)

@@ -4,10 +4,11 @@ It lies in the service's runtime directory, in memory: a reboot ends both the no
 Only people read it, so whatever is wrong with it is no reason for anything.
 """
 
-import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
+
+from gateway.robot.host.directories import runtime_directory
 
 _NAME: Final = "stop-servos"
 _MOST_BYTES: Final = 50
@@ -43,5 +44,5 @@ def take() -> StopNote | None:
 
 
 def _path() -> Path | None:
-    folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
-    return Path(folder) / _NAME if folder else None
+    folder = runtime_directory()
+    return None if folder is None else folder / _NAME

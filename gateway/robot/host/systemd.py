@@ -4,7 +4,6 @@ import os
 import signal
 import socket
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Final
 
 PINGS_PER_TIMEOUT = 4
@@ -18,15 +17,6 @@ long as `stop-servos` may take on a busy machine."""
 
 ANEW_S: Final = 20.0
 """From the last sign of the old program to the first of the new one. TimeoutStartSec= is 30 s."""
-
-SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
-"""The service's state directory (deploy/systemd), for commands that systemd did not start."""
-
-
-def state_directory() -> Path | None:
-    """The folder that systemd has made for what this process keeps; None: systemd did not start it, or made none."""
-    given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-    return Path(given) if given else None
 
 
 class SystemdNotifier:

@@ -71,10 +71,6 @@ class StateReports:
         self.certificate: CertificateReport | None = None
         """Of those in use, the first that expires."""
 
-    def use_certificate(self, certificate: CertificateReport | None) -> None:
-        """What the certificates in use are is known."""
-        self.certificate = certificate
-
     def state(
         self,
         supervisor: Supervisor,

@@ -9,7 +9,7 @@ from gateway.robot.host.servos_file import NAME, ServosFile
 
 
 def test_a_line_that_is_written_over(tmp_path: Path) -> None:
-    file = ServosFile({"RUNTIME_DIRECTORY": str(tmp_path)})
+    file = ServosFile(tmp_path)
     path = tmp_path / NAME
     for now_ns, any_runs in ((1, True), (123_456_789_012_345, False)):
         file.write(now_ns, any_runs=any_runs)
@@ -19,13 +19,13 @@ def test_a_line_that_is_written_over(tmp_path: Path) -> None:
 
 def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
     (tmp_path / NAME).write_text("something longer than the line, from another version\n")
-    file = ServosFile({"RUNTIME_DIRECTORY": str(tmp_path)})
+    file = ServosFile(tmp_path)
     file.write(7, any_runs=True)
     assert (tmp_path / NAME).read_text() == f"{7:020d} 1\n"
 
 
 def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    ServosFile({}).write(1, any_runs=True)
+    ServosFile(None).write(1, any_runs=True)
     with caplog.at_level(logging.WARNING):
-        ServosFile({"RUNTIME_DIRECTORY": str(tmp_path / "none")}).write(1, any_runs=True)
+        ServosFile(tmp_path / "none").write(1, any_runs=True)
     assert "the installer cannot see whether a servo runs" in caplog.text
