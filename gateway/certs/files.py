@@ -15,6 +15,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from gateway.durable import sync
 from gateway.errors import ConfigError
 
 SECRET = 0o600
@@ -90,7 +91,7 @@ def publish(files: Mapping[Path, Content]) -> None:
             undo.callback(_discard, path)
         for directory in {path.parent for path in files}:
             with _explained(directory):
-                _sync(directory)
+                sync(directory)
         undo.pop_all()
 
 
@@ -101,7 +102,7 @@ def replace(path: Path, content: Content) -> None:
         passing.callback(_discard, staged)
         _write(staged, content)
         staged.replace(path)
-        _sync(path.parent)
+        sync(path.parent)
 
 
 def _write(path: Path, content: Content) -> None:
@@ -135,15 +136,6 @@ def _discard(path: Path) -> None:
 def _remove_if_empty(directory: Path) -> None:
     with contextlib.suppress(OSError):
         directory.rmdir()
-
-
-def _sync(directory: Path) -> None:
-    """Writes the directory to disk at once: robots and laptops lose power."""
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextlib.contextmanager

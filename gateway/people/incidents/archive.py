@@ -4,7 +4,6 @@ Which is the newest stands in a file of its own, `order`: a Raspberry Pi has no 
 what happened later may have an earlier time, in its name and as its file's time.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cache
@@ -13,6 +12,7 @@ from typing import Final, NamedTuple
 
 from pydantic import BaseModel, TypeAdapter
 
+from gateway import durable
 from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
 from gateway.people.incidents.ring_reader import Records
@@ -105,10 +105,9 @@ def keep(folder: Path, incident: Incident, records: Records, later: Sequence[str
     unfinished.unlink(missing_ok=True)
     try:
         said = write(unfinished, incident, records, overwrite=False)
-        _sync(unfinished)
+        durable.sync(unfinished)
         unfinished.replace(path)
         _note(folder, incident.name, later, f"{_OVER if over else _OPEN} {said}"[:_MAX_LINE])
-        _sync(folder)
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
@@ -163,15 +162,4 @@ def _note(folder: Path, incident: str, later: Sequence[str], state: str) -> None
     else:
         place = next((place for place, name in enumerate(names) if name in later), len(names))
     order.insert(place, (incident, state))
-    new = folder / f"{_ORDER}{_UNFINISHED}"
-    new.write_text("".join(" ".join(line) + "\n" for line in order), encoding="utf-8")
-    _sync(new)
-    new.replace(folder / _ORDER)
-
-
-def _sync(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    durable.write(folder / _ORDER, "".join(" ".join(line) + "\n" for line in order).encode())

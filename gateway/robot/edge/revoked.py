@@ -7,13 +7,12 @@ import json
 import logging
 import os
 from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import zenoh
 
-from gateway import certs
+from gateway import certs, durable
 from gateway.certs import pool
 from gateway.errors import ConfigError
 from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
@@ -84,25 +83,16 @@ def keep(path: Path, found: "RevocationList") -> None:
 
     Written by root, it belongs to the folder's owner, which is the service.
     """
-    staged = path.with_name(f".{path.name}.new")
+
+    def make_readable(descriptor: int) -> None:
+        os.fchmod(descriptor, 0o644)
+        if os.geteuid() == 0:
+            owner = path.parent.stat()
+            os.fchown(descriptor, owner.st_uid, owner.st_gid)
+
     try:
-        with staged.open("wb") as file:
-            os.fchmod(file.fileno(), 0o644)
-            if os.geteuid() == 0:
-                owner = path.parent.stat()
-                os.fchown(file.fileno(), owner.st_uid, owner.st_gid)
-            file.write(found.pem)
-            file.flush()
-            os.fsync(file.fileno())
-        staged.replace(path)
-        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
+        durable.write(path, found.pem, prepare=make_readable)
     except OSError as error:
-        with suppress(OSError):
-            staged.unlink()
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); the list before stays in force") from error
 
 

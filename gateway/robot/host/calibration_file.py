@@ -16,12 +16,14 @@ import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails
 
+from gateway import durable
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
 from gateway.robot.host.directories import SERVICE_STATE, state_directory
@@ -115,25 +117,11 @@ def read(path: Path) -> Calibration | None:
 
 def write(path: Path, calibration: Calibration) -> None:
     """Keep it: on disk when this returns, or the old one stays. Raises ConfigError. Takes as long as the disk does."""
-    staged = staged_for(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with staged.open("wb") as file:
-            file.write(to_toml(calibration).encode())
-            file.flush()
-            os.fsync(file.fileno())
-        _keep_previous(path)
-        staged.replace(path)
-        _sync(path.parent)
+        durable.write(path, to_toml(calibration).encode(), before=partial(_keep_previous, path))
     except OSError as error:
-        with suppress(OSError):
-            staged.unlink()
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); the old calibration stays") from error
-
-
-def staged_for(path: Path) -> Path:
-    """The file that is written, and then takes the other's place. It stays only while, or where, that did not end."""
-    return path.with_name(f".{path.name}.new")
 
 
 def previous(path: Path) -> list[Path]:
@@ -164,14 +152,6 @@ def _keep_previous(path: Path) -> None:
     os.link(path, copy)
     for old in previous(path)[KEPT:]:
         old.unlink()
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 # ---- on a thread of its own

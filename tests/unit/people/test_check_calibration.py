@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway import durable
 from gateway.people.tools.check.calibration import kept, landing_pose
 from gateway.people.tools.check.result import Verdict
 from gateway.robot.core.calibration import Calibration, ServoCalibration
@@ -38,7 +39,7 @@ def test_one_that_cannot_be_used_is_a_failure_with_its_fix(tmp_path: Path) -> No
 def test_a_change_that_is_not_on_the_disk_after_seconds_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     calibration_file.write(path, Calibration(3))
-    staged = calibration_file.staged_for(path)
+    staged = durable.staged_for(path)
     staged.touch()
     assert checked(path)[0] is Verdict.OK, "it may be written just now"
     begun_s = time.time() - SLOW_S - 1
