@@ -12,6 +12,8 @@ _CONDUCTOR: Final = (
     f"{_UNIT}test_preamble.py",
     f"{_UNIT}test_conductor_landing.py",
     f"{_UNIT}test_calibration_conductor.py",
+    f"{_UNIT}test_buttons_conductor.py",
+    f"{_UNIT}test_answered_in_part.py",
     f"{_UNIT}test_stop.py",
     f"{_UNIT}test_ownership.py",
     "tests/unit/test_setting_effects.py",

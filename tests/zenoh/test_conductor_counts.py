@@ -1,12 +1,18 @@
 """What the conductor counts, measures and tells, and what it does with a device that will not open."""
 
 import asyncio
+import itertools
+from collections.abc import Sequence
 
 import pytest
 
-from gateway.errors import SpiError
+from gateway.errors import BatchRejectedError, SpiError
+from gateway.robot.core.events import Transmit
 from gateway.robot.core.intake import MAX_KEY
+from gateway.robot.protocol.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO
+from gateway.robot.runtime.executor import _batches
+from gateway.robot.spi import Transfer
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.faulty_controller import FaultyController
@@ -87,6 +93,28 @@ async def test_after_a_stop_that_failed_nothing_of_its_command_moves() -> None:
     both = {"legs": {"1": leg("stop"), "2": START}}
     assert robot.ask(keys.LEGS_COMMAND, both).reason == Reason.BUS_FAULT
     assert not robot.controller.energised & {21, 22, 23}
+
+
+def test_stops_leave_before_repeated_ones_and_these_before_what_moves() -> None:
+    move = OneLeg(2, (ServoOp(Op.START, 90_00),) * 3)
+    effects = [Transmit(stop_leg(1), Cause.COMMAND), Transmit(stop_leg(3), Cause.REPEAT), Transmit(move, Cause.COMMAND)]
+    for order in itertools.permutations(effects):
+        assert _batches(list(order)) == [[effect] for effect in effects]
+
+
+async def test_a_device_that_takes_no_lists_is_published_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet()
+    transfer = robot.controller.transfer
+
+    def one_by_one(batch: Sequence[Transfer]) -> None:
+        if len(batch) > 1:
+            raise BatchRejectedError("no lists")
+        transfer(batch)
+
+    monkeypatch.setattr(robot.controller, "transfer", one_by_one)
+    for _ in range(2):
+        assert robot.ask(keys.ESTOP).stop_frames == 6
+    assert [event.detail for event in robot.events(Kind.BUS_UNBATCHED)] == ["no lists"]
 
 
 async def test_the_end_says_whether_all_six_stops_were_written() -> None:
