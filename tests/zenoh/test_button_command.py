@@ -100,12 +100,6 @@ def test_two_of_one_name_do_not_take_it_from_each_other_for_ever(
             alive(watcher, "kitchen")
 
 
-def test_without_a_gateway_it_ends_with_4(tmp_path: Path) -> None:
-    need_tmux()
-    with Terminal(tmp_path, [*COMMAND, "button", "--connect", f"tcp/127.0.0.1:{free_port()}"]) as terminal:
-        assert terminal.wait_for_end() == 4
-
-
 def test_without_a_terminal_it_ends_with_1(gateway: Gateway) -> None:
     end = gateway.run("button")
     assert (end.returncode, "button needs a terminal" in end.stderr) == (1, True)

@@ -99,11 +99,7 @@ def test_a_key_that_root_copied_is_a_failure_though_root_can_read_it(machine: Ma
     assert "Permission denied" not in child.stdout
     assert line(child, "user").startswith("ok ")
     assert line(child, "Zenoh").startswith("ok ")
-
-
-def test_real_time_is_judged_by_the_services_rights(machine: Machine) -> None:
-    machine.allow()
-    assert "priority 20 is not granted (RLIMIT_RTPRIO is 0)" in line(machine.check(), "real-time")
+    assert "priority 20 is not granted (RLIMIT_RTPRIO is 0)" in line(child, "real-time"), "by the service's rights"
 
 
 @pytest.mark.parametrize(
@@ -111,7 +107,6 @@ def test_real_time_is_judged_by_the_services_rights(machine: Machine) -> None:
     [
         ("-sys_resource,-sys_nice", "real-time", "the unit grants priority 20, but it cannot be tried here"),
         ("-setuid", "user", "all this is what root may do; the service is hexapod-gateway"),
-        ("-setgid", "user", "all this is what root may do; the service is hexapod-gateway"),
     ],
 )
 def test_in_a_container_without_a_right_it_says_what_it_cannot_try(

@@ -2,7 +2,6 @@
 
 import os
 import pty
-import re
 import signal
 import subprocess
 import sys
@@ -10,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -61,16 +59,6 @@ def wait_for_state(client: Client, holds: Callable[[GatewayState], bool]) -> Gat
     return state
 
 
-def test_without_tmux_one_line_names_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CI", raising=False)
-    with pytest.raises(pytest.skip.Exception, match=r"^Debian package missing: tmux$"):
-        need_tmux()
-    monkeypatch.setenv("CI", "true")
-    with pytest.raises(pytest.fail.Exception, match=r"^Debian package missing: tmux$"):
-        need_tmux()
-
-
 # ---- what is shown
 
 
@@ -85,18 +73,6 @@ def test_it_shows_a_running_leg_rejections_and_events(gateway: Gateway, terminal
         terminal.wait("rejected anna 2 (servo_stopped)", "command_rejected anna: servo 41 does not run")
         assert client.stop().accepted
         terminal.wait("IDLE", "3 ○ —")
-
-
-def test_the_watchdog_is_seen_to_count_and_to_expire(tmp_path: Path) -> None:
-    with (
-        Gateway(tmp_path, {"watchdog": {"timeout_ms": 1500}}) as gateway,
-        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
-        gateway.client() as client,
-    ):
-        terminal.wait(" 1 ○")
-        assert client.start_leg(3, 90, 45, 120).accepted
-        terminal.wait_until(lambda words: re.search(r"━+[╸─]* +\d+ ms .*? ?4 ○", words) is not None, "leg 3's bar")
-        terminal.wait("EXPIRED", "watchdog_expired", "watchdog expired 1 time ", "Stop p50")
 
 
 def test_a_small_terminal_keeps_the_legs_and_the_stop_key(terminal: Terminal) -> None:
@@ -114,17 +90,18 @@ def test_a_small_terminal_keeps_the_legs_and_the_stop_key(terminal: Terminal) ->
 # ---- the emergency stop and the reset
 
 
-@pytest.mark.parametrize("key", ["Space", "e", "E"])
-def test_the_stop_key_stops_at_once_and_says_so(gateway: Gateway, terminal: Terminal, key: str) -> None:
+def test_the_stop_keys_stop_at_once_and_say_so(gateway: Gateway, terminal: Terminal) -> None:
     with gateway.client() as client:
-        assert client.start_leg(3, 90, 45, 120).accepted
-        terminal.wait("ACTIVE")
-        heard = events(client)
-        terminal.press(key)
-        heard.wait(lambda event: event.kind is Kind.ESTOP_ENGAGED)
-        shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames written within", "3 ○ —")
-        assert "ms after the key" in shown
-        assert client.state().mode is Mode.ESTOPPED
+        for key in ("Space", "e", "E"):
+            assert client.start_leg(3, 90, 45, 120).accepted
+            terminal.wait("ACTIVE", "3 ● 90.00°")
+            heard = events(client)
+            terminal.press(key)
+            heard.wait(lambda event: event.kind is Kind.ESTOP_ENGAGED)
+            shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames written within", "3 ○ —")
+            assert "ms after the key" in shown
+            assert client.reset().accepted
+            terminal.wait("IDLE")
 
 
 def test_the_reset_asks_first(gateway: Gateway, terminal: Terminal) -> None:
@@ -145,19 +122,11 @@ def test_the_reset_asks_first(gateway: Gateway, terminal: Terminal) -> None:
         terminal.press("y")
         terminal.wait("IDLE", "reset; nothing moves until it is started again")
         assert client.state().mode is Mode.IDLE
-
-
-def test_the_stop_key_works_while_the_question_stands(gateway: Gateway, terminal: Terminal) -> None:
-    with gateway.client() as client:
-        assert client.estop().accepted
-        terminal.wait("ESTOPPED")
-        terminal.press("r")
-        terminal.wait("Leave the emergency stop?")
-        frames = client.state().spi.frames
-        terminal.press("Space")
-        wait_for_state(client, lambda state: state.spi.frames == frames + 6)
-        shown = terminal.wait("STOPPED: 6 Stop frames")
-        assert "Leave the emergency stop?" not in shown
+        terminal.press("t")
+        terminal.wait("Drive?")
+        terminal.press("Space")  # whatever question stands
+        shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
+        assert "Drive?" not in shown
 
 
 def test_the_stop_key_works_when_the_terminal_takes_no_more(gateway: Gateway) -> None:
@@ -212,30 +181,16 @@ def test_a_gateway_that_dies_is_called_silent_and_comes_back_by_itself(tmp_path:
             terminal.wait("ACTIVE")
         gateway.child.kill()
         terminal.wait("SILENT for", "was ACTIVE", "No word from the gateway", "the gateway fell silent")
-        with Gateway(tmp_path, {**PATIENT, **listen}) as again:
-            shown = terminal.wait("IDLE", "the gateway is heard again", "the gateway was started again")
-            assert "SILENT for" not in shown
-            with again.client() as client:
-                assert client.start_leg(5, 10, 20, 30).accepted
-            terminal.wait("5 ● 10.00°")
-            terminal.press("Space")
-            terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
-
-
-def test_a_stop_that_nobody_received_is_sent_again_when_the_gateway_is_back(tmp_path: Path) -> None:
-    sections: dict[str, dict[str, Any]] = {**PATIENT, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
-    with (
-        Gateway(tmp_path, sections) as gateway,
-        watching(tmp_path, "--connect", gateway.endpoint) as terminal,
-    ):
-        terminal.wait("IDLE")
-        gateway.child.kill()
-        terminal.wait("SILENT for")
         terminal.press("Space")
         terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying on")
-        with Gateway(tmp_path, sections):
-            shown = terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
-            assert "NOT STOPPED" not in shown
+        with Gateway(tmp_path, {**PATIENT, **listen}) as again:  # what nobody received is sent again
+            shown = terminal.wait("ESTOPPED", "the gateway is heard again", "the gateway was started again")
+            assert "SILENT for" not in shown
+            assert "NOT STOPPED" not in terminal.wait("STOPPED: 6 Stop frames")
+            with again.client() as client:
+                assert client.reset().accepted
+                assert client.start_leg(5, 10, 20, 30).accepted
+            terminal.wait("5 ● 10.00°")
 
 
 def test_a_gateway_that_hangs_is_called_silent(gateway: Gateway, terminal: Terminal) -> None:
@@ -320,12 +275,11 @@ def test_a_picture_that_cannot_be_drawn_does_not_stand_still(gateway: Gateway, t
         assert "hexapod-gateway: this terminal cannot be drawn on ('ascii' codec can't encode" in terminal.words
 
 
-@pytest.mark.parametrize("key", ["q", "C-c"])
-def test_it_leaves_the_terminal_as_it_found_it(gateway: Gateway, tmp_path: Path, key: str) -> None:
+def test_it_leaves_the_terminal_as_it_found_it(gateway: Gateway, tmp_path: Path) -> None:
     watch = " ".join([*COMMAND, "watch", "--connect", gateway.endpoint])
     with Terminal(tmp_path, ["sh", "-c", f"echo before; {watch}"]) as terminal:
         terminal.wait("IDLE")
-        terminal.press(key)
+        terminal.press("C-c")
         assert terminal.wait_for_end() == 0
         shown = terminal.wait("before", "icanon")
         assert " echo " in shown

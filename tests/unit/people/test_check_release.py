@@ -1,6 +1,5 @@
 """`check`: a service that runs another release than the one installed, and a Python that an upgrade would take away."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -38,56 +37,34 @@ def test_another_release_than_the_one_installed(tmp_path: Path) -> None:
     assert f"{old}, not {new}" in found.sentence
 
 
-@pytest.fixture
-def system(tmp_path: Path) -> Path:
-    """/usr/bin: python3 is a link to python3.11."""
-    folder = tmp_path / "usr-bin"
-    folder.mkdir()
-    (folder / "python3.11").write_text("")
-    (folder / "python3").symlink_to("python3.11")
-    return folder
-
-
-def installed(tmp_path: Path, target: Path) -> Path:
-    """A link to a release whose Python is a link to `target`, as `python -m venv` makes it."""
-    binaries = tmp_path / "venv-1/bin"
-    binaries.mkdir(parents=True)
-    (binaries / target.name).symlink_to(target)
-    if target.name != "python":
+@pytest.mark.parametrize(
+    ("links_to", "upgraded", "sentence"),
+    [
+        ("usr-bin/python3.11", False, None),
+        ("usr-bin/python3", False, "an upgrade of the system makes it another"),
+        ("usr-bin/python3.11", True, "the system's python3 is another one now"),
+        ("own/python3.12", False, None),
+        (None, False, None),
+    ],
+    ids=["the exact one", "a link that an upgrade changes", "after an upgrade", "named with PYTHON=", "not installed"],
+)
+def test_a_python_that_an_upgrade_of_the_system_takes_away(
+    tmp_path: Path, links_to: str | None, upgraded: bool, sentence: str | None
+) -> None:
+    for name in ("usr-bin/python3.11", "usr-bin/python3.13", "own/python3.12"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    system = tmp_path / "usr-bin" / "python3"
+    system.symlink_to("python3.13" if upgraded else "python3.11")
+    if links_to is not None:  # as `python -m venv` makes it
+        binaries = tmp_path / "venv-1" / "bin"
+        binaries.mkdir(parents=True)
+        target = tmp_path / links_to
+        (binaries / target.name).symlink_to(target)
         (binaries / "python").symlink_to(target.name)
-    (tmp_path / "venv").symlink_to("venv-1")
-    return tmp_path / "venv"
-
-
-def test_the_exact_interpreter_needs_nothing(tmp_path: Path, system: Path) -> None:
-    venv = installed(tmp_path, system / "python3.11")
-    assert release.interpreter(installed=venv, system=system / "python3") is None
-
-
-def test_a_link_that_an_upgrade_changes(tmp_path: Path, system: Path) -> None:
-    found = release.interpreter(installed=installed(tmp_path, system / "python3"), system=system / "python3")
-    assert found is not None
-    assert "an upgrade of the system makes it another" in found.sentence
-    assert str(system / "python3.11") in found.fix
-
-
-def test_a_system_that_was_upgraded(tmp_path: Path, system: Path) -> None:
-    venv = installed(tmp_path, system / "python3.11")
-    (system / "python3.13").write_text("")
-    os.remove(system / "python3")
-    (system / "python3").symlink_to("python3.13")
-    found = release.interpreter(installed=venv, system=system / "python3")
-    assert found is not None
-    assert "the system's python3 is another one now" in found.sentence
-
-
-def test_a_python_of_ones_own(tmp_path: Path, system: Path) -> None:
-    """Named with PYTHON=: the system's upgrades do not concern it."""
-    own = tmp_path / "own"
-    own.mkdir()
-    (own / "python3.12").write_text("")
-    assert release.interpreter(installed=installed(tmp_path, own / "python3.12"), system=system / "python3") is None
-
-
-def test_no_installation_here(tmp_path: Path, system: Path) -> None:
-    assert release.interpreter(installed=tmp_path / "venv", system=system / "python3") is None
+        (tmp_path / "venv").symlink_to("venv-1")
+    found = release.interpreter(installed=tmp_path / "venv", system=system)
+    assert (found is None) is (sentence is None)
+    if found is not None and sentence is not None:
+        assert sentence in found.sentence
+        assert str(system.resolve()) in found.sentence + found.fix
