@@ -16,12 +16,8 @@ from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.bridge import command as bridge
 from gateway.people.terminal import hint
-from gateway.people.tools import certs, incidents, lease, recordings
-from gateway.people.tools.button import command as button
-from gateway.people.tools.calibrate import command as calibrate
-from gateway.people.tools.drill import command as drill
+from gateway.people.tools import attended, certs, incidents, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
-from gateway.people.tools.walk import command as walk
 from gateway.robot import protocol
 
 app = typer.Typer(
@@ -364,11 +360,8 @@ app.add_typer(certs.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
-app.add_typer(drill.app)
-app.add_typer(calibrate.app)
-app.add_typer(walk.app)
+app.add_typer(attended.app)
 app.add_typer(bridge.app)
-app.add_typer(button.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.errors import ConfigError
-from gateway.people.tools.calibrate.command import calibrate
+from gateway.people.tools.attended import calibrate
 from gateway.robot.core.calibration import ServoCalibration, calibration_of
 from schemas.calibration import ServoChange
 from tests.support.gateway_process import COMMAND, Gateway

@@ -13,8 +13,8 @@ from typing import Any, Final
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.people.tools.attended import StepName
 from gateway.people.tools.drill import report
-from gateway.people.tools.drill.command import STEP_NAMES
 from gateway.people.tools.drill.steps import STEPS
 from schemas.calibration import ServoChange
 from tests.support.fixtures import gateway_fixture
@@ -241,7 +241,7 @@ def test_a_laptop_skips_the_step_that_kills_the_service(
 
 
 def test_help_names_each_step() -> None:
-    assert list(STEP_NAMES) == [step.name for step in STEPS]
+    assert list(StepName) == [step.name for step in STEPS]
 
 
 SYSTEMCTL = """#!/bin/sh

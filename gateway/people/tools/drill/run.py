@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -226,8 +226,3 @@ def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
         raise ConfigError(NOBODY)
     if ask("Type yes to begin: ") != "yes":
         raise ConfigError("nothing was moved")
-
-
-def unknown_steps(names: Iterable[str]) -> list[str]:
-    """Those that are no step's name."""
-    return sorted(set(names) - {step.name for step in STEPS})
