@@ -13,6 +13,7 @@ from schemas import keys
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import events
 
 LEG_3 = keys.leg_command(3)
 
@@ -34,14 +35,13 @@ def test_a_stop_is_reported_at_once_and_a_killed_gateways_story_is_still_there(
     gateway: Gateway, tmp_path: Path
 ) -> None:
     with gateway.client(source="anna") as client:
-        events: list[str] = []
-        client.on_event(lambda event: events.append(f"{event.kind} {event.incident}"))
+        heard = events(client)
         assert client.start_leg(3, 90, 45, 120).accepted
         assert client.estop().accepted
         name = client.state().incident
-    assert name is not None
-    assert name.endswith("-estop")
-    assert any(event == f"estop_engaged {name}" for event in events)
+        assert name is not None
+        assert name.endswith("-estop")
+        heard.wait(lambda event: (event.kind, event.incident) == ("estop_engaged", name))
     code, lines = incidents(gateway, "show", "last")
     assert code == 0
     assert lines[0].startswith(f"{name}: somebody requested an emergency stop (anna), at ")

@@ -219,7 +219,8 @@ def button(
 
     Exit codes: 0 left on purpose, 1 refused (or no terminal), 4 no gateway.
     """
-    from gateway.people.tools import reach
+    from gateway.people.tools import kept_lease, reach
     from gateway.people.tools.button import screen
 
-    sys.exit(screen.hold(reach.connection(connect, zenoh_config, timeout, source=screen.called(name)), name))
+    name = name or kept_lease.me()
+    sys.exit(screen.hold(reach.connection(connect, zenoh_config, timeout, source=name), name))

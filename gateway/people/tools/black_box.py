@@ -32,8 +32,7 @@ class _Found(NamedTuple):
 
     name: str
     path: Path | None
-    incident: Incident | None
-    content: ring_reader.Content | None
+    ring: tuple[Incident, ring_reader.Records] | None = None
 
 
 def list_all(settings: Settings, *, as_json: bool = False) -> int:
@@ -62,10 +61,10 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
 
 def _headline(found: _Found, headlines: dict[str, str]) -> str:
     """What happened, in a line."""
-    if found.incident is None or found.content is None:
+    if found.ring is None:
         return visible(headlines.get(found.name) or what(found.name))
     try:
-        return headline(messages(found.incident, found.content.records))
+        return headline(messages(*found.ring))
     except (NoStoryError, KeyError, TypeError, AttributeError):
         return what(found.name)
 
@@ -129,8 +128,8 @@ def export(settings: Settings, name: str, file: Path) -> int:
 
 
 def _export(found: _Found, file: Path) -> None:
-    if found.incident is not None and found.content is not None:
-        archive.write(file, found.incident, found.content.records, overwrite=False)
+    if found.ring is not None:
+        archive.write(file, *found.ring, overwrite=False)
     elif found.path is not None:
         with file.open("xb") as copy:
             copy.write(found.path.read_bytes())
@@ -165,7 +164,7 @@ def _folder(settings: Settings) -> Path:
 
 def _find(folder: Path) -> list[_Found]:
     """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
-    found = {each.name: _Found(each.name, each.path, None, None) for each in archive.kept(folder / place.INCIDENTS)}
+    found = {each.name: _Found(each.name, each.path) for each in archive.kept(folder / place.INCIDENTS)}
     try:
         content = ring_reader.read(folder / place.RING)
     except ring_reader.NoRingError as error:
@@ -178,7 +177,7 @@ def _find(folder: Path) -> list[_Found]:
         before = found.pop(incident.name, None)  # what is in the ring is newer than what is there no more
         if before is None or not archive.is_kept(folder / place.INCIDENTS, incident):
             path = None if before is None else before.path
-            before = _Found(incident.name, path, incident, content)
+            before = _Found(incident.name, path, (incident, content.records))
         found[incident.name] = before
     return list(found.values())
 
@@ -187,7 +186,7 @@ def _one(settings: Settings, name: str) -> _Found:
     """The incident of that id, or the one in a file that somebody was sent."""
     if name.endswith(archive.SUFFIX):
         path = Path(name)
-        return _Found(path.stem, path, None, None)
+        return _Found(path.stem, path)
     folder = _folder(settings)
     found = _find(folder)
     if name == LAST and found:
@@ -207,6 +206,6 @@ class NoIncidentError(GatewayError):
 
 
 def _messages(found: _Found, losses: Losses) -> list[Message]:
-    if found.incident is not None and found.content is not None:
-        return list(messages(found.incident, found.content.records))
+    if found.ring is not None:
+        return list(messages(*found.ring))
     return [] if found.path is None else list(read(found.path, losses))

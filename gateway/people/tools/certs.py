@@ -25,9 +25,7 @@ app = typer.Typer(
 
 Directory = Annotated[
     Path,
-    typer.Option(
-        "--dir", metavar="D", help="The folder with the CA. Example: --dir ~/hexapod-certs", show_default=False
-    ),
+    typer.Option("--dir", metavar="D", help="The folder with the CA. Example: --dir ~/hexapod-certs"),
 ]
 Days = Annotated[
     int,
@@ -36,12 +34,15 @@ Days = Annotated[
         help="How many days the certificate is good for (never longer than its CA, 10 years). Example: --days 90",
     ),
 ]
-
-OthersToo = Annotated[bool, typer.Option("--others-too", help="Also where others are concerned, whom it then names.")]
-Name = Annotated[
-    str,
-    typer.Argument(metavar="NAME", help="The laptop, as `certs list` names it. Example: alice", show_default=False),
+Bundle = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="ZIP",
+        help="Also put all that the laptop needs into this zip, its key included: hand it over in private. "
+        "Example: --bundle alice.zip",
+    ),
 ]
+OthersToo = Annotated[bool, typer.Option("--others-too", help="Also where others are concerned, whom it then names.")]
 
 
 @app.command(epilog="Example: hexapod-gateway certs init --dir ~/hexapod-certs --host robot.local --host 192.0.2.7")
@@ -53,7 +54,6 @@ def init(
             metavar="HOST",
             help="A name or address by which laptops reach the robot, in a fleet the router; repeat it for each. "
             "Laptops reject it under any other. Example: --host robot.local --host 192.0.2.7",
-            show_default=False,
         ),
     ],
     port: Annotated[int, typer.Option(metavar="N", help="The port the robot listens on. Example: --port 7447")] = 7447,
@@ -63,7 +63,6 @@ def init(
             metavar="NAME",
             help="A name before all keys of this robot, where several share a network without a router. "
             "Example: --namespace robot-7",
-            show_default=False,
         ),
     ] = "",
     size: Annotated[
@@ -101,9 +100,7 @@ def init(
 def issue(
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="NAME", help="The laptop or its owner: letters, digits, - and _. Example: alice", show_default=False
-        ),
+        typer.Argument(metavar="NAME", help="The laptop or its owner: letters, digits, - and _. Example: alice"),
     ],
     role: Annotated[
         str,
@@ -111,7 +108,6 @@ def issue(
             metavar="ROLE",
             help="operator: commands and watches. observer: only watches. button: stops and watches, and moves "
             "nothing. Example: --role observer",
-            show_default=False,
         ),
     ],
     directory: Directory,
@@ -120,18 +116,9 @@ def issue(
         typer.Option(
             metavar="ROBOT",
             help="In a fleet: the one robot that it is for, as `certs robot` named it. Example: --robot robot-7",
-            show_default=False,
         ),
     ] = "",
-    bundle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="ZIP",
-            help="Also put all that the laptop needs into this zip, its key included: hand it over in private. "
-            "Example: --bundle alice.zip",
-            show_default=False,
-        ),
-    ] = None,
+    bundle: Bundle = None,
     days: Days = certs.LEAF_DAYS,
     absolute: Annotated[
         bool,
@@ -172,7 +159,6 @@ def robot(
             metavar="[NAME...]",
             help="Each robot's name, which is its namespace on the router: letters, digits, - and _. "
             "Example: robot-1 robot-2. Without one, only router.json5 is made anew",
-            show_default=False,
         ),
     ] = None,
     days: Days = certs.LEAF_DAYS,
@@ -197,7 +183,6 @@ def console(
         typer.Option(
             metavar="HOST",
             help="A name or address by which browsers reach it; repeat it for each. Example: --host robot.local",
-            show_default=False,
         ),
     ],
     directory: Directory,
@@ -222,9 +207,7 @@ def console(
 def renew(
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="NAME", help='A laptop, or "gateway" for the robot. Example: gateway', show_default=False
-        ),
+        typer.Argument(metavar="NAME", help='A laptop, or "gateway" for the robot. Example: gateway'),
     ],
     directory: Directory,
     host: Annotated[
@@ -233,7 +216,6 @@ def renew(
             metavar="HOST",
             help="For the robot, or a console: one more name or address by which it is reached; repeat it for each. "
             "The old ones stay. Example: --host 192.0.2.9",
-            show_default=False,
         ),
     ] = None,
     days: Days = certs.LEAF_DAYS,
@@ -309,7 +291,6 @@ def revoke(
             metavar="[NAME]",
             help="The laptop, and all certificates it ever had; or one common name, such as operator-07. Without it, "
             "the list as it is goes to --to",
-            show_default=False,
         ),
     ] = None,
     to: Annotated[
@@ -318,7 +299,6 @@ def revoke(
             metavar="HOST",
             help="Bring the list to this robot now, over an operator's connection; repeat it for each robot. "
             "Example: --to robot.local, or an endpoint: --to tls/192.0.2.7:7447",
-            show_default=False,
         ),
     ] = None,
     zenoh_config: Annotated[
@@ -350,16 +330,9 @@ def revoke(
 
 @app.command(epilog="Example: hexapod-gateway certs reissue alice --dir ~/hexapod-certs --bundle alice.zip")
 def reissue(
-    name: Name,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The laptop, as `certs list` names it. Example: alice")],
     directory: Directory,
-    bundle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="ZIP",
-            help="Also put all that the laptop needs into this zip, its key included. Example: --bundle alice.zip",
-            show_default=False,
-        ),
-    ] = None,
+    bundle: Bundle = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Give a laptop another certificate: new key, a common name of its own, signed by the newest CA.

@@ -11,7 +11,6 @@ from gateway.people.client.button import Button
 from gateway.people.client.live import reports, subscribed
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.terminal import hint, screen, visible, why_no_screen
-from gateway.people.tools import kept_lease
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection
 from schemas import keys as wire
@@ -114,16 +113,14 @@ class Screen(screen.Screen):
             self._console.bell()
 
 
-def called(name: str | None) -> str:
-    """By which name, where no certificate says it."""
-    return name or kept_lease.me()
+def hold(connect: Connection, name: str) -> int:
+    """Be a button until Ctrl-C, by this name where no certificate has one. Returns the exit code.
 
-
-def hold(connect: Connection, name: str | None) -> int:
-    """Be a button until Ctrl-C. Returns the exit code. Raises ConfigError, RejectedError, ZenohError."""
+    Raises ConfigError, RejectedError, ZenohError.
+    """
     if (why_not := why_no_screen("button", "", on_windows=", or open the console's /button")) is not None:
         raise GatewayError(why_not)
     with connect() as client:
-        button = client.button(called(name))
+        button = client.button(name)
         button.register()
         return Screen(client, button).run()

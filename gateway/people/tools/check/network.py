@@ -26,6 +26,7 @@ from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
+from schemas.telemetry import GatewayState
 
 DENIED: Final = os.strerror(errno.EACCES)
 LET_READ: Final = (
@@ -179,12 +180,19 @@ def _gateway_at(found: re.Match[str]) -> str:
     if found["link"] != "tcp":
         return ""  # TLS would demand a certificate
     host = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}.get(found["host"], found["host"])  # noqa: S104 (dialled, not opened)
-    try:
-        with Client(f"tcp/{host}:{found['port']}", timeout_s=_ANSWER_S) as client:
-            state = client.state()
-    except (GatewayError, ValidationError):
+    state = state_at(f"tcp/{host}:{found['port']}")
+    if state is None:
         return ""
     return f"a gateway that is {state.mode}" + (", on a simulated controller" if state.simulated else "")
+
+
+def state_at(endpoint: str) -> GatewayState | None:
+    """What answers there; None: no gateway does."""
+    try:
+        with Client(endpoint, source="hexapod-gateway check", timeout_s=_ANSWER_S) as client:
+            return client.state()
+    except (GatewayError, ValidationError):
+        return None
 
 
 def _service_at(port: int, link: str) -> str:

@@ -5,13 +5,9 @@ What the machine would need for a real robot shows nothing about it, and it need
 
 import datetime as dt
 from collections.abc import Iterator
-from typing import Final
-
-from pydantic import ValidationError
 
 from gateway import __version__
-from gateway.errors import ConfigError, GatewayError
-from gateway.people.client.blocking import Client
+from gateway.errors import ConfigError
 from gateway.people.tools.check import calibration, machine, network
 from gateway.people.tools.check.result import Result, ok, warning
 from gateway.robot import settings as settings_file
@@ -20,8 +16,6 @@ from gateway.robot.edge.session import service_config
 from gateway.robot.settings import Settings
 from gateway.zenoh_config import listen_endpoints
 from schemas.telemetry import GatewayState, Mode
-
-_ANSWER_S: Final = 1.0
 
 
 def simulated() -> tuple[Settings, GatewayState] | None:
@@ -32,17 +26,9 @@ def simulated() -> tuple[Settings, GatewayState] | None:
     except ConfigError:
         return None
     for endpoint in endpoints:
-        if endpoint.startswith("tcp/") and (state := _state(endpoint)) is not None and state.simulated:
+        if endpoint.startswith("tcp/") and (state := network.state_at(endpoint)) is not None and state.simulated:
             return settings, state
     return None
-
-
-def _state(endpoint: str) -> GatewayState | None:
-    try:
-        with Client(endpoint, source="hexapod-gateway check", timeout_s=_ANSWER_S) as client:
-            return client.state()
-    except (GatewayError, ValidationError):
-        return None
 
 
 def results(settings: Settings, state: GatewayState) -> Iterator[Result]:
