@@ -23,7 +23,7 @@ class Ended(NamedTuple):
     stderr: str
 
 
-def run_here(*arguments: str, timeout_s: float = 20) -> Ended:
+def run_here(*arguments: str, timeout_s: float = 60) -> Ended:
     """Run `hexapod-gateway` with these arguments. Raises TimeoutError."""
     with (
         _at_most(timeout_s),

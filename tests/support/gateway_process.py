@@ -90,7 +90,7 @@ class Gateway(Closing):
         else:
             self.child = Child([*command, *options], {**os.environ, **(env or {})})
         if wait:
-            self.child.wait_for_output(READY, timeout_s=20)
+            self.child.wait_for_output(READY, timeout_s=60)
 
     def close(self) -> None:
         self.child.close()
@@ -99,7 +99,7 @@ class Gateway(Closing):
         """A client of it, in this process."""
         return Client(self.endpoint, source=source, timeout_s=5)
 
-    def run(self, *arguments: str, timeout_s: float = 20) -> Ended:
+    def run(self, *arguments: str, timeout_s: float = 60) -> Ended:
         """Run one of our commands against it, in this process, until its end: `run("send", "leg", "3", "stop")`."""
         return run_here(*arguments, "--connect", self.endpoint, timeout_s=timeout_s)
 

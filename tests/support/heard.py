@@ -37,12 +37,12 @@ class Heard(Generic[R]):
         with self._changed:
             return list(self._reports)
 
-    def each(self, *, timeout_s: float = 10) -> Iterator[R]:
+    def each(self, *, timeout_s: float = 30) -> Iterator[R]:
         """One report after the other as they come. Raises TimeoutError when none comes for `timeout_s`."""
         for count in itertools.count(1):
             yield self.wait(lambda _: True, count=count, timeout_s=timeout_s)
 
-    def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 10) -> R:
+    def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 30) -> R:
         """Wait until `condition` holds for `count` reports; the last of these."""
         deadline = time.monotonic() + timeout_s
         with self._changed:

@@ -108,7 +108,7 @@ def test_who_takes_the_lease_from_it_drives_on(gateway: Gateway, recorded: Path)
     with gateway.client(source="bert") as bert:
         heard, happened = frames(bert), events(bert)
         with gateway.begin("replay", str(recorded), "--speed", "0.2") as child:
-            heard.wait(lambda record: record.cause == "command", count=60, timeout_s=30)
+            heard.wait(lambda record: record.cause == "command", count=60)
             with bert.lease(take=True), bert.stream(50) as stream:
                 stream.set({1: (90, 90, 90)})
                 while child.returncode is None:
@@ -125,7 +125,7 @@ def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, recorded: Path
     with gateway.client() as client:
         heard = frames(client)
         with gateway.begin("replay", str(recorded)) as child:
-            heard.wait(lambda record: record.cause == "command", count=60, timeout_s=30)
+            heard.wait(lambda record: record.cause == "command", count=60)
             child.send_signal(signal.SIGINT)
             assert child.wait() == 1, str(child)
         assert "all legs are stopped" in child.stderr
