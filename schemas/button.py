@@ -4,22 +4,11 @@ from typing import Annotated, Final, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from schemas.command import Closed, SentMs, Source
+from schemas.command import MAX_NUMBER, Closed, SentMs, Source, hex_digits
 from schemas.lease import Challenge, Proof
-from schemas.telemetry import Answer, AnyReason, Count
+from schemas.telemetry import Answer, Count
 
-MAX_COUNT: Final = 2**53
-"""Larger whole numbers are not exact in every JSON reader."""
-
-ButtonToken = Annotated[
-    str,
-    Field(
-        min_length=32,
-        max_length=32,
-        pattern="^[0-9a-f]{32}$",
-        description="32 hex digits: the token of the registration, from the answer that gave it",
-    ),
-]
+ButtonToken = Annotated[str, hex_digits(": the token of the registration, from the answer that gave it")]
 """A secret: it stands in no report, log line or repr."""
 
 
@@ -37,7 +26,7 @@ class Alive(Closed):
 
     do: Literal["alive"]
     button: Annotated[ButtonToken, Field(repr=False)]
-    count: Annotated[int, Field(ge=0, le=MAX_COUNT, description="greater than in each check-in before")]
+    count: Annotated[int, Field(ge=0, le=MAX_NUMBER, description="greater than in each check-in before")]
     sent_ms: SentMs | None = None
 
 
@@ -58,9 +47,6 @@ BUTTON_REQUEST: Final[TypeAdapter[Challenge | Register | Alive | Leave]] = TypeA
 class ButtonAck(Answer):
     """The answer to a ButtonRequest; fields that say nothing are left out of the JSON."""
 
-    accepted: bool
-    reason: AnyReason | None = None
-    detail: str | None = None
     nonce: str | None = None
     button: Annotated[str | None, Field(repr=False, description="the token that check-ins carry")] = None
     timeout_ms: float | None = None

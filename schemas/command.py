@@ -3,6 +3,7 @@
 from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic.fields import FieldInfo
 
 MAX_PAYLOAD_BYTES: Final = 4096
 """A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is rejected unread."""
@@ -10,7 +11,7 @@ MAX_PAYLOAD_BYTES: Final = 4096
 MAX_SENT_MS: Final = 2**53
 """285 000 years; beyond it a double cannot hold whole milliseconds. A larger value is a clock in other units."""
 
-MAX_ESTOP: Final = 2**53
+MAX_NUMBER: Final = 2**53
 """Larger whole numbers are not exact in every JSON reader."""
 
 AngleDeg = Annotated[
@@ -27,19 +28,18 @@ SentMs = Annotated[
     ),
 ]
 
-LeaseToken = Annotated[
-    str,
-    Field(
-        min_length=32,
-        max_length=32,
-        pattern="^[0-9a-f]{32}$",
-        description="32 hex digits: the token of the lease, from the answer that gave it",
-    ),
-]
+
+def hex_digits(what: str) -> FieldInfo:
+    """Of a text that the gateway made at random."""
+    field: FieldInfo = Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description=f"32 hex digits{what}")
+    return field
+
+
+LeaseToken = Annotated[str, hex_digits(": the token of the lease, from the answer that gave it")]
 """A secret: it stands in no report, log line or repr."""
 
 EstopNumber = Annotated[
-    int, Field(ge=0, le=MAX_ESTOP, description="the number of the latest emergency stop, from the state or its Ack")
+    int, Field(ge=0, le=MAX_NUMBER, description="the number of the latest emergency stop, from the state or its Ack")
 ]
 
 

@@ -22,8 +22,13 @@ REVOCATION: Final = f"{ROOT}/revocation/cmd"
 """Shuts certificates out."""
 BUTTON: Final = f"{ROOT}/button/cmd"
 """Who watches with a hand on a stop."""
-GET_ONLY: Final = (LEASE, CALIBRATION_CMD, REVOCATION, BUTTON)
-"""They take `get` only, and command nothing that moves, so they are none of COMMAND_KEYS."""
+GET_ONLY: Final = {
+    LEASE: "its answer is for one alone",
+    CALIBRATION_CMD: "whoever changes it has to know what became of it",
+    REVOCATION: "whoever shuts somebody out has to know what became of it",
+    BUTTON: "a check-in that is not answered is none",
+}
+"""They take `get` only, and why; they command nothing that moves, so they are none of COMMAND_KEYS."""
 STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
@@ -59,19 +64,25 @@ class CommandKey(NamedTuple):
     number: int = 0
 
 
+def _no_leg(text: object) -> ValueError:
+    return ValueError(f"leg {text} does not exist; legs are 1 to 6")
+
+
+def _no_servo(text: object) -> ValueError:
+    return ValueError(f"servo {text} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
+
+
 def leg_command(leg: int) -> str:
     """The command key of `leg`, 1 to 6. Raises ValueError for any other."""
     if leg not in LEGS:
-        raise ValueError(f"leg {leg} does not exist; legs are 1 to 6")
+        raise _no_leg(leg)
     return f"{ROOT}/leg/{leg}/cmd"
 
 
 def servo_command(servo_id: int) -> str:
     """The command key of a servo: leg 1-6, then joint 1-3, so 11 to 63. Raises ValueError for any other."""
     if servo_id not in SERVO_IDS:
-        raise ValueError(
-            f"servo {servo_id} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
-        )
+        raise _no_servo(servo_id)
     return f"{ROOT}/servo/{servo_id}/cmd"
 
 
@@ -92,19 +103,11 @@ def parse(key: str) -> CommandKey:
         return found
     match key.split("/"):
         case [_, "leg", number, "cmd"]:
-            raise ValueError(f"leg {_short(number)} does not exist; legs are 1 to 6")
+            raise _no_leg(_short(number))
         case [_, "servo", number, "cmd"]:
-            raise ValueError(
-                f"servo {_short(number)} does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
-            )
-        case [_, "lease", "cmd"]:
-            raise ValueError(f"{LEASE} takes get only: its answer is for one alone")
-        case [_, "button", "cmd"]:
-            raise ValueError(f"{BUTTON} takes get only: a check-in that is not answered is none")
-        case [_, "calibration", "cmd"]:
-            raise ValueError(f"{CALIBRATION_CMD} takes get only: whoever changes it has to know what became of it")
-        case [_, "revocation", "cmd"]:
-            raise ValueError(f"{REVOCATION} takes get only: whoever shuts somebody out has to know what became of it")
+            raise _no_servo(_short(number))
+        case _ if key in GET_ONLY:
+            raise ValueError(f"{key} takes get only: {GET_ONLY[key]}")
         case _:
             raise ValueError(f"{_short(key)} is no command key; they are leg/1..6, servo/11..63, legs, estop and reset")
 

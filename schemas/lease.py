@@ -4,12 +4,10 @@ from typing import Annotated, Final, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from schemas.command import Closed, LeaseToken, Source
-from schemas.telemetry import Answer, AnyReason
+from schemas.command import Closed, LeaseToken, Source, hex_digits
+from schemas.telemetry import Answer
 
-Nonce = Annotated[
-    str, Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description="32 hex digits, from a challenge")
-]
+Nonce = Annotated[str, hex_digits(", from a challenge")]
 
 
 class Proof(Closed):
@@ -59,9 +57,6 @@ LEASE_REQUEST: Final[TypeAdapter[Challenge | Claim | Renew | Release]] = TypeAda
 class LeaseAck(Answer):
     """The answer to a LeaseRequest; fields that say nothing are left out of the JSON."""
 
-    accepted: bool
-    reason: AnyReason | None = None
-    detail: str | None = None
     nonce: str | None = None
     lease: Annotated[str | None, Field(repr=False, description="the token that commands carry from now on")] = None
     holder: str | None = None

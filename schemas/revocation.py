@@ -5,7 +5,7 @@ from typing import Annotated, Final
 from pydantic import Field
 
 from schemas.command import Closed
-from schemas.telemetry import Answer, AnyReason
+from schemas.telemetry import Answer
 
 MAX_REVOCATION_BYTES: Final = 16_000
 """Of such a payload: some 125 revoked certificates. Zenoh files of `certs` let 16 384 bytes through; a longer list goes
@@ -23,8 +23,5 @@ class RevocationRequest(Closed):
 class RevocationAck(Answer):
     """The answer to a RevocationRequest; fields that say nothing are left out of the JSON."""
 
-    accepted: bool
-    reason: AnyReason | None = None
-    detail: str | None = None
     number: Annotated[int | None, Field(description="of the list in force; 0: none is")] = None
     revoked: Annotated[str | None, Field(description="the list in force, where the request has none")] = None

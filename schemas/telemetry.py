@@ -114,6 +114,10 @@ AnyWatchdogState = Annotated[WatchdogState | str, OrText]
 class Answer(Report):
     """Fields that say nothing are left out of its JSON, and of what `print` shows."""
 
+    accepted: bool
+    reason: AnyReason | None = None
+    detail: str | None = None
+
     @model_serializer(mode="wrap")
     def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
         return {name: value for name, value in handler(self).items() if value is not None}
@@ -125,9 +129,6 @@ class Answer(Report):
 class Ack(Answer):
     """The reply to an acknowledged command; fields that say nothing are left out of the JSON."""
 
-    accepted: bool
-    reason: AnyReason | None = None
-    detail: str | None = None
     coalesced: Literal[True] | None = None
     written: list[int] | None = None
     stop_frames: Count | None = None

@@ -49,8 +49,8 @@ class Row(NamedTuple):
 
 def rows(world: str, stance: str, phases: int = PHASES) -> list[Row]:
     """Every way of stopping."""
-    simulated, found = moments(stance, WORLDS[world], phases)
-    return [Row(world, stance, way.name, [fall(simulated, each, way, SETTINGS) for each in found]) for way in WAYS]
+    found = moments(stance, WORLDS[world], phases)
+    return [Row(world, stance, way.name, [fall(each, way, SETTINGS) for each in found]) for way in WAYS]
 
 
 def table(found: Iterable[Row]) -> str:

@@ -1,6 +1,7 @@
 """One fall: what becomes of a robot that is stopped, in figures."""
 
 from collections.abc import Iterable
+from copy import deepcopy
 from typing import Final, NamedTuple
 
 from gateway.geometry import Geometry
@@ -39,10 +40,9 @@ class Fall(NamedTuple):
         )
 
 
-def fall(world: World, moment: Moment, way: Way, settings: Settings) -> Fall:
+def fall(moment: Moment, way: Way, settings: Settings) -> Fall:
     """Stop it so, and look until it lies."""
-    world.restore(moment.saved)
-    return looked_at(world, way.sent(moment, settings))
+    return looked_at(deepcopy(moment.world), way.sent(moment, settings))
 
 
 def looked_at(world: World, sent: Iterable[Sent], geometry: Geometry = GEOMETRY) -> Fall:
@@ -62,5 +62,5 @@ def looked_at(world: World, sent: Iterable[Sent], geometry: Geometry = GEOMETRY)
             body = world.body()
             lowest_m, tilt_deg = min(lowest_m, body.position_m[2]), max(tilt_deg, body.tilt_deg)
             upright = upright and body.upright
-    mass_kg = world.weight_n / 9.81
+    mass_kg = float(sum(world.model.body_mass))
     return Fall(begin.position_m[2] - lowest_m, speed_m_s, tilt_deg, not upright, mass_kg * speed_m_s**2 / 2)

@@ -1,13 +1,14 @@
 """A robot that stands or walks, at each phase of its stride: by the pure gait engine, in MuJoCo."""
 
 import tomllib
+from copy import deepcopy
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.model import TIMESTEP_S
-from gateway.people.physics.world import Saved, World
+from gateway.people.physics.world import World
 from gateway.people.walking import GAITS, Engine, Posture, Robot, Velocity
 from gateway.robot.settings import Settings
 from schemas.robot import JOINTS
@@ -34,11 +35,12 @@ class Moment(NamedTuple):
 
     stance: str
     phase: int
-    saved: Saved
+    world: World
+    """As it was then; whoever goes on with it takes a copy."""
     angles: Angles
     """Where it was sent."""
     engine: Engine
-    """As it was then; whoever goes on with it takes a copy."""
+    """The same."""
 
 
 def run(world: World, seconds: float) -> None:
@@ -81,11 +83,11 @@ def tick(world: World, engine: Engine, wanted: Velocity) -> None:
     run(world, TICK_S)
 
 
-def moments(stance: str, assumed: Assumed, phases: int = PHASES) -> tuple[World, list[Moment]]:
+def moments(stance: str, assumed: Assumed, phases: int = PHASES) -> list[Moment]:
     """The phases of a stride, each as just after a command; of a stand there is one."""
     world, engine = stood_up(stance, assumed)
     if stance == STAND:
-        return world, [Moment(stance, 0, world.saved(), angles_of(engine), engine.copy())]
+        return [Moment(stance, 0, world, angles_of(engine), engine)]
     wanted, period_s = velocity(stance), GAITS[stance].period_s
     ticks = round(period_s / TICK_S)
     for _ in range(_STRIDES_BEFORE * ticks):
@@ -95,8 +97,8 @@ def moments(stance: str, assumed: Assumed, phases: int = PHASES) -> tuple[World,
     for number in range(ticks):
         tick(world, engine, wanted)
         found += [
-            Moment(stance, phase, world.saved(), angles_of(engine), engine.copy())
+            Moment(stance, phase, deepcopy(world), angles_of(engine), engine.copy())
             for phase, at in enumerate(due)
             if at == number
         ]
-    return world, found
+    return found

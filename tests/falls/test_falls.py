@@ -1,6 +1,7 @@
 """What stops do to a robot: the short form of `make falls`, and that a real gateway writes what is computed for it."""
 
 import os
+from copy import deepcopy
 from functools import reduce
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +19,7 @@ from schemas.telemetry import Cause, FrameRecord
 from tests.falls.__main__ import LANDING, MOST_SPEED_M_S, MOST_TILT_DEG, WORLDS, most_speed_m_s
 from tests.falls.fall import AFTER_S, Fall, fall, looked_at
 from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, Angles, moments, run
-from tests.falls.ways import WAYS, landed
+from tests.falls.ways import SLACK, WAYS, landed
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import frames
@@ -26,9 +27,8 @@ from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, drive, sent_by
 
 
 def worst(stance: str, name: str, assumed: Assumed, settings: Settings = SETTINGS) -> Fall:
-    world, found = moments(stance, assumed, phases=6)
     way = next(way for way in WAYS if way.name == name)
-    return reduce(Fall.worse, (fall(world, moment, way, settings) for moment in found))
+    return reduce(Fall.worse, (fall(moment, way, settings) for moment in moments(stance, assumed, phases=6)))
 
 
 @pytest.mark.parametrize("stance", STANCES)
@@ -57,10 +57,9 @@ def test_another_pose_or_less_time_is_not(change: dict[str, Any]) -> None:
 @pytest.mark.parametrize("gait", GAITS)
 def test_a_stop_in_any_phase_of_a_stride_lets_it_sink_and_never_topple(gait: str) -> None:
     """All servos slack, as after an emergency stop, at eight times within a stride: faster down than by a landing."""
-    world, found = moments(gait, Assumed(), phases=8)
-    way = next(way for way in WAYS if way.name == "emergency stop")
-    for moment in found:
-        fallen = fall(world, moment, way, SETTINGS)
+    for moment in moments(gait, Assumed(), phases=8):
+        world = deepcopy(moment.world)
+        fallen = looked_at(world, [(0.0, SLACK)])
         assert fallen.speed_m_s > MOST_SPEED_M_S
         assert fallen.tilt_deg < FALLEN_DEG
         run(world, SINKS_S - AFTER_S)
@@ -119,12 +118,11 @@ def test_a_real_gateways_frames_let_it_walk_and_land_as_computed(tmp_path: Path)
         drive(world, angles, geometry)
         commanded |= {servo_id: deg for servo_id, deg in angles.items() if deg is not None}
     assert world.body().position_m[0] > WALKED_M
-    saved = world.saved()
+    there = deepcopy(world)
     after = [record for record in written if record.monotonic_ns > silent_ns]
     real = looked_at(world, sent_by(after, silent_ns), geometry)
-    world.restore(saved)
     rules = Settings.model_validate(nested(settings))
-    computed = looked_at(world, landed(commanded, rules), geometry)
+    computed = looked_at(there, landed(commanded, rules), geometry)
     assert real.drop_m == pytest.approx(computed.drop_m, abs=0.005)
     assert real.speed_m_s == pytest.approx(computed.speed_m_s, abs=0.05)
     assert real.tilt_deg == pytest.approx(computed.tilt_deg, abs=2.0)

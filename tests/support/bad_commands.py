@@ -4,7 +4,7 @@ import json
 import math
 from typing import Any
 
-from schemas.command import MAX_ESTOP, MAX_SENT_MS
+from schemas.command import MAX_NUMBER, MAX_SENT_MS
 from schemas.keys import CommandKey
 from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, STOP
 
@@ -135,8 +135,8 @@ RESET_FAULTS: list[tuple[object, str]] = [
     ("[]", "the payload is []; it must be an object"),
     ("null", "the payload is null; it must be an object"),
     ({"force": True}, "force is not known here"),
-    ({"estop": -1}, f"estop is -1; it must be between 0 and {MAX_ESTOP}"),
-    ({"estop": 10**20}, f"estop is {10**20}; it must be between 0 and {MAX_ESTOP}"),
+    ({"estop": -1}, f"estop is -1; it must be between 0 and {MAX_NUMBER}"),
+    ({"estop": 10**20}, f"estop is {10**20}; it must be between 0 and {MAX_NUMBER}"),
     ({"estop": "1"}, 'estop is "1"; it must be a whole number'),
     ({"estop": True}, "estop is true; it must be a whole number"),
     ('{"estop": 1.5}', "estop is 1.5; it must be a whole number"),

@@ -128,6 +128,7 @@ class World:
                 friction=FRICTION * assumed.friction,
             ),
         )
+        self._carries_n = _CARRIES * 9.81 * float(sum(self._world.model.body_mass))
         self._stood: dict[int, Any] = {}
         self.track = Track()
         self._turned = 0.0
@@ -177,7 +178,7 @@ class World:
                 presses[foot] += float(force[0])
         for foot, newtons in presses.items():
             at = data.geom_xpos[foot]
-            if newtons > _CARRIES * world.weight_n:
+            if newtons > self._carries_n:
                 begun = self._stood.setdefault(foot, at[:2].copy())
                 self.track.slips.append((float(data.time), float(np.linalg.norm(at[:2] - begun))))
             else:

@@ -25,7 +25,6 @@ _DROP_M: Final = 0.02
 """Slack legs, a little above the ground."""
 _FREE: Final = 7
 """Of the positions, the first belong to the body: x, y, z and a quaternion (w first)."""
-_WHOLE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 _ABSURD: Final = 1000.0
 """m/s or rad/s. A servo turns at 6 rad/s, and a robot that falls off a table hits the floor at 4 m/s."""
 _DEEP_M: Final = 0.002
@@ -55,14 +54,6 @@ class Body(NamedTuple):
         return self.tilt_deg <= FALLEN_DEG
 
 
-class Saved(NamedTuple):
-    """A world at one moment."""
-
-    state: Any
-    wanted_rad: Any
-    forces_nm: Any
-
-
 class _Depth(NamedTuple):
     """How deep one part of the robot is in another."""
 
@@ -81,7 +72,6 @@ class World:
         """Raises ConfigError where MuJoCo cannot simulate it."""
         self.model: Any = built(geometry, assumed)
         self.data: Any = mujoco.MjData(self.model)
-        self.weight_n = float(sum(self.model.body_mass)) * 9.81
         self.feet = {self._tip(leg): leg for leg in LEGS}
         """The geom that touches the ground: which leg's it is."""
         self._torque_nm = assumed.torque_nm
@@ -114,19 +104,6 @@ class World:
         """Simulate TIMESTEP_S more."""
         self.data.ctrl += np.clip(self._wanted_rad - self.data.ctrl, -_STEP_RAD, _STEP_RAD)
         mujoco.mj_step(self.model, self.data)
-
-    def saved(self) -> Saved:
-        """Everything that `restore` needs to go on from here."""
-        state = np.zeros(mujoco.mj_stateSize(self.model, _WHOLE))
-        mujoco.mj_getState(self.model, self.data, state, _WHOLE)
-        return Saved(state, self._wanted_rad.copy(), self.model.actuator_forcerange.copy())
-
-    def restore(self, saved: Saved) -> None:
-        """Be as it was when it was saved."""
-        mujoco.mj_setState(self.model, self.data, saved.state, _WHOLE)
-        self._wanted_rad[:] = saved.wanted_rad
-        self.model.actuator_forcerange[:] = saved.forces_nm
-        mujoco.mj_forward(self.model, self.data)
 
     def lie_down(self, joints_rad: Mapping[int, float]) -> None:
         """Upright and at rest where it began, a little above the ground, slack, with its joints at these angles."""

@@ -132,7 +132,6 @@ class Engine:
         """Why the velocity is scaled down, in a sentence; "" where it is not."""
         self.lost: frozenset[int] = frozenset()
         """Legs that somebody else has stopped: they are left out of what `step` returns."""
-        self._stopping = False
         self._stuck = False
         self._pace = 1.0
         self._cap: tuple[object, float] = (None, 1.0)
@@ -147,7 +146,7 @@ class Engine:
         seconds = max(0.0, min(seconds, _LONGEST_S))
         self.commanded = velocity
         self._begin_what_is_wanted()
-        target = velocity if self.walks_at_once and not self._stopping else STILL
+        target = velocity if self.walks_at_once else STILL
         cap = self._capped(target)
         before, pace = self._state, 1.0
         for _ in range(_TRIES):
@@ -163,8 +162,6 @@ class Engine:
                 break
             pace *= min(0.98 / ratio, 0.9)
         self._report(target, cap, pace, seconds)
-        if self.posture is Posture.STANDING:
-            self._stopping = False
         return self.pose
 
     def stand(self, stance: Stance | None = None) -> None:
@@ -174,10 +171,6 @@ class Engine:
     def sit(self) -> None:
         """End the walk and lie down: the body on the ground, so that the servos may be stopped."""
         self._wanted.append(None)
-
-    def stop(self) -> None:
-        """End the walk: finish the swing and stand on six feet, within a stride, whatever velocity `step` is given."""
-        self._stopping = True
 
     def walk_as(self, gait: str) -> None:
         """Another gait; a walk pauses for the change. Raises WalkError for one that there is not."""
@@ -198,18 +191,13 @@ class Engine:
         self._lower(hanging)
 
     def resume(self) -> None:
-        """The lost legs run again, at the angles of `frozen`; they are put down, and the walk can go on."""
+        """The lost legs run again, at their angles of before; they are put down, and the walk can go on."""
         legs, self.lost = self.lost, frozenset()
         body = self._state.body
         turn = body.turn
         for leg in legs:
             self._state.feet[leg] = body.grounded(self.robot.foot_m(leg, self._state.pose[leg]), turn)
         self._lower(legs)
-
-    @property
-    def frozen(self) -> Pose:
-        """Where the lost legs were last commanded to."""
-        return {leg: self._state.pose[leg] for leg in self.lost}
 
     def copy(self) -> "Engine":
         """Another one that goes on by itself from here."""

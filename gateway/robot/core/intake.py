@@ -14,7 +14,7 @@ from gateway.robot.core.targets import TARGETS, Intent, Row, stops_of
 from gateway.robot.protocol.frames import STOP
 from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG
-from schemas.command import MAX_ESTOP, MAX_PAYLOAD_BYTES, MAX_SENT_MS, SENDER
+from schemas.command import MAX_NUMBER, MAX_PAYLOAD_BYTES, MAX_SENT_MS, SENDER
 from schemas.keys import CommandKey
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Reason
@@ -224,7 +224,7 @@ _MUST: Final = {
 _RANGES: Final[dict[object, str]] = {
     "angle_deg": "between 0 and 180",
     "sent_ms": f"between 0 and {MAX_SENT_MS}",
-    "estop": f"between 0 and {MAX_ESTOP}",
+    "estop": f"between 0 and {MAX_NUMBER}",
     "revision": "0 or more",
     "trim_deg": f"between {-MAX_TRIM_DEG:g} and {MAX_TRIM_DEG:g}",
     **dict.fromkeys(("min_deg", "max_deg", *map(str, SERVO_IDS)), "between 0 and 180"),  # a landing angle is a servo's

@@ -112,7 +112,6 @@ def test_a_lost_leg_in_any_phase_leaves_the_others_standing_still(ticks: int, lo
     still = walked.engine.pose
     walked.run(1.0, Velocity(0.1))
     assert walked.engine.pose == still
-    assert walked.engine.frozen == frozen
 
     walked.engine.resume()
     assert {leg: walked.engine.pose[leg] for leg in lost} == frozen
