@@ -1,7 +1,6 @@
 """Today's tools beside tomorrow's gateway: more fields, new words, and they go on working."""
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -10,9 +9,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.client import Client
 from schemas import keys
-from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, free_port
 from tests.support.tmux import Terminal, need_tmux
 from tests.unit.test_wire import WIRE, from_the_future
@@ -72,29 +70,13 @@ def tomorrow() -> Iterator[Tomorrow]:
         yield gateway
 
 
-def run(*arguments: str) -> Child:
-    """One of our commands, to its end."""
-    child = Child([*COMMAND, *arguments], os.environ)
-    child.wait()
-    child.close()
-    return child
-
-
-def test_send_shows_a_reason_that_it_does_not_know(tomorrow: Tomorrow) -> None:
-    child = run("send", "stop", "--connect", tomorrow.endpoint)
-    assert child.returncode == 1
-    assert "too_windy: the wind blows" in child.stdout
-
-
-def test_estop_says_that_it_stopped(tomorrow: Tomorrow) -> None:
-    child = run("estop", "--connect", tomorrow.endpoint)
-    assert child.returncode == 0
-    assert child.stdout.startswith("stopped: 6 Stop frames")
-
-
-def test_a_client_reads_states_and_events(tomorrow: Tomorrow) -> None:
-    with Client(tomorrow.endpoint, timeout_s=5) as client:
-        assert client.state().mode == "hovering"
+def test_send_and_estop_show_answers_in_words_that_they_do_not_know(tomorrow: Tomorrow) -> None:
+    sent = run_here("send", "stop", "--connect", tomorrow.endpoint)
+    assert sent.returncode == 1
+    assert "too_windy: the wind blows" in sent.stdout
+    stopped = run_here("estop", "--connect", tomorrow.endpoint)
+    assert stopped.returncode == 0
+    assert stopped.stdout.startswith("stopped: 6 Stop frames")
 
 
 def test_watch_shows_new_words_and_believes_the_answer_to_its_stop(tomorrow: Tomorrow, tmp_path: Path) -> None:

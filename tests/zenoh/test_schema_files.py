@@ -1,6 +1,5 @@
 """The files with the JSON Schemas are what the models make, and a laptop needs only pydantic to make a payload."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -30,37 +29,20 @@ def check(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_check_notices_a_changed_model_and_writing_mends_it(copied: Path) -> None:
-    command = copied / "schemas" / "command.py"
+def test_check_names_each_file_that_is_changed_missing_or_foreign_and_writing_mends_it(copied: Path) -> None:
+    command, folder = copied / "schemas" / "command.py", copied / "schemas" / "json"
     command.write_text(command.read_text().replace("le=180.0", "le=181.0"))
+    (folder / "Ack.json").unlink()
+    (folder / "Other.json").write_text("{}")
     ran = check(copied, "--check")
     assert ran.returncode == 1
     assert ran.stderr.splitlines() == [
         f"schemas/json/{name}.json is out of date; run `python -m schemas`"
-        for name in ("CalibrationCommand", "LegCommand", "LegsCommand", "ServoCommand")
+        for name in ("Ack", "CalibrationCommand", "LegCommand", "LegsCommand", "Other", "ServoCommand")
     ]
     assert check(copied).returncode == 0
-    assert check(copied, "--check").returncode == 0
-    assert (
-        json.loads((copied / "schemas/json/LegCommand.json").read_text())["$defs"]["Move"]["properties"]["angle_deg"][
-            "maximum"
-        ]
-        == 181
-    )
-
-
-def test_check_notices_a_changed_a_missing_and_a_foreign_file(copied: Path) -> None:
-    folder = copied / "schemas" / "json"
-    (folder / "Ack.json").unlink()
-    (folder / "Other.json").write_text("{}")
-    (folder / "Event.json").write_text((folder / "Event.json").read_text() + "\n")
-    ran = check(copied, "--check")
-    assert ran.returncode == 1
-    assert [line.split()[0] for line in ran.stderr.splitlines()] == [
-        "schemas/json/Ack.json", "schemas/json/Event.json", "schemas/json/Other.json"
-    ]  # fmt: skip
-    check(copied)
     assert {path.name for path in folder.iterdir()} == documents().keys()
+    assert '"maximum": 181.0' in (folder / "LegCommand.json").read_text()
     assert check(copied, "--check").returncode == 0
 
 

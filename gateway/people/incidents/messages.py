@@ -20,7 +20,6 @@ from schemas.telemetry import Event, FrameRecord, Report
 RECORDER: Final = f"{keys.ROOT}/recorder"
 """The channel of what no key of ours carries."""
 INCIDENT: Final = "incident"
-_OPS: Final = {Op.START: "start", Op.SET: "set", Op.STOP: "stop"}
 
 
 class TargetInBox(Report):
@@ -65,6 +64,11 @@ class Note(Report):
 
 
 COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
+
+
+def incident_of(those: Iterable[Message]) -> Message | None:
+    """Of an incident's messages the one that is about itself."""
+    return next((each for each in those if each.topic == RECORDER and each.content.get("what") == INCIDENT), None)
 
 
 def messages(incident: Incident, records: Records) -> Iterator[Message]:
@@ -173,7 +177,7 @@ def _message(
                 sent_ms=command.sent_ms,
                 targets=tuple(
                     TargetInBox(
-                        id=servo_id, op=_OPS[op.op], angle_deg=None if op.op is Op.STOP else op.angle_cdeg / 100
+                        id=servo_id, op=op.op.name.lower(), angle_deg=None if op.op is Op.STOP else op.angle_cdeg / 100
                     )
                     for servo_id, op in command.targets
                 ),

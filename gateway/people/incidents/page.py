@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
-from gateway.people.incidents.messages import INCIDENT, RECORDER
+from gateway.people.incidents.messages import incident_of
 from gateway.people.recordings import Message
-from gateway.robot.protocol.frames import FrameError, Op, decode
+from gateway.people.recordings.user_angles import frame_of
+from gateway.robot.protocol.frames import Op
 from schemas.keys import FRAME
 from schemas.robot import LEGS
 
@@ -23,9 +24,7 @@ _MOST_POINTS: Final = 4000
 
 def as_page(name: str, reported: Sequence[Message], lines: Sequence[str]) -> str:
     """HTML in one file, without scripts and without anything from elsewhere."""
-    zero_ns = next(
-        (each.time_ns for each in reported if each.topic == RECORDER and each.content.get("what") == INCIDENT), 0
-    )
+    incident = incident_of(reported)
     story = "\n".join(map(escape, lines))
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>{escape(name)}</title>
@@ -35,7 +34,7 @@ svg {{ width: 100%; font-size: 11px; }} pre {{ white-space: pre-wrap; }}
 </style>
 <h1>{escape(lines[0] if lines else name)}</h1>
 <h2>Joints as they were commanded, and Stops</h2>
-{_plot(reported, zero_ns)}
+{_plot(reported, 0 if incident is None else incident.time_ns)}
 <h2>The story</h2><pre>{story}</pre>
 </html>
 """
@@ -44,16 +43,14 @@ svg {{ width: 100%; font-size: 11px; }} pre {{ white-space: pre-wrap; }}
 def _plot(reported: Sequence[Message], zero_ns: int) -> str:
     ways: dict[int, list[tuple[float, float]]] = {}
     stops: dict[int, list[float]] = {}
-    times = [(each.time_ns - zero_ns) / 1e9 for each in reported if each.topic == FRAME]
-    if not times:
+    frames = [((each.time_ns - zero_ns) / 1e9, each.content) for each in reported if each.topic == FRAME]
+    if not frames:
         return "<p>No frame was written.</p>"
-    begin_s, end_s = min(times), max(*times, min(times) + 0.001)
-    for message, time_s in zip((each for each in reported if each.topic == FRAME), times, strict=True):
-        try:
-            servos = decode(bytes.fromhex(str(message.content.get("bytes")))).servos
-        except (FrameError, ValueError):  # of a later protocol
-            continue
-        for servo_id, command in servos:
+    begin_s = min(time_s for time_s, _ in frames)
+    end_s = max(begin_s + 0.001, *(time_s for time_s, _ in frames))
+    for time_s, record in frames:
+        frame = frame_of(record)
+        for servo_id, command in () if frame is None else frame.servos:
             if command.op is Op.STOP:
                 stops.setdefault(servo_id // 10, []).append(time_s)
                 ways.setdefault(servo_id, []).append((time_s, math.nan))

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 from gateway.people.incidents.incidents import kind_of
-from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER
+from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
 from gateway.people.recordings import Message
-from gateway.people.recordings.user_angles import UserAngles
+from gateway.people.recordings.user_angles import UserAngles, frame_of
 from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
-from gateway.robot.protocol.frames import Frame, FrameError, Op, decode
+from gateway.robot.protocol.frames import Frame, Op
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
@@ -22,16 +22,18 @@ FINE_MS: Final = 100.0
 
 _WHAT: Final = {
     "watchdog": "a leg was silent, and was stopped",
-    "landing": "a leg was silent, and the robot went to its landing pose",
-    "estop": "somebody requested an emergency stop",
-    "bus-fault": "the SPI bus failed",
-    "overflow": "messages were lost on the way to the gateway, and legs were stopped for it",
     "button": "too few stop buttons were alive, and all legs were stopped",
+    "landing": "a leg was silent, and the robot went to its landing pose",
+    "overflow": "messages were lost on the way to the gateway, and legs were stopped for it",
     "lease-taken": "somebody took the lease from its holder, and all legs were stopped",
     "stopped-outside": "stop-servos stopped all legs past the gateway",
+    "estop": "somebody requested an emergency stop",
+    "bus-fault": "the SPI bus failed",
     "mistake": "a mistake in the gateway ended it",
     "crash": "the gateway ended without a word",
 }
+"""By how ids end. A list names first what is further down, where several happened."""
+_RANKS: Final = {ending: rank for rank, ending in enumerate(_WHAT)}
 _EVENTS: Final[dict[object, str]] = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
     Kind.ESTOP_ENGAGED: "emergency stop",
@@ -53,11 +55,6 @@ _ENDINGS: Final[dict[str, str]] = {
     "killed": "crash",
 }
 """What an event's kind or a note's `what` is in an incident's id."""
-_WORSE: Final = (
-    "watchdog", "button", "landing", "overflow", "lease-taken", "stopped-outside", "estop", "bus-fault", "mistake",
-    "crash",
-)  # fmt: skip
-"""What a list names first where several happened, from the least on."""
 STOOD_NS: Final = 100_000_000
 """A loop that is so late at the time of a stop is the reason for it."""
 CAME_NS: Final = 500_000_000
@@ -82,7 +79,7 @@ def what(name: str) -> str:
 
 def story(messages: list[Message]) -> list[str]:
     """The lines to print. Raises NoStoryError."""
-    zero = next((each for each in messages if each.topic == RECORDER and each.content.get("what") == INCIDENT), None)
+    zero = incident_of(messages)
     if zero is None:
         raise NoStoryError("it has no incident")
     name = str(zero.content.get("detail"))
@@ -110,7 +107,7 @@ def headline(messages: Iterable[Message]) -> str:
                 moved_ns.append(message.time_ns)
         elif _is_headline(message):
             reported.append(message)
-    zero = next((each for each in reported if each.content.get("what") == INCIDENT), None)
+    zero = incident_of(reported)
     if zero is None:
         raise NoStoryError("it has no incident")
     happened = {kind_of(str(zero.content.get("detail"))): ""}
@@ -121,7 +118,7 @@ def headline(messages: Iterable[Message]) -> str:
             happened[ending] = happened.get(ending) or (f" ({by})" if by else "")
     if "landing" in happened:
         happened.pop("watchdog", None)  # its Stops are the landing's end
-    worst = max(happened, key=lambda ending: _WORSE.index(ending) if ending in _WORSE else -1)
+    worst = max(happened, key=lambda ending: _RANKS.get(ending, -1))
     legs = sorted(_stopped_legs(reported, zero.time_ns))
     words = {ending: f"{_WHAT.get(ending, ending)}{by}" for ending, by in happened.items()}
     if legs and "watchdog" in words:
@@ -256,7 +253,7 @@ def _stops_of_legs(messages: Sequence[Message], zero_ns: int) -> dict[int, int]:
     """When each leg had its first Stop since the incident."""
     found: dict[int, int] = {}
     for message in messages:
-        frame = _frame(message) if message.topic == keys.FRAME and message.time_ns >= zero_ns else None
+        frame = frame_of(message.content) if message.topic == keys.FRAME and message.time_ns >= zero_ns else None
         if frame is not None and frame.is_stop:
             found.setdefault(frame.servos[0][0] // 10, message.time_ns)
     return found
@@ -267,7 +264,7 @@ def _stopped_legs(messages: Sequence[Message], zero_ns: int) -> set[int]:
     legs = set()
     for message in messages:
         if message.topic == keys.FRAME and message.content.get("cause") == Cause.WATCHDOG:
-            frame = _frame(message)
+            frame = frame_of(message.content)
             if frame is not None and message.time_ns >= zero_ns:
                 legs |= {servo_id // 10 for servo_id, _ in frame.servos}
     return legs
@@ -318,20 +315,13 @@ def _events(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line]:
         yield Line(at_ns, f"{detail if detail.startswith(said) else f'{said}: {detail}'}{by}")
 
 
-def _frame(message: Message) -> Frame | None:
-    try:
-        return decode(bytes.fromhex(message.content["bytes"]))
-    except (FrameError, ValueError, KeyError, TypeError):
-        return None
-
-
 def _frames(messages: list[Message], zero_ns: int) -> Iterator[Line]:
     """Stops: those of one cause that follow each other are one line. Frames that move are in the summary's commands."""
     group: list[tuple[Message, Frame]] = []
     for message in messages:
         if message.topic != keys.FRAME:
             continue
-        frame = _frame(message)
+        frame = frame_of(message.content)
         if frame is None or not frame.is_stop:
             continue
         if group and (
@@ -364,7 +354,7 @@ def _landings(messages: list[Message], zero_ns: int) -> Iterator[Line]:
         if message.topic == keys.EVENT and message.content.get("kind") == Kind.LANDING:
             yield from _reported(way, zero_ns)
             way = None
-        frame = _frame(message) if message.topic == keys.FRAME else None
+        frame = frame_of(message.content) if message.topic == keys.FRAME else None
         if frame is None:
             continue
         frame = angles.frame(frame)

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from gateway.geometry import Geometry
-from gateway.people.recordings.user_angles import UserAngles
-from gateway.robot.protocol.frames import FrameError, Op, decode
+from gateway.people.recordings.user_angles import UserAngles, frame_of
+from gateway.robot.protocol.frames import Op
 from schemas.keys import FRAME, STATE
 
 
@@ -30,19 +30,13 @@ class CommandedJoints:
                     self.running[servo["id"]] = bool(servo["running"])
             return True
         if topic == FRAME and self._angles.consistent:  # else the state alone shows where it is
-            self._take_frame(self._angles.record(report)["bytes"])
+            frame = frame_of(self._angles.record(report))
+            for servo_id, command in () if frame is None else frame.servos:
+                self.running[servo_id] = command.op is not Op.STOP
+                if self.running[servo_id]:
+                    self._commanded(servo_id, command.angle_cdeg / 100)
             return True
         return False
-
-    def _take_frame(self, hex_bytes: str) -> None:
-        try:
-            frame = decode(bytes.fromhex(hex_bytes))
-        except (FrameError, ValueError):  # of a later protocol
-            return
-        for servo_id, command in frame.servos:
-            self.running[servo_id] = command.op is not Op.STOP
-            if self.running[servo_id]:
-                self._commanded(servo_id, command.angle_cdeg / 100)
 
     def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
         if angle_deg is not None and servo_id in self._geometry.servos:

@@ -31,7 +31,6 @@ SHOW_FRAMES: Final = 1000
 _OPS_OF: Final = slice(3, None, 4)
 """Where a frame's operations are: three, if it is for a leg."""
 _SETS: Final = bytes([Op.SET] * 3)
-_OPS: Final = {Op.START: "start", Op.SET: "set", Op.STOP: "stop"}
 
 
 class Step(NamedTuple):
@@ -244,4 +243,4 @@ def _leg(frame: OneLeg) -> dict[str, Any]:
 def _servo(command: ServoOp) -> dict[str, Any]:
     if command.op is Op.STOP:
         return {"op": "stop"}
-    return {"op": _OPS[command.op], "angle_deg": command.angle_cdeg / 100}
+    return {"op": command.op.name.lower(), "angle_deg": command.angle_cdeg / 100}

@@ -69,6 +69,14 @@ class UserAngles:
         return {**record, "bytes": user_bytes(self._calibration, data).hex()}
 
 
+def frame_of(record: Mapping[str, Any]) -> Frame | None:
+    """A FrameRecord's frame; None: it is of a later protocol, or none at all."""
+    try:
+        return decode(bytes.fromhex(record["bytes"]))
+    except (FrameError, ValueError, KeyError, TypeError):
+        return None
+
+
 def user_bytes(calibration: Calibration, data: bytes) -> bytes:
     """A frame's bytes in users' angles; as they are where no user could have meant them."""
     if not calibration.servos:

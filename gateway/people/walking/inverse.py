@@ -12,7 +12,7 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
-from gateway.geometry.kinematics import Vector, from_rpy
+from gateway.geometry.kinematics import Vector, from_rpy, plus
 from gateway.people.walking.vectors import (
     angle_about,
     apply,
@@ -22,7 +22,6 @@ from gateway.people.walking.vectors import (
     matrix,
     minus,
     perpendicular,
-    plus,
     product,
     scaled,
     turned,

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Final
 
-from gateway.geometry.kinematics import Vector
+from gateway.geometry.kinematics import Vector, plus
 from gateway.geometry.masses import MASSES, Masses
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import Body
 from gateway.people.walking.robot import Robot
-from gateway.people.walking.vectors import plus, scaled
+from gateway.people.walking.vectors import scaled
 
 Point = tuple[float, float]
 

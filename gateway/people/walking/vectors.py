@@ -16,11 +16,6 @@ def scaled(vector: Vector, factor: float) -> Vector:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
-def plus(first: Vector, second: Vector) -> Vector:
-    """The sum."""
-    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
-
-
 def minus(first: Vector, second: Vector) -> Vector:
     """The difference."""
     return first[0] - second[0], first[1] - second[1], first[2] - second[2]

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.zenoh_files import endpoint, laptop_readme
+from gateway.certs.zenoh_files import laptop_readme
 from gateway.errors import ConfigError
 from gateway.people.tools.certs import app
 from gateway.zenoh_config import certificate_files, load_client_config, load_config
@@ -159,10 +159,6 @@ def test_a_laptop_dials_every_host_at_the_gateways_port(tmp_path: Path) -> None:
         "tls/192.0.2.7:7555",
     ]
     assert json.loads(config.get_json("mode")) == "client"
-
-
-def test_an_ipv6_address_of_an_older_folder_is_in_brackets() -> None:
-    assert endpoint("2001:db8::7", 7555) == "tls/[2001:db8::7]:7555"
 
 
 def test_the_gateways_zenoh_file_names_its_files_wherever_the_folder_is(

@@ -15,7 +15,7 @@ from gateway.geometry import load
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
-from gateway.people.incidents.story import _WORSE, story, what
+from gateway.people.incidents.story import story, what
 from gateway.people.recordings import read
 from gateway.people.recordings.contents import contents
 from gateway.people.recordings.drawing import JOINT_STATES
@@ -429,5 +429,4 @@ def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
 
 def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
     kinds = {*INCIDENTS.values(), MISTAKE, CRASH}
-    assert kinds == set(_WORSE)
     assert all(what(f"20260921-141320-123-{kind}") != kind for kind in kinds)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.errors import GatewayError, WalkError
+from gateway.errors import WalkError
 from gateway.geometry import ELKAPOD, foot_m, load
 from gateway.people.walking import Range, Robot
 from gateway.people.walking.inverse import Limb
@@ -93,9 +93,3 @@ def test_what_a_servo_may_not_do_is_an_error_that_names_its_limit() -> None:
         robot.angles_deg(1, (0.17841 + 0.2 * math.cos(0.63973287), 0.13276 + 0.2 * math.sin(0.63973287), -0.15))
     with pytest.raises(WalkError, match="servo 12: its limits and its joint's leave no angle"):
         Robot(GEOMETRY, {12: Range(190, 200)})
-
-
-def test_the_error_is_a_value_error_that_ends_a_command_as_a_wrong_argument() -> None:
-    assert issubclass(WalkError, ValueError)
-    assert issubclass(WalkError, GatewayError)
-    assert WalkError.exit_code == 2
