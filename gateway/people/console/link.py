@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
@@ -51,17 +51,8 @@ class Threads:
         return await asyncio.get_running_loop().run_in_executor(self.executor, function)
 
 
-class Listener(Protocol):
+class Listener(Receiver):
     """Receives, on the event loop, what the gateway publishes."""
-
-    def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """The newest state, and when it came, by this machine's monotonic clock."""
-
-    def received_body(self, body: BodyReport) -> None:
-        """Where a robot is that is simulated with physics."""
-
-    def received_event(self, event: Event, left_out: int) -> None:
-        """An event; before it so many were left out."""
 
     def link_changed(self, link: LinkMessage) -> None:
         """The link has changed. A page stops driving by itself 500 ms after the newest state."""

@@ -8,34 +8,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from gateway.people.console.messages import (
-    AckMessage,
-    BodyMessage,
-    CalibrationMessage,
-    EventMessage,
-    LeaseMessage,
-    LinkForMessage,
-    LinkMessage,
-    StopButtonMessage,
-    Stopping,
-    WalkMessage,
-)
+from gateway.people.console.messages import AckMessage, BodyMessage, EventMessage, LinkMessage, Stopping, WalkMessage
+from schemas.telemetry import Report
 
 KEPT: Final = 64
 """Events, and acknowledgements; the oldest make way."""
-
-Message = (
-    EventMessage
-    | AckMessage
-    | LinkMessage
-    | LeaseMessage
-    | CalibrationMessage
-    | Stopping
-    | WalkMessage
-    | LinkForMessage
-    | BodyMessage
-    | StopButtonMessage
-)
 
 
 class Outgoing:
@@ -45,16 +22,14 @@ class Outgoing:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
         self._acks: deque[AckMessage] = deque(maxlen=KEPT)
-        self._answers: deque[LeaseMessage | CalibrationMessage | LinkForMessage | StopButtonMessage] = deque(
-            maxlen=KEPT
-        )
-        self._newest: dict[type[Message], Message] = {}
+        self._answers: deque[Report] = deque(maxlen=KEPT)
+        self._newest: dict[type[Report], Report] = {}
         self._state: Callable[[], str] | None = None
         self._events: deque[EventMessage] = deque(maxlen=KEPT)
         self._events_lost = 0
 
-    def put(self, message: Message) -> None:
-        """Queue a message. Never waits."""
+    def put(self, message: Report) -> None:
+        """Queue a message to the page. Never waits."""
         match message:
             case Stopping():
                 self._stops[message.id] = message
@@ -62,14 +37,14 @@ class Outgoing:
                     del self._stops[next(iter(self._stops))]
             case AckMessage():
                 self._acks.append(message)
-            case LeaseMessage() | CalibrationMessage() | LinkForMessage() | StopButtonMessage():
-                self._answers.append(message)
             case LinkMessage() | WalkMessage() | BodyMessage():
                 self._newest[type(message)] = message
             case EventMessage():
                 if len(self._events) == KEPT:
                     self._events_lost += 1 + self._events[0].left_out
                 self._events.append(message)
+            case _:
+                self._answers.append(message)
         self._there.set()
 
     def put_state(self, text: Callable[[], str]) -> None:
@@ -81,7 +56,7 @@ class Outgoing:
         """The texts to send now, in their order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
-        messages: list[Message] = [*self._stops.values(), *self._acks, *self._answers, *self._newest.values()]
+        messages: list[Report] = [*self._stops.values(), *self._acks, *self._answers, *self._newest.values()]
         texts = [message.model_dump_json() for message in messages]
         if self._state is not None:
             texts.append(self._state())

@@ -10,7 +10,7 @@ import logging
 import re
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -120,7 +120,7 @@ class Pages(Listener):
         for page in self._pages:
             page.outgoing.put(BodyMessage(body=body))
 
-    def received_event(self, event: Event, left_out: int) -> None:
+    def received_event(self, event: Event, left_out: int = 0) -> None:
         self._events.append(EventMessage(event=event, left_out=left_out))
         self._send(self._events[-1])
         if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
@@ -162,7 +162,7 @@ class Page:
         self._driving = Driving(link.client, self.source, self.outgoing.put)
         self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
         self._walking = Walking(link.connect, f"{self.source} walks", geometry, self.outgoing.put)
-        self._inviting = _Inviting(new_link, self.outgoing.put)
+        self._new_link = new_link
         self._button = Pressing(link.client, f"{person[:40]}/page {number}", self.outgoing.put)
         self._staleness = Staleness(MAX_AGE_MS)
         self._wishes = Staleness(WISH_AGE_MS)
@@ -212,7 +212,7 @@ class Page:
             case StopButton():
                 self._button.take(message)
             case LinkFor():
-                self._inviting.ask(message.id)
+                self._start(self._invite(message.id))
             case Calibrate():
                 if self._calibrating.is_full:
                     raise EndError("too many steps of the calibration wait for their answers")
@@ -266,11 +266,25 @@ class Page:
         self._begin(message_id, partial(self._link.ask, key, payload, again=False))
 
     def _begin(self, message_id: int | None, ask: Callable[[], Awaitable[Ack]]) -> None:
+        self._start(self._answer(message_id, ask))
+
+    def _start(self, answer: Coroutine[Any, Any, None]) -> None:
         if len(self._questions) >= MAX_QUESTIONS:
+            answer.close()
             raise EndError(f"{MAX_QUESTIONS} commands of this page wait for their acknowledgement")
-        question = asyncio.create_task(self._answer(message_id, ask))
+        question = asyncio.create_task(answer)
         self._questions.add(question)
         question.add_done_callback(self._questions.discard)
+
+    async def _invite(self, message_id: int) -> None:
+        try:
+            url = await asyncio.to_thread(self._new_link)  # which writes a file
+            code = await asyncio.to_thread(segno.make, url, error="l")
+        except GatewayError as error:
+            self.outgoing.put(LinkForMessage(id=message_id, error=str(error)))
+        else:
+            rows = ["".join(str(module & 1) for module in row) for row in code.matrix]
+            self.outgoing.put(LinkForMessage(id=message_id, url=url, rows=rows))
 
     def _stop(self, message: Command, payload: dict[str, Any]) -> None:
         """Ask until it is answered or its time is over. A newer one that stops the same makes an older give way."""
@@ -320,31 +334,3 @@ def _first_fault(error: ValidationError) -> str:
     fault = error.errors(include_url=False, include_input=False)[0]
     where = ".".join(str(part) for part in fault["loc"])
     return f"{where}: {fault['msg']}" if where else fault["msg"]
-
-
-class _Inviting:
-    """For one page, on the event loop: one link at a time."""
-
-    def __init__(self, new_link: Callable[[], str], send: Callable[[LinkForMessage], None]) -> None:
-        """`new_link` writes a file, so it is called on a thread."""
-        self._new_link = new_link
-        self._send = send
-        self._task: asyncio.Task[None] | None = None
-
-    def ask(self, number: int) -> None:
-        """Make a link and send it; while one is being made, another is not."""
-        if self._task is None or self._task.done():
-            self._task = asyncio.get_running_loop().create_task(self._run(number))
-
-    async def _run(self, number: int) -> None:
-        try:
-            url, rows = await asyncio.to_thread(self._make)
-        except GatewayError as error:
-            self._send(LinkForMessage(id=number, error=str(error)))
-        else:
-            self._send(LinkForMessage(id=number, url=url, rows=rows))
-
-    def _make(self) -> tuple[str, list[str]]:
-        url = self._new_link()
-        code = segno.make(url, error="l")
-        return url, ["".join(str(module & 1) for module in row) for row in code.matrix]

@@ -8,9 +8,9 @@ import pytest
 from gateway.errors import DisconnectedError
 from gateway.people.client.stops import AGAIN_S, AT_ONCE
 from gateway.people.console.messages import Stopping
-from gateway.people.console.outgoing import Message, Outgoing
+from gateway.people.console.outgoing import Outgoing
 from gateway.people.console.stops import MAX_PRESSES, Stops
-from schemas.telemetry import Ack
+from schemas.telemetry import Ack, Report
 
 pytestmark = pytest.mark.virtual_time
 
@@ -46,7 +46,7 @@ class Page(Outgoing):
         super().__init__()
         self.heard: list[Stopping] = []
 
-    def put(self, message: Message) -> None:
+    def put(self, message: Report) -> None:
         assert isinstance(message, Stopping)
         self.heard.append(message)
 
