@@ -26,6 +26,7 @@ from gateway.people.ros2.wire import Attachment
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.bridged import PATIENT, Bridge, Received, bridged, clean, keeps, rejected, resting, running
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, states
 from tests.support.ros2_peer import Peer
@@ -283,26 +284,20 @@ def test_without_its_extra_it_names_what_to_install() -> None:
 
 
 def test_what_it_cannot_begin_with(gateway: Gateway) -> None:
-    def run(*arguments: str) -> Child:
-        child = Child([*COMMAND, "ros2", *arguments], clean())
-        child.wait(20)
-        child.close()
-        return child
-
     router = ("--router", f"tcp/127.0.0.1:{free_port()}")
     ours = ("--connect", gateway.endpoint)
-    lonely = run(*router, *ours)
+    lonely = run_here("ros2", *router, *ours)
     assert lonely.returncode == 4
     assert "no ROS 2 router answers on" in lonely.stderr
     assert "rmw_zenohd" in lonely.stderr
     nobody = f"tcp/127.0.0.1:{free_port()}"
-    assert run("--connect", nobody).returncode == 4
+    assert run_here("ros2", "--connect", nobody).returncode == 4
     for arguments, why in (
         (("--distro", "foxy"), "--distro foxy is not known"),
         (("--ros-namespace", "hexapod"), "'hexapod' is no ROS namespace"),
         (("--router", gateway.endpoint), "leads to a gateway, where no ROS peer should be"),
     ):
-        wrong = run(*ours, *arguments)
+        wrong = run_here("ros2", *ours, *arguments)
         assert wrong.returncode == 2, wrong
         assert why in wrong.stderr
     with zenoh_listening(router[1]), gateway.client(source="anna") as anna, anna.lease():

@@ -77,21 +77,6 @@ def test_the_token_stays_in_the_server(anna: Page, bert: Page) -> None:
     assert not [text for text in heard if re.search("[0-9a-f]{32}", text)]
 
 
-def test_hand_over(anna: Page, bert: Page) -> None:
-    assert lease(anna, "acquire")["mine"]
-    assert lease(bert, "ask")["accepted"]
-    who = bert.hello["source"]
-    anna.state(lambda state: state["lease"]["asked_by"] == who)
-    assert anna.ask(LEG_3, START)["ack"]["accepted"]
-    given = lease(anna, "release", to=who)
-    assert (given["accepted"], given["mine"]) == (True, False)
-    assert lease(bert, "acquire")["mine"]
-    assert bert.state()["legs"][2]["servos"][0]["running"], "the robot goes on moving"
-    assert anna.ask(LEG_3, START)["ack"]["reason"] == "not_holder"
-    assert bert.ask(LEG_3, STOP)["ack"]["accepted"]
-    lease(bert, "release")
-
-
 def test_who_was_taken_over_is_told_and_moves_nothing(anna: Page, bert: Page) -> None:
     assert lease(anna, "acquire")["mine"]
     assert anna.ask(LEG_3, START)["ack"]["accepted"]

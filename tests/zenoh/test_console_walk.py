@@ -1,11 +1,9 @@
 """A page walks: its wishes come to a real gateway 20 times a second; whatever silences it makes the robot stand."""
 
 import itertools
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
@@ -258,22 +256,6 @@ def test_what_the_legs_cannot_do_is_reported(page: Page, pad: Pad) -> None:
     found = walk(page, lambda message: message["posture"] == "walking" and message["limit"] != "")
     assert found["commanded"] == [0.9, 0, 0]
     assert found["scaled"][0] < 0.5
-
-
-def test_a_console_that_dies_leaves_it_to_the_watchdog(tmp_path: Path) -> None:
-    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 500}, "lease": {"ttl_ms": 5000}}) as gateway:
-        with Console(tmp_path, "--connect", gateway.endpoint) as console, console.page(console.sign_in()) as page:
-            page.state()
-            acquire(page)
-            pad = Pad(page)
-            walks(page, pad)
-            pad.close()
-            console.child.send_signal(signal.SIGKILL)
-        with gateway.client() as client:
-            end_s = time.monotonic() + LATE_S
-            while client.state().mode is not Mode.IDLE:
-                assert time.monotonic() < end_s
-            assert client.state().watchdog.expirations > 0
 
 
 def test_a_stop_all_while_it_walks_is_as_quick(console: Console, session: SignedIn, page: Page, pad: Pad) -> None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -17,11 +16,10 @@ from gateway.robot.protocol.frames import decode
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, FrameRecord, Kind, Mode, Reason
+from schemas.telemetry import Cause, FrameRecord, Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
-from tests.support.secured import Secured
 
 POSE = (90, 45, 120)
 LATE_S = 10
@@ -109,14 +107,6 @@ def test_a_stop_carries_no_token(anna: Client, bert: Client) -> None:
     assert not [payload for payload in asked.values() if b'"lease"' in payload]
     for each in declared:
         each.undeclare()
-
-
-def test_it_lives_on_without_commands(anna: Client, bert: Client) -> None:
-    """For longer than it lives unrenewed, by the gateway's own time."""
-    with anna.lease():
-        until_s = bert.state().uptime_s + 2 * TTL_MS / 1000
-        while (state := bert.state()).uptime_s < until_s:
-            assert state.lease.holder == "anna"
 
 
 def test_it_is_released_at_the_end_and_by_a_client_that_closes(gateway: Gateway, bert: Client) -> None:
@@ -305,13 +295,3 @@ def test_the_same_for_asyncio(gateway: Gateway) -> None:
     # A name of her own: of each name only ten events a second are told, and the tests before this one are quick.
     with gateway.client(source="carla") as carla:
         asyncio.run(main(carla))
-
-
-def test_with_certificates_it_is_the_person_and_not_what_somebody_writes(tmp_path: Path) -> None:
-    with Secured(tmp_path) as secured, secured.client("anna") as anna:
-        with anna.lease(source="bert") as lease:
-            assert (lease.holder, lease.verified) == ("anna", True)
-            state = anna.state()
-            assert (state.lease.holder, state.lease.verified) == ("anna", True)
-            assert anna.start_leg(1, *POSE).accepted
-        assert anna.state().mode is not Mode.ESTOPPED
