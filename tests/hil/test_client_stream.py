@@ -8,8 +8,8 @@ import pytest
 from gateway.client import RejectedError, StoppedError
 from schemas.telemetry import Kind
 from tests.hil.wire import Wire, start
-from tests.support.heard import events
-from tests.zenoh.test_client_stream import HZ, POSE, go_on, running
+from tests.support.heard import events, running
+from tests.zenoh.test_client_stream import HZ, POSE, go_on
 
 pytestmark = pytest.mark.hil
 

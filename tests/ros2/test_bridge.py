@@ -24,11 +24,11 @@ from gateway.people.ros2.messages import (
 )
 from gateway.people.ros2.wire import Attachment
 from schemas.telemetry import GatewayState, Kind, Mode
-from tests.support.bridged import PATIENT, Bridge, Received, bridged, clean, keeps, rejected, resting, running
+from tests.support.bridged import PATIENT, Bridge, Received, bridged, clean, keeps, rejected, resting
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, Gateway, free_port
-from tests.support.heard import events, states
+from tests.support.heard import events, running, states
 from tests.support.ros2_peer import Peer
 from tests.support.router import zenoh_listening
 

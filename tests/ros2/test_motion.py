@@ -32,10 +32,9 @@ from tests.support.bridged import (
     keeps,
     rejected,
     resting,
-    running,
 )
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames, states
+from tests.support.heard import events, frames, running, states
 from tests.support.ros2_peer import Peer
 
 # ---- joint commands

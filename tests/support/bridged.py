@@ -12,7 +12,6 @@ from typing import Any, Final, Self
 
 import zenoh
 
-from gateway.client import Client
 from gateway.geometry import joint_name, load
 from gateway.people.ros2.cdr import Message, decode, encode
 from gateway.people.ros2.messages import DiagnosticArray, JointState
@@ -160,10 +159,6 @@ PATIENT: Final[dict[str, dict[str, Any]]] = {
 }
 """It outlasts a moment in which this machine is busy."""
 LONG_S: Final = 40.0
-
-
-def running(client: Client) -> list[int]:
-    return [leg.leg for leg in client.state().legs if all(servo.running for servo in leg.servos)]
 
 
 def keeps(publish: Callable[[], object], until: Callable[[], bool], hz: float = 50) -> None:

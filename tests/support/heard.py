@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel
 
 from gateway.client import Client
+from gateway.robot.protocol.frames import decode
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, GatewayState
 
@@ -52,6 +53,15 @@ class Heard(Generic[R]):
                     return found[count - 1]
                 if not self._changed.wait(deadline - time.monotonic()):
                     raise TimeoutError(f"heard only {list(self._reports)[-20:]}")
+
+
+def running(client: Client) -> list[int]:
+    """The legs all of whose servos run."""
+    return [leg.leg for leg in client.state().legs if all(servo.running for servo in leg.servos)]
+
+
+def is_stop(frame: FrameRecord) -> bool:
+    return decode(bytes.fromhex(frame.bytes)).is_stop
 
 
 def events(client: Client) -> Heard[Event]:

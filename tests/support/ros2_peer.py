@@ -9,6 +9,7 @@ import os
 import queue
 import sys
 from collections import defaultdict
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -48,7 +49,7 @@ class Peer:
 
     def publish(self, topic: str, message: Message) -> None:
         """One message of a topic that is advertised."""
-        self._ask("publish", topic, type(message).__name__, plain(message))
+        self._ask("publish", topic, type(message).__name__, asdict(message))
 
     def subscribe(self, topic: str, kind: type[Message], *, latched: bool = False) -> None:
         """`latched`: and ask for what was published before."""
@@ -72,18 +73,6 @@ class Peer:
         if "error" in answer:
             raise RuntimeError(answer["error"])
         return answer["ok"]
-
-
-def plain(message: Message) -> dict[str, Any]:
-    """A message as JSON."""
-    fields: dict[str, Any] = {}
-    for name, element, many in message.FIELDS:
-        value: Any = getattr(message, name)
-        if isinstance(element, str):
-            fields[name] = value
-        else:
-            fields[name] = [plain(each) for each in value] if many else plain(value)
-    return fields
 
 
 class Actor:
@@ -114,7 +103,7 @@ class Actor:
             sdk.ROS2Subscriber(
                 topic,
                 kind.TYPE,
-                lambda message: received.put(ours(kind, message)),
+                lambda message: received.put(asdict(message)),
                 definition(kind),
                 router_port=self._port,
                 type_hash=kind.HASH,
@@ -165,18 +154,6 @@ def kind_of(name: str) -> type[Message]:
     return found
 
 
-def ours(kind: type[Message], message: Any) -> dict[str, Any]:
-    """A message of the SDK's as JSON."""
-    fields: dict[str, Any] = {}
-    for name, element, many in kind.FIELDS:
-        value = getattr(message, name)
-        if isinstance(element, str):
-            fields[name] = list(value) if many else value
-        else:
-            fields[name] = [ours(element, each) for each in value] if many else ours(element, value)
-    return fields
-
-
 def main() -> None:
     actor = Actor(int(sys.argv[1]))
     print(READY, flush=True)
@@ -186,7 +163,7 @@ def main() -> None:
             answer = {"ok": getattr(actor, name)(*arguments)}
         except Exception as error:
             answer = {"error": f"{type(error).__name__}: {error}"}
-        print(json.dumps(answer), flush=True)
+        print(json.dumps(answer, default=np.ndarray.tolist), flush=True)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ from gateway.robot.protocol.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import Heard, events, frames
-from tests.zenoh.test_client_stream import HZ, POSE, go_on, running
+from tests.support.heard import Heard, events, frames, running
+from tests.zenoh.test_client_stream import HZ, POSE, go_on
 
 Angles = dict[int, tuple[float, float, float]]
 

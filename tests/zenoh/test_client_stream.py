@@ -15,7 +15,7 @@ from gateway.people.tools.drill.cut_link import CutLink
 from schemas.telemetry import Cause, Event, Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import events, frames, states
+from tests.support.heard import events, frames, running, states
 
 HZ = 50
 POSE = (90, 45, 120)
@@ -48,10 +48,6 @@ def walk(robot: Client, then: Callable[[], object]) -> None:
         stream.set({1: POSE})
         then()
         go_on(stream, 1)
-
-
-def running(client: Client) -> list[int]:
-    return [leg.leg for leg in client.state().legs if leg.servos[0].running]
 
 
 def test_the_first_setpoint_of_a_leg_starts_it_and_the_end_stops_what_was_moved(robot: Client, watcher: Client) -> None:

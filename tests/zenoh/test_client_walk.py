@@ -17,7 +17,7 @@ from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, FrameRecord, GatewayState, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import frames, states
+from tests.support.heard import frames, running, states
 
 PATIENT: Final[dict[str, dict[str, Any]]] = {
     "watchdog": {"timeout_ms": 10_000},
@@ -33,10 +33,6 @@ gateway = gateway_fixture(PATIENT)
 
 watcher = client_fixture("watcher", rests=True)
 robot = client_fixture("walker")
-
-
-def running(client: Client) -> list[int]:
-    return [leg.leg for leg in client.state().legs if all(servo.running for servo in leg.servos)]
 
 
 def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:

@@ -16,10 +16,10 @@ from gateway.robot.protocol.frames import decode
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, FrameRecord, Kind, Reason
+from schemas.telemetry import Cause, Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames, states
+from tests.support.heard import events, frames, is_stop, running, states
 
 POSE = (90, 45, 120)
 LATE_S = 10
@@ -48,14 +48,6 @@ def anna(gateway: Gateway) -> Iterator[Client]:
 
 
 bert = client_fixture("bert")
-
-
-def is_stop(frame: FrameRecord) -> bool:
-    return decode(bytes.fromhex(frame.bytes)).is_stop
-
-
-def running(client: Client) -> list[int]:
-    return [leg.leg for leg in client.state().legs if leg.servos[0].running]
 
 
 def walk_on(stream: Stream) -> None:

@@ -5,6 +5,7 @@ with the final zero, UTF-8, and the zero; a sequence its count and its elements;
 """
 
 import struct
+from dataclasses import dataclass
 from inspect import get_annotations
 from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, get_args, get_origin
 
@@ -30,10 +31,10 @@ class Field(NamedTuple):
     """Whether it is a sequence of them, of any length."""
 
 
+@dataclass(frozen=True, slots=True)
 class Message:
     """A ROS 2 message: a frozen dataclass whose annotations are its fields, in their order. Sequences are tuples."""
 
-    __slots__ = ()
     TYPE: ClassVar[str]
     """As ROS 2 names it, such as `std_msgs/msg/String`."""
     HASH: ClassVar[str]
