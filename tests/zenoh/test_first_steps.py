@@ -13,6 +13,7 @@ import pytest
 
 from gateway.client import Client
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.console_process import LINK
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
@@ -41,12 +42,7 @@ def test_the_copy_lines_of_certs_init_bring_what_the_installer_asks_for(tmp_path
     bin_folder.mkdir()
     script(bin_folder / "ssh", SSH)
     script(bin_folder / "scp", SCP)
-    made = subprocess.run(
-        [*COMMAND, "certs", "init", "--dir", str(tmp_path / "certs"), "--host", "robot.local"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    made = run_here("certs", "init", "--dir", str(tmp_path / "certs"), "--host", "robot.local").stdout
     lines = [line for line in made.splitlines() if line.startswith("  ")]
     environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "ROBOT": str(robot)}
     subprocess.run(["sh", "-e", "-c", "\n".join(lines)], env=environment, check=True)

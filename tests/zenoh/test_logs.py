@@ -78,9 +78,15 @@ def read(terminal: int) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def lines() -> list[dict[str, Any]]:
+def written() -> list[str]:
     """SPEAKER's lines to a pipe, where the format is chosen for it."""
-    return [json.loads(line) for line in spoken("auto", "debug")]
+    return spoken("auto", "debug")
+
+
+@pytest.fixture(scope="module")
+def lines(written: list[str]) -> list[dict[str, Any]]:
+    """The same, read."""
+    return [json.loads(line) for line in written]
 
 
 def test_each_line_is_json_with_time_level_and_message(lines: list[dict[str, Any]]) -> None:
@@ -107,10 +113,9 @@ def test_an_events_fields_have_their_own_names_and_empty_ones_are_left_out(lines
     assert lines[2]["reason"] == "invalid"
 
 
-def test_each_line_is_one_line_to_any_reader() -> None:
-    written = spoken("json")
+def test_each_line_is_one_line_to_any_reader(written: list[str]) -> None:
     assert not any(char in line for line in written for char in HOSTILE)
-    assert json.loads(written[2])["source"] == "\x1b]0;title\x07\u2028\x9b"
+    assert json.loads(written[3])["source"] == "\x1b]0;title\x07\u2028\x9b"
 
 
 def test_a_traceback_is_one_line_without_anyones_variables(lines: list[dict[str, Any]]) -> None:
@@ -123,17 +128,13 @@ def test_the_level_is_the_least_that_is_told() -> None:
     assert [json.loads(line)["level"] for line in spoken("json", "error")] == ["error", "error"]
 
 
-def test_a_terminal_gets_lines_for_people() -> None:
+def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_it() -> None:
     written = spoken_on_a_terminal("auto")
     assert "\x1b[" in written, "colours"
     assert "hexapod-gateway 1 takes commands" in written
     assert "ValueError: broken" in written
     with pytest.raises(json.JSONDecodeError):
         json.loads(written.splitlines()[0])
-
-
-def test_what_others_wrote_does_not_steer_the_terminal() -> None:
-    written = spoken_on_a_terminal("console")
     assert "\x1b[2J" not in written
     assert "\x1b]0;" not in written
     assert not set("\x07\x9b\u2028") & set(written)

@@ -14,6 +14,7 @@ from gateway.cli import app
 from gateway.client import leg_payload
 from schemas import keys
 from schemas.telemetry import Event, Kind
+from tests.support.command import run_here
 from tests.support.gateway_process import Gateway
 
 ROOT = Path(__file__).parents[2]
@@ -51,8 +52,7 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
     with Gateway(tmp_path) as gateway:
 
         def said(*arguments: str) -> str:
-            command = [sys.executable, "-m", "gateway", *arguments, "--connect", gateway.endpoint]
-            end = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+            end = run_here(*arguments, "--connect", gateway.endpoint)
             return (end.stdout or end.stderr).strip().removeprefix("hexapod-gateway: ")
 
         told = [said("send", "leg", "4", "set", "10", "20", "30")]

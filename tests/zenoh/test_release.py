@@ -97,7 +97,7 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("empty")
     subprocess.run([UV, "venv", "--quiet", "--seed", "--python", sys.executable, folder / "venv"], check=True)
     python = folder / "venv" / "bin" / "python"
-    install = [UV, "pip", "install", "--quiet", "--only-binary=:all:", "--python", python, wheel]
+    install = [UV, "pip", "install", "--quiet", "--only-binary=:all:", "--python", str(python), str(wheel)]
     subprocess.run(install, check=True, env={**os.environ, "CC": "/bin/false"})
     return python
 

@@ -24,13 +24,21 @@ from tests.support.heard import states
 from tests.support.zenoh_actor import Remote
 
 
-def test_it_says_that_it_is_ready_where_and_what_to_try(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway:
+def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_lives(tmp_path: Path) -> None:
+    seen: dict[str, threading.Event] = {"SampleKind.PUT": threading.Event(), "SampleKind.DELETE": threading.Event()}
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
         gateway.child.wait_for_output("Try")
         assert gateway.child.stdout.splitlines() == [
             f"{READY}: {gateway.endpoint} → a simulated controller (plain)",
             f"Try, in a second terminal: hexapod-gateway walk --forward 0.1 --seconds 5 --connect {gateway.endpoint}",
         ]
+        subscriber = client.session.liveliness().declare_subscriber(
+            keys.ALIVE, lambda sample: seen[str(sample.kind)].set(), history=True
+        )
+        assert seen["SampleKind.PUT"].wait(10)
+        gateway.child.kill()
+        assert seen["SampleKind.DELETE"].wait(10)
+        del subscriber
 
 
 def test_it_says_where_its_zenoh_file_makes_it_listen(tmp_path: Path) -> None:
@@ -92,26 +100,17 @@ def test_state_hz(tmp_path: Path, state_hz: float) -> None:
             assert [state.mode for state in heard.all] == [Mode.ESTOPPED]
 
 
-def test_listen_takes_several_endpoints(tmp_path: Path) -> None:
-    listen = [f"tcp/127.0.0.1:{free_port()}" for _ in range(2)]
-    with Gateway(tmp_path, {"zenoh": {"listen": listen}}):
-        for endpoint in listen:
-            with Client(endpoint) as client:
-                assert client.state().mode == Mode.IDLE
-
-
-def test_connect_dials_a_router(tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    router = tmp_path / "router.json5"
-    router.write_text(
-        json.dumps(
-            {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
-        )
-    )
+def test_it_listens_at_several_endpoints_and_dials_a_router(tmp_path: Path) -> None:
+    *listen, router = [f"tcp/127.0.0.1:{free_port()}" for _ in range(3)]
+    file = tmp_path / "router.json5"
+    scouting = {"multicast": {"enabled": False}}
+    file.write_text(json.dumps({"mode": "router", "listen": {"endpoints": [router]}, "scouting": scouting}))
     with Remote() as remote:
-        remote.open(str(router), {})
-        with Gateway(tmp_path, {"zenoh": {"connect": [endpoint]}}), Client(endpoint, timeout_s=10) as client:
-            assert _eventually_answers(client)
+        remote.open(str(file), {})
+        with Gateway(tmp_path, {"zenoh": {"listen": listen, "connect": [router]}}):
+            for endpoint in (*listen, router):
+                with Client(endpoint, timeout_s=10) as client:
+                    assert _eventually_answers(client)
 
 
 def test_config_gives_a_zenoh_file(tmp_path: Path) -> None:
@@ -206,18 +205,6 @@ def test_it_ends_when_a_thread_that_hears_has_ended(tmp_path: Path) -> None:
     end = subprocess.run([sys.executable, "-c", deaf, config], capture_output=True, text=True, check=False, timeout=20)
     assert end.returncode == 1
     assert "a thread that waits for commands has ended" in end.stderr
-
-
-def test_the_token_says_that_it_lives(tmp_path: Path) -> None:
-    seen: dict[str, threading.Event] = {"SampleKind.PUT": threading.Event(), "SampleKind.DELETE": threading.Event()}
-    with Gateway(tmp_path) as gateway, gateway.client() as client:
-        subscriber = client.session.liveliness().declare_subscriber(
-            keys.ALIVE, lambda sample: seen[str(sample.kind)].set(), history=True
-        )
-        assert seen["SampleKind.PUT"].wait(10)
-        gateway.child.kill()
-        assert seen["SampleKind.DELETE"].wait(10)
-        del subscriber
 
 
 def _eventually_answers(client: Client) -> bool:

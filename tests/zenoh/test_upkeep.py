@@ -3,7 +3,6 @@
 import datetime as dt
 import os
 import socket
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +15,8 @@ from gateway.errors import ConfigError, UnreachedError
 from gateway.people.client import diagnosis
 from gateway.people.tools.watch.model import Model
 from gateway.zenoh_config import client_config
-from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
+from tests.support.command import run_here
+from tests.support.gateway_process import READY, Gateway, free_port
 from tests.support.router import zenoh_listening
 from tests.support.watch_reports import screen
 
@@ -87,9 +87,7 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
         with Client(zenoh_config=tmp_path / "D" / "anna.json5", timeout_s=5) as client:
             state = client.state()
         laptop = tmp_path / "D" / "anna.json5"
-        said = subprocess.run(
-            [*COMMAND, "check", "--zenoh-config", str(laptop)], capture_output=True, text=True, check=True
-        ).stdout
+        said = run_here("check", "--zenoh-config", str(laptop)).stdout
         assert "warning  certificate    the robot's gateway.pem expires on" in said
         model = Model()
         model.received_state(state, 0, state.time)
@@ -106,9 +104,7 @@ def test_a_laptop_is_told_of_its_own_certificate(tmp_path: Path) -> None:
     soon = diagnosis.own_expiry(client_config(None, folder / "bert.json5"))
     assert soon is not None
     assert soon.startswith("bert.pem expires on ")
-    said = subprocess.run(
-        [*COMMAND, "check", "--zenoh-config", str(folder / "bert.json5")], capture_output=True, text=True, check=False
-    ).stdout
+    said = run_here("check", "--zenoh-config", str(folder / "bert.json5")).stdout
     assert f"warning  certificate    {soon} → hexapod-gateway certs renew" in said
     assert soon in screen(Model(own_expiry=soon))
     assert diagnosis.own_expiry(client_config(None, folder / "anna.json5")) is None
@@ -142,8 +138,7 @@ def test_a_robot_gets_one_more_address_without_a_new_ca(tmp_path: Path, systemd:
             Client(other, zenoh_config=anna, timeout_s=1)
     before = (folder / "ca.pem").read_bytes()
     arguments = ["certs", "renew", "gateway", "--host", "localhost", "--host", "192.0.2.9", "--dir", str(folder)]
-    made = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=True).stdout
-    assert "--connect tls/localhost:PORT" in made
+    assert "--connect tls/localhost:PORT" in run_here(*arguments).stdout
     assert (folder / "ca.pem").read_bytes() == before
     with gateway_with(tmp_path, zenoh, systemd):
         for endpoint in (gateway.endpoint, other):
