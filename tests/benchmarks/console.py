@@ -23,6 +23,7 @@ from typing import Final
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from tests.benchmarks.processes import rss_kb
 from tests.support.child import Child
 from tests.support.console_process import Console, SignedIn
 from tests.support.gateway_process import Gateway
@@ -66,22 +67,16 @@ def _spread(values: Sequence[float]) -> str:
 def measure(folder: Path, seconds: float, pages: int = PAGES) -> Figures:
     """Start a gateway and a console, and look for so long."""
     with Gateway(folder) as gateway, Console(folder, "--connect", gateway.endpoint) as console:
-        before_mb = memory_mb(console.child.pid)
+        before_mb = rss_kb(console.child.pid) / 1024
         session = console.sign_in()
         crowd = _Crowd(console.url, session)
         flood = Child([sys.executable, "-m", "tests.benchmarks.console", console.url, *session], os.environ)
         flood.wait_for_output("floods")
         asyncio.run(crowd.run(seconds, pages))
-        after_mb = memory_mb(console.child.pid)
+        after_mb = rss_kb(console.child.pid) / 1024
         flood.close()
         floods = flood.stdout.count("ended")
         return Figures(crowd.ages_ms, crowd.stops_ms, crowd.round_trips_ms, before_mb, after_mb, floods)
-
-
-def memory_mb(pid: int) -> float:
-    """What a process takes."""
-    status = Path(f"/proc/{pid}/status").read_text()
-    return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmRSS"))
 
 
 class _Crowd:

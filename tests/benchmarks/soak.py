@@ -9,7 +9,6 @@ so in the end a gateway that has just started is measured, too.
 """
 
 import argparse
-import os
 import statistics
 import sys
 import tempfile
@@ -24,7 +23,7 @@ from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
 from schemas.keys import leg_command
 from tests.benchmarks.processes import Figures, cpu_ns, fds, rss_kb, threads
-from tests.support.child import Child
+from tests.benchmarks.subjects import program
 from tests.support.gateway_process import Gateway, free_port
 
 ASKS_HZ = 100
@@ -123,11 +122,6 @@ def verdict(minutes: list[Minute]) -> str:
         f" {last.accepted} commands accepted, {last.rejected} rejected"
     )
     return "\n".join(lines)
-
-
-def program(name: str, *arguments: str) -> Child:
-    """Another program of the benchmark, in a process of its own."""
-    return Child([sys.executable, "-m", f"tests.benchmarks.{name}", *arguments], os.environ)
 
 
 class Traffic:

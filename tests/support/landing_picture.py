@@ -6,19 +6,16 @@ is every frame that was written: the angle that each servo was told, and when.
 
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gateway.client import leg_payload
 from gateway.robot.protocol.frames import Op
-from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames
-from tests.support.watch_picture import angles
+from tests.support.watch_picture import walk
 from tests.support.way_down import Seen, reported
 
 WALK_S: Final = 1.2
@@ -52,12 +49,7 @@ def run(folder: Path) -> Run:
     }
     with Gateway(folder, settings) as gateway, gateway.client() as client:
         heard, told = frames(client), events(client)
-        begin_s, op = time.monotonic(), "start"
-        while (now_s := time.monotonic() - begin_s) < WALK_S:
-            for leg in LEGS:
-                client.publish(keys.leg_command(leg), leg_payload(op, angles(leg, now_s)))
-            op = "set"
-            time.sleep(0.02)
+        walk(client, LEGS, WALK_S)
         told.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
         client.state()
         records = heard.all

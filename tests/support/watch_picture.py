@@ -9,6 +9,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -34,12 +35,12 @@ def angles(leg: int, time_s: float) -> tuple[float, float, float]:
     return 90 + 25 * math.sin(phase), 60 + 20 * max(0, math.cos(phase)), 110 - 15 * math.cos(phase)
 
 
-def walk(client: Client) -> None:
+def walk(client: Client, legs: Sequence[int], seconds: float) -> None:
     """Step at 50 Hz for a while, every leg started first."""
     begin_s = time.monotonic()
     op = "start"
-    while (now_s := time.monotonic() - begin_s) < SECONDS:
-        for leg in WALKING:
+    while (now_s := time.monotonic() - begin_s) < seconds:
+        for leg in legs:
             client.publish(keys.leg_command(leg), leg_payload(op, angles(leg, now_s)))
         op = "set"
         time.sleep(0.02)
@@ -54,7 +55,7 @@ def run(secured: Secured) -> str:
         bert.start_leg(2, 90, 45, 120)  # and then no more: the watchdog stops it
         time.sleep(SECONDS / 4)
         with anna.lease():
-            walking = threading.Thread(target=walk, args=(anna,))
+            walking = threading.Thread(target=walk, args=(anna, WALKING, SECONDS))
             walking.start()
             time.sleep(SECONDS / 2)
             bert.servo(22, "set", 100)
