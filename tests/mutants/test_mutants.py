@@ -27,11 +27,11 @@ SAMPLED: Final = ("spi/guard", "core/speed", "core/landing")
 
 
 def test_a_sample_is_noticed() -> None:
-    command = [sys.executable, "-m", "tests.mutants", "--sample", "15", *SAMPLED]
+    command = [sys.executable, "-m", "tests.mutants", "--sample", "6", *SAMPLED]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     killed, wanted = map(int, re.findall(r"^(\d+) of (\d+) killed", done.stdout, re.MULTILINE)[0])
-    assert killed == wanted >= 40
+    assert killed == wanted >= 16
 
 
 def test_every_file_that_is_named_is_there() -> None:
