@@ -439,20 +439,11 @@ def test_no_framing_no_installation(bare: Machine) -> None:
     assert bare.box.read(CONFIG_TXT) == STOCK
 
 
-def test_a_terminal_is_asked(with_venv: Machine) -> None:
-    """Until it says one of the two; what it says is what the service runs with."""
-    wheels = f"{INSTALLER} --wheels {with_venv.wheels}"
-    done = with_venv.box.run(
-        "sh", "-c", f"printf 'prefixed\nlength-prefixed\n' | script -qec '{wheels}' /dev/null", timeout_s=300
-    )
-    assert done.stdout.count("length-prefixed or plain? ") == 2
-    assert 'framing = "length-prefixed"' in with_venv.box.read(CONFIGURATION).splitlines()
-
-
-def test_a_framing_stays_as_it_is(with_venv: Machine) -> None:
-    """Installed again it needs no option, takes the same one, and rejects another before anything is changed."""
+def test_a_terminal_is_asked_and_the_framing_stays(with_venv: Machine) -> None:
+    """Until it says one of the two. Installed again it needs no option, and another one is rejected at once."""
     wheels = ("--wheels", with_venv.wheels)
-    with_venv.run(*wheels, *LENGTH_PREFIXED)
+    asked = f"printf 'prefixed\nlength-prefixed\n' | script -qec '{INSTALLER} {' '.join(wheels)}' /dev/null"
+    assert with_venv.box.run("sh", "-c", asked, timeout_s=300).stdout.count("length-prefixed or plain? ") == 2
     written = with_venv.box.read(CONFIGURATION)
     assert 'framing = "length-prefixed"' in written.splitlines()
     assert f"keep {CONFIGURATION}, your configuration" in with_venv.run(*wheels)
