@@ -96,18 +96,25 @@ class ServoLimits(Section):
         return self
 
 
+Named = TypeVar("Named")
+
+
+def _known_servos(servos: dict[str, Named]) -> dict[str, Named]:
+    for servo in servos:
+        if servo not in _SERVOS:
+            raise ValueError(
+                f"{_name(servo)} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+            )
+    return servos
+
+
 class LimitSettings(Section):
     """What a publisher may ask of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
 
     leg_rate_hz: Annotated[float, Finite, Field(ge=1, le=1000)] = 50.0
     max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 500.0
     start_stagger_ms: Annotated[float, Finite, Field(ge=0, le=2000)] = 0.0
-    servos: dict[str, ServoLimits] = {}
-
-    @field_validator("servos")
-    @classmethod
-    def _servos_exist(cls, servos: dict[str, ServoLimits]) -> dict[str, ServoLimits]:
-        return _known_servos(servos)
+    servos: Annotated[dict[str, ServoLimits], AfterValidator(_known_servos)] = {}
 
 
 class WatchdogSettings(Section):
@@ -118,12 +125,7 @@ class WatchdogSettings(Section):
     repeats: Annotated[int, Field(ge=0, le=100)] = 3
     repeat_interval_ms: Annotated[float, Finite, Field(ge=1, le=1000)] = 20.0
     landing_ms: Annotated[float, Finite, Field(ge=0, le=5000)] = 0.0
-    landing: dict[str, AngleDeg] = {}
-
-    @field_validator("landing")
-    @classmethod
-    def _servos_exist(cls, landing: dict[str, float]) -> dict[str, float]:
-        return _known_servos(landing)
+    landing: Annotated[dict[str, AngleDeg], AfterValidator(_known_servos)] = {}
 
 
 class LeaseSettings(Section):
@@ -213,18 +215,6 @@ class Settings(Section):
                     f"{limits.min_deg:g} to {limits.max_deg:g}"
                 )
         return self
-
-
-Named = TypeVar("Named")
-
-
-def _known_servos(servos: dict[str, Named]) -> dict[str, Named]:
-    for servo in servos:
-        if servo not in _SERVOS:
-            raise ValueError(
-                f"{_name(servo)} is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
-            )
-    return servos
 
 
 Place = tuple[int | str, ...]

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.robot.runtime.metrics_page import MOST_A_SECOND, MOST_REQUESTS, WAITING
+from gateway.robot.runtime.metrics_page import MOST_A_SECOND, WAITING
 from schemas.telemetry import Cause
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
@@ -96,14 +96,6 @@ def let_expire(client: Client, times: int) -> None:
     for count in range(1, times + 1):
         assert client.start_leg(3, 90, 45, 120).accepted
         heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
-
-
-def test_a_scrape_right_after_the_crowd_is_answered_at_once(tmp_path: Path) -> None:
-    """Again and again, while all places are taken."""
-    with attacked(tmp_path, b"") as (_, address, crowd):
-        for _ in range(10):
-            crowd.connect(2 * MOST_REQUESTS)
-            assert value(read(address), "hexapod_mode", mode="idle") == 1
 
 
 def test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more(tmp_path: Path) -> None:

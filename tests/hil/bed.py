@@ -73,7 +73,7 @@ class Transfer:
 
     monotonic_ns: int
     """When it begins: when its call arrived, and its place on the wire."""
-    kind: Literal["write", "message", "read"]
+    kind: Literal["write", "message"]
     data: bytes
     errno: int
     opening: int
@@ -267,9 +267,9 @@ class SpiTestbed(Closing):
         """A kernel that takes no lists of transfers: calls of more than one answer `errno`."""
         self._command("reject_lists", code=errno)
 
-    def ignore_cs_change(self, *, ignore: bool = True) -> None:
+    def ignore_cs_change(self) -> None:
         """A driver that does not release chip select within a call: a list of transfers is one cycle."""
-        self._command("ignore_cs_change", ignore=ignore)
+        self._command("ignore_cs_change")
 
     def set_bufsiz(self, size: int) -> None:
         """How many bytes a call may hold, where each transfer takes a multiple of 128."""
@@ -291,9 +291,9 @@ class SpiTestbed(Closing):
         """Transfers from now on are answered only by `release`; each is recorded as it arrives."""
         self._command("block")
 
-    def release(self, errno: int = 0) -> None:
-        """Answer the blocked transfers, with `errno` if not 0 (their records still say 0), and block no more."""
-        self._command("release", code=errno)
+    def release(self) -> None:
+        """Answer the blocked transfers, and block no more."""
+        self._command("release")
 
     def remove_node(self) -> None:
         """The device goes: opening answers ENOENT, descriptors open now answer ESHUTDOWN for ever."""
@@ -361,7 +361,7 @@ def _event(record: dict[str, Any]) -> Event:
     segments = tuple(Segment(**{**part, "data": bytes.fromhex(part["data"])}) for part in record["segments"])
     return Transfer(
         now_ns,
-        cast(Literal["write", "message", "read"], kind),
+        cast(Literal["write", "message"], kind),
         bytes.fromhex(record["data"]),
         record["errno"],
         opening,

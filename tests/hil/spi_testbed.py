@@ -96,7 +96,7 @@ class SpiController:
         self._calls = 0
         self._delay_s = 0.0
         self._blocking = False
-        self._held: list[Callable[[int], None]] = []
+        self._held: list[Callable[[], None]] = []
 
     def fail(self, code: int, count: int | None, after: int = 0) -> None:
         """`after` so many, the next `count` transfers answer `code`, an errno or SHORT; with None, all until `heal`.
@@ -121,10 +121,10 @@ class SpiController:
         with self._lock:
             self._list_errno = code
 
-    def ignore_cs_change(self, ignore: bool) -> None:
+    def ignore_cs_change(self) -> None:
         """A driver that leaves chip select alone within a message: its transfers are one cycle."""
         with self._lock:
-            self._ignores_cs_change = ignore
+            self._ignores_cs_change = True
 
     def set_bufsiz(self, size: int) -> None:
         """How many bytes a message may hold."""
@@ -141,13 +141,13 @@ class SpiController:
         with self._lock:
             self._blocking = True
 
-    def release(self, code: int) -> None:
-        """Answer all held transfers, with `code` where it isn't 0, and hold no more."""
+    def release(self) -> None:
+        """Answer all held transfers, and hold no more."""
         with self._lock:
             self._blocking = False
             held, self._held = self._held, []
         for answer in held:
-            answer(code)
+            answer()
 
     def shut_down(self) -> None:
         """The device has gone: descriptors open now answer ESHUTDOWN for ever."""
@@ -186,13 +186,6 @@ class SpiController:
 
     def handle_write(self, _base: object, client: Any) -> bool:
         self._transfer(time.monotonic_ns(), client, "write", [(bytes(client.get_arg().retrieve()), 0, 0, 0, 0)])
-        return True
-
-    def handle_read(self, _base: object, client: Any) -> bool:
-        now_ns = time.monotonic_ns()
-        zeros = bytes(len((argument := client.get_arg()).retrieve()))
-        argument.update(0, zeros)
-        self._transfer(now_ns, client, "read", [(zeros, 0, 0, 0, 0)])
         return True
 
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
@@ -238,7 +231,7 @@ class SpiController:
             if rejected:
                 at_ns = now_ns
             if self._blocking:
-                self._held.append(lambda late: _answer(client, length, late or max(code, 0)))
+                self._held.append(lambda: _answer(client, length, max(code, 0)))
                 return
             delay_s = self._delay_s
         if delay_s:
@@ -337,7 +330,6 @@ class Testbed:
         self._base.connect("client-connected", self._controller.connected)
         self._base.connect("handle-ioctl", self._controller.handle_ioctl)
         self._base.connect("handle-write", self._controller.handle_write)
-        self._base.connect("handle-read", self._controller.handle_read)
         self._testbed.attach_ioctl(f"/dev/{NODE}", self._base)
         self.root = Path(self._testbed.get_root_dir())
         self._node = self.root / "dev" / NODE

@@ -81,7 +81,12 @@ JUDGES: Final = {
     "gateway/robot/edge/inbox.py": _INBOX,
     "gateway/robot/edge/rings.py": _INBOX,
     "gateway/robot/edge/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
-    "gateway/robot/runtime/request_answers.py": (*_CHECKER, *_CALIBRATION_REQUESTS, "tests/zenoh/test_lease.py"),
+    "gateway/robot/runtime/request_answers.py": (
+        *_CHECKER,
+        f"{_UNIT}test_buttons_conductor.py",
+        *_CALIBRATION_REQUESTS,
+        "tests/zenoh/test_lease.py",
+    ),
     "gateway/robot/host/ownership.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
     "gateway/robot/core/message.py": _INBOX,
     "gateway/robot/core/intake.py": (

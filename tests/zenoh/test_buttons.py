@@ -2,7 +2,6 @@
 
 import json
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -150,26 +149,3 @@ def _no_other_name(session: zenoh.Session, folder: Path) -> None:
     for_the_lease = identity.prove("register", "kitchen", nonce)
     assert "signature" in str(ask(session, "register", source="kitchen", proof=for_the_lease).detail)
     assert "proof is missing" in str(ask(session, "register", source="kitchen").detail)
-
-
-def test_a_flood_of_registrations_silences_nobody(gateway: Gateway, robot: Client) -> None:
-    """Two programs register as fast as they are answered; the button checks in every 100 ms beside them."""
-    ended = threading.Event()
-
-    def flood(number: int) -> None:
-        with gateway.client() as client:
-            while not ended.is_set():
-                ask(client.session, "register", source=f"flood {number} {time.monotonic_ns()}")
-
-    threads = [threading.Thread(target=flood, args=(number,)) for number in range(2)]
-    with robot.button("kitchen") as button, Pressing(button.alive):
-        assert robot.start_leg(3, POSE).accepted
-        for thread in threads:
-            thread.start()
-        ended.wait(3 * TIMEOUT_MS / 1000)  # what must not happen would have by then
-        ended.set()
-        for thread in threads:
-            thread.join()
-        state = robot.state()
-        assert state.mode == Mode.ACTIVE
-        assert state.buttons.names == ("kitchen",)

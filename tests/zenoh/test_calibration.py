@@ -1,9 +1,7 @@
 """The calibration of a real gateway: changed by real clients, on the wire, on the disk, and after a restart."""
 
 import asyncio
-import json
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from gateway.robot.host import calibration_file
 from gateway.robot.protocol.frames import OneLeg, decode
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
-from schemas.telemetry import Ack, Event, FrameRecord, Reason
+from schemas.telemetry import Ack, FrameRecord, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames
 
@@ -43,10 +41,6 @@ def client(gateway: Gateway) -> Iterator[Client]:
     with gateway.client(source="anna") as connected:
         assert connected.stop().accepted
         yield connected
-
-
-def rejected_for(reason: Reason, event: Event) -> bool:
-    return event.reason == reason
 
 
 def leg_of(record: FrameRecord) -> list[int]:
@@ -104,30 +98,6 @@ def test_for_asyncio_the_same(gateway: Gateway) -> None:
     ack, after = asyncio.run(change())
     assert ack.accepted
     assert after.servos["51"].min_deg == 12.34
-
-
-def test_what_is_no_command_is_answered_and_a_put_or_wildcard_is_none(client: Client) -> None:
-    told = events(client)
-    for payload, reason in (
-        (b"{", Reason.MALFORMED),
-        (b'{"servos": {"11": {"trim_deg": 400}}}', Reason.INVALID),
-        (b" " * 5000, Reason.TOO_LARGE),
-    ):
-        (reply,) = client.session.get(keys.CALIBRATION_CMD, payload=payload, timeout=5)
-        assert reply.ok is not None
-        assert Ack.model_validate_json(reply.ok.payload.to_bytes()).reason == reason
-    for reason in (Reason.MALFORMED, Reason.INVALID, Reason.TOO_LARGE):
-        told.wait(partial(rejected_for, reason))
-    (reply,) = client.session.get(keys.CALIBRATION_CMD, payload=b"{}", encoding="text/plain", timeout=5)
-    assert reply.ok is not None
-    assert Ack.model_validate_json(reply.ok.payload.to_bytes()).reason == Reason.BAD_ENCODING
-    revision = client.calibration().revision
-    client.publish(keys.CALIBRATION_CMD, {"landing": {"11": 20}})
-    told.wait(lambda event: "takes get only" in event.detail)
-    replies = client.session.get("hexapod/calibration/*", payload=json.dumps({"landing": {"11": 20}}), timeout=5)
-    (answer,) = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
-    assert Ack.model_validate_json(answer).reason == Reason.INVALID
-    assert client.calibration().revision == revision
 
 
 def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:

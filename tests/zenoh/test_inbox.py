@@ -157,20 +157,6 @@ def test_an_unknown_key_is_rejected_by_both_verbs_and_the_next_command_works(cli
     assert client.start_leg(3, 1, 2, 3).accepted
 
 
-def test_a_publisher_is_known_by_its_zenoh_id_where_it_says_it(client: Client) -> None:
-    heard = events(client)
-    publisher = client.session.declare_publisher(keys.leg_command(1))
-    publisher.put("{", source_info=zenoh.SourceInfo(publisher.id, 1))
-    event = heard.wait(lambda event: event.reason == Reason.MALFORMED)
-    assert event.source == str(client.session.zid())
-
-
-def test_payloads_too_large_are_rejected_unread(client: Client) -> None:
-    ack = client.ask(keys.leg_command(3), {**START, "source": "x" * 5000})
-    assert ack.reason == Reason.TOO_LARGE
-    assert client.start_leg(3, 1, 2, 3).accepted
-
-
 class Flood:
     """Publishes on one key as fast as one thread can, from a session of its own."""
 

@@ -3,7 +3,8 @@
 import asyncio
 import json
 from collections.abc import Callable
-from typing import Any, cast
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,8 @@ from gateway.robot.protocol.frames import OneLeg, Op
 from gateway.robot.runtime.calibrations import HANGS
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
-from schemas.telemetry import Kind, Reason
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.telemetry import Ack, Kind, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
@@ -200,25 +202,42 @@ async def test_what_is_no_command_is_answered_and_told() -> None:
     assert told(robot).revision == 0
 
 
-class Question:
-    """A query, as far as a reader looks at it."""
-
-    def __init__(self, payload: bytes) -> None:
-        self.key_expr, self.payload, self.encoding, self.source_info = keys.CALIBRATION_CMD, Bytes(payload), None, None
-
-
 class Bytes(bytes):
     def to_bytes(self, *_: object) -> bytes:
         return self
 
 
-async def test_after_each_question_there_is_a_pause_so_that_a_flood_of_them_delays_no_stop() -> None:
+def question(payload: bytes | None, key: str = keys.CALIBRATION_CMD, encoding: str | None = None) -> Any:
+    """A query, as far as a reader looks at it."""
+    source = SimpleNamespace(source_id=SimpleNamespace(zid="0123abc"))
+    return SimpleNamespace(
+        key_expr=key, payload=None if payload is None else Bytes(payload), encoding=encoding, source_info=source
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "reason"),
+    [
+        (question(json.dumps(OWN).encode()), None),
+        (question(json.dumps(OWN).encode(), encoding="application/json"), None),
+        (question(b"{"), Reason.MALFORMED),
+        (question(None), Reason.MALFORMED),
+        (question(json.dumps(OWN).encode().ljust(MAX_PAYLOAD_BYTES)), None),
+        (question(b"{}".ljust(MAX_PAYLOAD_BYTES + 1)), Reason.TOO_LARGE),
+        (question(b"{}", encoding="text/plain"), Reason.BAD_ENCODING),
+        (question(json.dumps(OWN).encode(), key="hexapod/calibration/*"), Reason.INVALID),
+    ],
+)
+async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_them_from_delaying_stops(
+    asked: Any, reason: Reason | None
+) -> None:
     robot = await started_and_quiet()
-    for payload in (json.dumps(OWN).encode(), b"{"):
-        answers: list[bytes] = []
-        deal = robot.calibrations.note(cast(Any, Question(payload)), 0, answers.append)
-        assert deal() == PAUSE_S > 0
-        assert len(answers) == 1
+    answers: list[bytes] = []
+    assert robot.calibrations.note(asked, 0, answers.append)() == PAUSE_S > 0
+    (answer,) = answers
+    assert Ack.model_validate_json(answer).reason == reason
+    (event,) = robot.events()
+    assert (event.source, event.reason) == ("0123abc", reason)
 
 
 async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_settings() -> None:
