@@ -13,10 +13,8 @@ import pytest
 from gateway.client import Client
 from gateway.errors import ZenohError
 from gateway.people.client.diagnosis import TIMEOUT_S as LOOK_S
-from schemas.telemetry import Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
-from tests.support.heard import states
 from tests.support.tmux import Terminal, need_tmux
 
 LATER_S = 0.5
@@ -80,23 +78,6 @@ def test_watch_shows_and_stops_by_the_second_host(tmp_path: Path) -> None:
             terminal.wait("IDLE")
             terminal.press("Space")
             terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
-
-
-@pytest.mark.parametrize("kind", ["rejecting", "silent"])
-def test_a_link_that_breaks_comes_back_by_the_other_host(tmp_path: Path, kind: str) -> None:
-    """The Stop, and what was subscribed to; the new gateway stands for the same one at its other address."""
-    first, other = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
-    with no_way(kind) as nowhere:
-        config = hosts_file(tmp_path, nowhere, first, other)
-        with Gateway(tmp_path, {"zenoh": {"listen": [first]}}) as before:
-            client = Client(None, zenoh_config=config, timeout_s=20)
-            heard = states(client)
-            before.child.kill()
-        with client, Gateway(tmp_path, {"zenoh": {"listen": [other]}}):
-            assert client.estop().stop_frames == 6
-            count = len(heard.all)
-            heard.wait(lambda _: True, count=count + 1)
-            assert client.state().mode is Mode.ESTOPPED
 
 
 def test_nobody_anywhere_is_a_line_for_each_host_in_time(tmp_path: Path) -> None:

@@ -31,17 +31,16 @@ def test_the_nearest_key(key: str, meant: str) -> None:
     assert nearest(key) == meant
 
 
-@pytest.mark.parametrize("key", ["hexapod/leg/3", "hexapod/leg/3/set", "Hexapod/leg/3/cmd"])
-def test_a_put_beside_the_keys_is_told_with_the_key_that_was_meant(tmp_path: Path, key: str) -> None:
+def test_a_put_beside_the_keys_is_told_with_the_key_that_was_meant(tmp_path: Path) -> None:
     with Gateway(tmp_path, {"telemetry": {"state_hz": 100, "frames": True}}) as gateway, gateway.client() as client:
         heard = events(client)
         client.state()
-        client.session.put(key, START, encoding="application/json")
-        assert heard.wait(lambda event: event.key == key)
-        (event,) = [event for event in heard.all if event.kind is Kind.COMMAND_REJECTED]
-        assert event.reason is Reason.INVALID
-        assert event.detail == "nothing reads this key; the nearest is hexapod/leg/3/cmd"
-        assert client.state().commands.rejected == 1, "the gateway's own reports are no strangers"
+        for count, key in enumerate(("hexapod/leg/3", "Hexapod/leg/3/cmd"), start=1):
+            client.session.put(key, START, encoding="application/json")
+            event = heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED, count=count)
+            assert (event.key, event.reason) == (key, Reason.INVALID)
+            assert event.detail == "nothing reads this key; the nearest is hexapod/leg/3/cmd"
+            assert client.state().commands.rejected == count, "the gateway's own reports are no strangers"
 
 
 def test_a_flood_beside_the_keys_is_told_ten_times_a_second_and_a_command_goes_through(tmp_path: Path) -> None:

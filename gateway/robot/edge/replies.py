@@ -1,7 +1,7 @@
 """Replies to queries are sent by a thread of their own: a laptop that asks and does not read must not hold the loop.
 
 An answer, and the end of a query, wait while the asker's link is full, until Zenoh closes that link
-(`wait_before_close`, see zenoh_setup). On the loop that was 5 s without a watchdog, measured with one laptop that asked
+(`wait_before_close`, see session.py). On the loop that was 5 s without a watchdog, measured with one laptop that asked
 100 times a second and read nothing.
 """
 
