@@ -110,6 +110,13 @@ def test_what_comes_sooner_waits_and_only_the_newest_is_sent() -> None:
     assert robot.time(140) == []
 
 
+def test_a_command_comes_just_when_another_legs_slot_does() -> None:
+    robot = without_slots()
+    robot.command(112, leg_to(1, "set 80"))
+    assert robot.command(120, leg_to(2, "start 90"))[:3] == ["command 2 start 90", "completed 5", "command 1 set 80"]
+    assert robot.due_ms == 112 + 250, "nothing waits any more"
+
+
 def test_the_newest_of_each_servo_is_sent_in_one_frame() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))

@@ -29,6 +29,7 @@ def test_after_a_fault_nothing_is_sent_and_everything_rejected() -> None:
     robot.command(100, leg_to(1, "start 90"))
     robot.command(101, leg_to(1, "set 80"))
     assert robot.fail(200) == ["rejected 2 bus_fault", "announce bus_fault"], "nothing goes out that was due at 120"
+    assert not robot.supervisor.legs._pending, "nothing is kept of what was answered"
     assert robot.supervisor.mode is Mode.BUS_FAULT
     assert robot.due_ms is None
     for at_ms, word in ((203, "start 90"), (204, "set 90"), (205, "stop")):

@@ -66,6 +66,23 @@ def test_what_else_is_due_meanwhile_makes_no_frames_sooner() -> None:
     assert min(later - earlier for earlier, later in pairwise(times_ms)) >= 20
 
 
+@pytest.mark.parametrize(("late_ms", "next_ms"), [(0, 300), (5, 300), (20, 320), (65, 365)])
+def test_what_a_timer_is_late_does_not_add_up_and_is_not_made_up_for(late_ms: float, next_ms: float) -> None:
+    steps = landing_steps()
+    steps.time(10 + TIMEOUT_MS)
+    assert steps.due_ms == 280
+    assert steps.time(280 + late_ms)[0].startswith("watchdog 31 set")
+    assert steps.due_ms == next_ms
+
+
+def test_a_second_landing_begins_where_the_servos_are() -> None:
+    steps = landing_steps()
+    until(steps, ENDS_MS)
+    steps.command(2000, legs_to("34", "start 90"))
+    steps.time(2000 + TIMEOUT_MS)
+    assert steps.time(2000 + TIMEOUT_MS + 500)[0] == "watchdog 31 set 88.75", "and leaps no further after a stall"
+
+
 def test_a_leg_that_is_still_commanded_lands_too_and_its_commands_are_rejected() -> None:
     steps = landing_steps()
     steps.command(200, leg_to(4, "set 91"))

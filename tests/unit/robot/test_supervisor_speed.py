@@ -61,16 +61,40 @@ def test_other_servos_are_as_quick_as_ever() -> None:
     assert speed_steps().command(51, leg_to(3, "set 180"))[0] == "command 3 set 92 | set 180 | set 180"
 
 
-def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last() -> None:
+@pytest.mark.parametrize(("others", "deg"), [((32, 33), 91), ((32,), 92)], ids=["a leg's frame", "another servo's"])
+def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last(others: tuple[int, ...], deg: int) -> None:
     steps = speed_steps()
-    steps.command(41, ((32, leg_to(3, "set 80")[1][1]), (33, leg_to(3, "set 80")[2][1])))
-    assert steps.command(51, servo_to(31, "set 180"))[0] == "command 31 set 91"
+    steps.command(41, tuple(target for servo_id in others for target in servo_to(servo_id, "set 80")))
+    assert steps.command(51, servo_to(31, "set 180"))[0] == f"command 31 set {deg}"
+
+
+def test_its_start_counts_as_its_last_frame_too() -> None:
+    assert speed_steps().command(6, servo_to(31, "set 180"))[0] == "command 31 set 90.5"
+
+
+def avoiding() -> Steps:
+    """Servo 31 may go 50 degrees a second; 1 to 4 degrees are never sent."""
+    return Steps(Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00)))
+
+
+@pytest.mark.parametrize("ended_by", ["a stop", "a new holder"])
+def test_a_way_across_that_has_ended_is_no_part_of_the_next(ended_by: str) -> None:
+    steps = avoiding()
+    steps.command(1, servo_to(31, "start 6"))
+    steps.command(21, servo_to(31, "set 0"))
+    assert angles(steps, 90)[-1] == 4, "its way would be at about 2.5 now"
+    if ended_by == "a stop":
+        steps.command(100, servo_to(31, "stop"))
+        steps.command(120, servo_to(31, "start 4"))
+    else:
+        steps.lease(120, "acquire anna", fresh="a" * 32)
+    steps.command(200, servo_to(31, "set 0"), lease="a" * 32 if ended_by == "a new holder" else None)
+    assert set(angles(steps, 240)) == {4}, "the whole way takes 60 ms, and it began at 200"
 
 
 def across(user_deg: float, at_ms: float = 21) -> list[float]:
-    """What servo 31 is told on its way from 6 degrees at 50 degrees a second, where 1 to 4 are never sent."""
-    rules = Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00))
-    steps = Steps(rules)
+    """What servo 31 is told on its way from 6 degrees."""
+    steps = avoiding()
     steps.command(1, servo_to(31, "start 6"))
     (said, *_) = steps.command(at_ms, servo_to(31, f"set {user_deg:g}"))
     return [float(said.split()[-1]), *angles(steps, 1000)]

@@ -212,6 +212,15 @@ def test_the_emergency_stop_stops_all_and_latches() -> None:
     assert robot.time(1000) == []
 
 
+def test_it_takes_the_place_of_a_watchdogs_stop() -> None:
+    robot = Steps()
+    robot.command(1, leg_to(1, "start 90"))
+    robot.time(251)
+    assert watchdog_of(robot)[0] == EXPIRED
+    robot.estop(252)
+    assert watchdog_of(robot) == [IDLE] * 6
+
+
 def test_it_comes_before_frames_whose_rate_slot_has_come() -> None:
     robot = Steps()
     robot.command(100, legs_to("12", "start 90"))
