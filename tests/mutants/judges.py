@@ -45,6 +45,7 @@ _CALIBRATION: Final = (
     f"{_UNIT}test_calibration.py",
     f"{_UNIT}test_supervisor_calibration.py",
     f"{_UNIT}test_supervisor_landing.py",
+    f"{_UNIT}test_calibration_conductor.py",
 )
 _CALIBRATION_REQUESTS: Final = (
     f"{_UNIT}test_calibration_intake.py",

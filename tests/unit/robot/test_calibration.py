@@ -8,14 +8,17 @@ from hypothesis import strategies as st
 
 from gateway.robot.core.calibration import (
     AS_DRAWN,
-    MAX_TRIM_CDEG,
     Calibration,
     CalibrationError,
     Change,
     ServoCalibration,
     ServoChange,
+    calibration_of,
     changed_servos,
+    report_of,
 )
+from gateway.robot.core.joint_limits import Reach
+from gateway.robot.core.leg import Rules
 from gateway.robot.protocol.frames import (
     MAX_ANGLE_CDEG,
     STOP,
@@ -31,7 +34,7 @@ from gateway.robot.protocol.frames import (
 from schemas.robot import LEGS, SERVO_IDS
 
 angles = st.integers(0, MAX_ANGLE_CDEG)
-trims = st.integers(-MAX_TRIM_CDEG, MAX_TRIM_CDEG)
+trims = st.integers(-90_00, 90_00)
 
 
 @st.composite
@@ -74,6 +77,62 @@ def test_the_default_changes_no_byte(frame: Frame) -> None:
 @given(calibrations, st.sampled_from(LEGS))
 def test_a_stop_is_the_same_in_every_calibration(calibration: Calibration, leg: int) -> None:
     assert calibration.frame(stop_leg(leg)).to_bytes() == stop_leg(leg).to_bytes()
+
+
+@given(calibrations)
+def test_what_is_published_is_in_degrees_and_reads_back_as_it_was(calibration: Calibration) -> None:
+    report = report_of(calibration)
+    assert report.revision == calibration.revision
+    for servo_id in SERVO_IDS:
+        servo, published = calibration.of(servo_id), report.servos[str(servo_id)]
+        assert published.trim_deg == servo.trim_cdeg / 100
+        assert (published.min_deg, published.max_deg) == (servo.min_cdeg / 100, servo.max_cdeg / 100)
+        assert published.inverted is servo.inverted
+    assert calibration_of(report) == calibration
+
+
+def test_the_landing_pose_is_published_in_degrees_and_an_infinite_angle_is_none() -> None:
+    report = report_of(Calibration(1, {}, {32: 45_50}))
+    assert report.landing == {"32": 45.5}
+    assert calibration_of(report).landing_cdeg == {32: 45_50}
+    with pytest.raises(CalibrationError, match="an angle is infinite"):
+        calibration_of(report.model_copy(update={"landing": {"32": float("inf")}}))
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize(
+    ("from_deg", "to_deg", "crosses", "sent_deg"),
+    [
+        (6, 4, False, 4),
+        (6, 3.99, False, 4),
+        (6, 1, False, 4),
+        (6, 0.99, True, 0.99),
+        (0, 0.99, False, 0.99),
+        (0, 1, True, 0.99),
+        (0, 3.99, True, 0.99),
+        (0, 4, True, 4),
+        (0.99, 4, True, 4),
+        (4, 0.99, True, 0.99),
+    ],
+)
+def test_a_way_across_angles_that_are_never_sent(
+    from_deg: float, to_deg: float, crosses: bool, sent_deg: float, inverted: bool
+) -> None:
+    """From 1 up to 4 degrees on the wire. An end among them is where the way is now, and not where it leads."""
+    reach = Reach(Rules(avoid_cdeg=(1_00, 4_00)))
+    if inverted:
+        reach.use(Calibration(1, {32: ServoCalibration(inverted=True)}))
+    from_cdeg, to_cdeg, sent_cdeg = (
+        round(18000 - deg * 100 if inverted else deg * 100) for deg in (from_deg, to_deg, sent_deg)
+    )
+    assert reach.crosses(32, from_cdeg, to_cdeg) is crosses
+    assert reach.near_side(32, from_cdeg, to_cdeg) == sent_cdeg
+    assert (reach.why_not(32, to_cdeg) is None) == (sent_deg == to_deg)
+    free = Reach(Rules(joint_limits_cdeg={32: (1_00, 4_00)}))
+    assert not free.crosses(32, from_cdeg, to_cdeg)
+    assert free.near_side(32, from_cdeg, to_cdeg) == to_cdeg
+    if not inverted:
+        assert (free.why_not(32, to_cdeg) is None) == (1 <= to_deg <= 4)
 
 
 def test_the_formula() -> None:

@@ -152,6 +152,18 @@ def test_it_expires_in_time_while_the_bus_is_at_fault() -> None:
     assert robot.due_ms is None
 
 
+@pytest.mark.parametrize(
+    ("words", "token", "stops"),
+    [("renew", ANNA, ["watchdog 1 stop"]), ("take bert", None, all_stopped("command"))],
+)
+def test_what_is_asked_just_when_a_leg_is_to_be_stopped_delays_no_stop_and_doubles_none(
+    words: str, token: str | None, stops: list[str]
+) -> None:
+    robot = driven_by_anna()
+    said = robot.lease(251, words, token, fresh=BERT)
+    assert [line for line in said if line.endswith("stop")] == stops
+
+
 def test_it_lasts_through_an_emergency_stop_and_a_fault() -> None:
     robot = driven_by_anna()
     robot.estop(2)

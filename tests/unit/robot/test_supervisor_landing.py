@@ -52,6 +52,7 @@ def test_silence_lands_the_whole_robot_and_then_stops_it() -> None:
     assert steps.running == [31, 32, 33, 41, 42, 43]
     assert steps.due_ms == ENDS_MS
     assert steps.time(ENDS_MS) == [*all_stopped("watchdog"), "announce watchdog_expired"]
+    assert steps.only(Announce).legs == (1, 2, 3, 4, 5, 6)
     assert steps.supervisor.mode is Mode.IDLE
     watchdogs = [leg.watchdog for leg in steps.supervisor.legs]
     assert watchdogs == [WatchdogState.EXPIRED if leg in (3, 4) else WatchdogState.IDLE for leg in range(1, 7)]
@@ -89,9 +90,9 @@ def test_a_leg_that_is_still_commanded_lands_too_and_its_commands_are_rejected()
     steps.time(10 + TIMEOUT_MS)
     assert "rejected 3 landing" in steps.command(300, leg_to(4, "set 92"))
     assert "rejected 4 landing" in steps.command(301, leg_to(5, "start 90"))
-    until(steps, ENDS_MS)
+    until(steps, ENDS_MS - 1)
+    assert steps.command(ENDS_MS, leg_to(4, "set 92"))[-1] == "rejected 5 servo_stopped", "the landing has ended"
     assert steps.running == []
-    assert steps.command(ENDS_MS + 1, leg_to(4, "set 92")) == ["rejected 5 servo_stopped"]
     assert steps.command(ENDS_MS + 2, leg_to(4, "start 92")) == ["command 4 start 92", "completed 6"]
 
 

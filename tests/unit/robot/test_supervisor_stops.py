@@ -2,9 +2,10 @@
 
 import pytest
 
-from gateway.robot.core.events import Transmit
+from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
+from schemas.robot import LEGS
 from schemas.telemetry import Mode, WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
 
@@ -24,6 +25,7 @@ def test_a_silent_leg_is_stopped() -> None:
     assert robot.due_ms == 350
     assert robot.time(349.999) == []
     assert robot.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
+    assert robot.only(Announce).legs == (1,)
     assert robot.supervisor.mode is Mode.IDLE
     assert robot.supervisor.expirations == 1
     assert robot.due_ms is None
@@ -135,6 +137,7 @@ def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
     robot.command(200, leg_to(2, "start 90"))
     robot.command(204, leg_to(2, "set 80"))
     assert robot.time(350) == [*all_stopped("watchdog"), "rejected 3 stale", "announce watchdog_expired"]
+    assert robot.only(Announce).legs == tuple(LEGS)
     assert watchdog_of(robot) == [EXPIRED, EXPIRED, IDLE, IDLE, IDLE, IDLE]
     assert robot.supervisor.expirations == 1
 
