@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -52,18 +53,10 @@ def test_it_is_whole() -> None:
     assert not gone
 
 
-def test_a_test_that_passed_with_all_its_parameters_shows_it() -> None:
-    assert verdict(claim(), ran(PASSED, PASSED)).verdict is Verdict.SHOWN
-
-
 @pytest.mark.parametrize("result", ["failed", "skipped"])
 def test_one_that_failed_or_was_skipped_turns_it_red(result: str) -> None:
     found = verdict(claim(), ran(PASSED, Outcome("test_it_is_whole[b]", result)))
     assert found == Judged(Verdict.RED, THIS, f"test_it_is_whole[b] {result}")
-
-
-def test_one_that_was_left_out_turns_it_red() -> None:
-    assert verdict(claim(), ran()).verdict is Verdict.RED
 
 
 @pytest.mark.parametrize("gone", ["tests/unit/test_case.py::test_renamed", "tests/unit/test_gone.py::test_it_is_whole"])
@@ -71,79 +64,67 @@ def test_one_that_is_gone_or_renamed_turns_it_red_although_it_passed_once(gone: 
     assert verdict(claim(tests=[gone]), ran(PASSED, test=gone)) == Judged(Verdict.RED, gone, "there is no such test")
 
 
-def test_without_a_run_of_these_files_it_is_red() -> None:
-    assert verdict(claim(), Ran(None, None, {})).verdict is Verdict.RED
+SEARCH = "tests/fuzz/test_model_check.py::test_every_reachable_state_keeps_every_promise"
+FLOOR: dict[str, Any] = {"tests": [], "mutants": [Mutants(module=BUS, at_least=98)]}
+FLOOD: dict[str, Any] = {"tests": [], "bench": [{"row": "flood"}]}
 
 
-@pytest.mark.parametrize("section", ["docs/safety.md#renamed", "docs/gone.md#the-case"])
-def test_a_section_that_is_gone_turns_it_red(section: str) -> None:
-    assert verdict(claim(section=section), ran(PASSED)).verdict is Verdict.RED
+def promise(text: str) -> dict[str, object]:
+    return {"tests": [], "model": [{"promise": text}]}
 
 
-@pytest.mark.parametrize(
-    ("promise", "wanted"),
-    [
-        ("in every step, all Stops come before anything else", Verdict.SHOWN),
-        ("the Stop for {servo_id} is sent at once", Verdict.SHOWN),
-        ("no Stop is needed", Verdict.RED),
-    ],
-)
-def test_a_promise_is_one_of_the_model_check_s(promise: str, wanted: Verdict) -> None:
-    search = "tests/fuzz/test_model_check.py::test_every_reachable_state_keeps_every_promise"
-    of = claim(tests=[], model=[{"promise": promise}])
-    assert verdict(of, ran(PASSED, test=search)).verdict is wanted
+def inputs(at_least: float, name: str = "inputs") -> dict[str, object]:
+    return {"figures": [Figure(test=THIS, name=name, at_least=at_least)]}
 
 
-@pytest.mark.parametrize(
-    ("score", "text", "wanted"),
-    [
-        (98.5, (ROOT / BUS).read_bytes(), Verdict.SHOWN),
-        (98.5, b"an older one", Verdict.PERSON),
-        (97.9, (ROOT / BUS).read_bytes(), Verdict.RED),
-    ],
-)
-def test_a_score_has_a_floor_and_is_of_this_text(score: float, text: bytes, wanted: Verdict) -> None:
-    scores = {BUS: {"score": score, "digest": sha256(text).hexdigest()[:16]}}
-    of = claim(tests=[], mutants=[Mutants(module=BUS, at_least=98)])
-    assert verdict(of, Ran({}, None, scores)).verdict is wanted
+def scored(score: float, text: bytes) -> Ran:
+    """The bus's mutants were judged when this was its text."""
+    return Ran({}, None, {BUS: {"score": score, "digest": sha256(text).hexdigest()[:16]}})
 
 
-def test_a_score_that_nobody_measured_is_red() -> None:
-    of = claim(tests=[], mutants=[Mutants(module=BUS, at_least=98)])
-    assert verdict(of, ran(PASSED)).verdict is Verdict.RED
+def measured(gateway: str, aim: str, met: bool | None) -> Ran:
+    """A run of the benchmark."""
+    return Ran({}, [{"name": "flood: p99", "gateway": gateway, "aim": aim, "met": met}], {})
 
 
-@pytest.mark.parametrize(
-    ("name", "at_least", "wanted"),
-    [
-        ("inputs", 500, Verdict.SHOWN),
-        ("inputs", 501, Verdict.RED),
-        ("other", 0, Verdict.RED),
-    ],
-)
-def test_a_figure_is_what_the_test_left(name: str, at_least: float, wanted: Verdict) -> None:
-    of = claim(figures=[Figure(test=THIS, name=name, at_least=at_least)])
-    assert verdict(of, ran(PASSED)).verdict is wanted
+VERDICTS: dict[str, tuple[dict[str, Any], Ran, Verdict]] = {
+    "a test that passed with all its parameters": ({}, ran(PASSED, PASSED), Verdict.SHOWN),
+    "a test that was left out": ({}, ran(), Verdict.RED),
+    "no run of these files": ({}, Ran(None, None, {}), Verdict.RED),
+    "a section that is gone": ({"section": "docs/safety.md#renamed"}, ran(PASSED), Verdict.RED),
+    "a document that is gone": ({"section": "docs/gone.md#the-case"}, ran(PASSED), Verdict.RED),
+    "a promise of the model check": (
+        promise("in every step, all Stops come before anything else"),
+        ran(PASSED, test=SEARCH),
+        Verdict.SHOWN,
+    ),
+    "one about each servo": (
+        promise("the Stop for {servo_id} is sent at once"),
+        ran(PASSED, test=SEARCH),
+        Verdict.SHOWN,
+    ),
+    "a promise that it does not make": (promise("no Stop is needed"), ran(PASSED, test=SEARCH), Verdict.RED),
+    "a score above its floor": (FLOOR, scored(98.5, (ROOT / BUS).read_bytes()), Verdict.SHOWN),
+    "a score of an older text": (FLOOR, scored(98.5, b"an older one"), Verdict.PERSON),
+    "a score below its floor": (FLOOR, scored(97.9, (ROOT / BUS).read_bytes()), Verdict.RED),
+    "a score that nobody measured": (FLOOR, ran(PASSED), Verdict.RED),
+    "a figure that the test left": (inputs(500), ran(PASSED), Verdict.SHOWN),
+    "a figure that is too small": (inputs(501), ran(PASSED), Verdict.RED),
+    "a figure that the test did not leave": (inputs(0, "other"), ran(PASSED), Verdict.RED),
+    "no run of the benchmark": (FLOOD, Ran({}, None, {}), Verdict.PERSON),
+    "a benchmark without the row": (FLOOD, Ran({}, [], {}), Verdict.PERSON),
+    "a row within its bound": (FLOOD, measured("4 ms", "at most 5 ms", True), Verdict.SHOWN),
+    "a row beyond its bound": (FLOOD, measured("6 ms", "at most 5 ms", False), Verdict.RED),
+    "a row without a bound": (FLOOD, measured("6 ms", "", None), Verdict.RED),
+    "a step of the drill": ({"drill": ["estop"]}, ran(PASSED), Verdict.PERSON),
+    "a step that the drill has not": ({"drill": ["gone"]}, ran(PASSED), Verdict.RED),
+}
 
 
-@pytest.mark.parametrize(
-    ("rows", "wanted"),
-    [
-        (None, Verdict.PERSON),
-        ([], Verdict.PERSON),
-        ([{"name": "flood: p99", "gateway": "4 ms", "aim": "at most 5 ms", "met": True}], Verdict.SHOWN),
-        ([{"name": "flood: p99", "gateway": "6 ms", "aim": "at most 5 ms", "met": False}], Verdict.RED),
-        ([{"name": "flood: p99", "gateway": "6 ms", "aim": "", "met": None}], Verdict.RED),
-    ],
-)
-def test_a_row_of_the_benchmark_has_its_bound(rows: list[dict[str, object]] | None, wanted: Verdict) -> None:
-    of = claim(tests=[], bench=[{"row": "flood"}])
-    assert verdict(of, Ran({}, rows, {})).verdict is wanted
-
-
-def test_a_step_of_the_drill_is_a_persons() -> None:
-    assert verdict(claim(drill=["estop"]), ran(PASSED)).verdict is Verdict.PERSON
-    assert verdict(claim(drill=["gone"]), ran(PASSED)).verdict is Verdict.RED
+@pytest.mark.parametrize("what", VERDICTS)
+def test_what_is_there_decides(what: str) -> None:
+    parts, what_ran, wanted = VERDICTS[what]
+    assert verdict(claim(**parts), what_ran).verdict is wanted
 
 
 def test_the_drill_names_the_claims_that_name_its_steps() -> None:

@@ -1,4 +1,4 @@
-"""Which tests keep together: what shares a machine, a browser or a gateway is on one worker; anything else is free."""
+"""Which tests keep together: what shares a machine or a gateway is on one worker; anything else is free."""
 
 from pathlib import Path
 
@@ -6,22 +6,6 @@ from tests.support import schedule
 from tests.support.schedule import group
 
 TESTS = Path(__file__).parents[1]
-
-
-def test_a_folder_that_shares_a_machine_is_one_group() -> None:
-    assert group("tests/box/test_systemd.py::test_killed") == group("tests/box/test_systemd_console.py::test_console")
-
-
-def test_a_file_is_one_group() -> None:
-    inbox = group("tests/zenoh/test_inbox.py::test_a")
-    assert group("tests/zenoh/test_inbox.py::test_b[hexapod/leg/1/cmd::x]") == inbox
-    assert group("tests/zenoh/test_rings.py::test_a") != inbox
-
-
-def test_tests_that_share_nothing_are_apart() -> None:
-    assert group("tests/hil/test_faults.py::test_a[plain]") != group(
-        "tests/hil/test_faults.py::test_a[length-prefixed]"
-    )
 
 
 def test_the_searches_are_waited_for_by_one_worker() -> None:
