@@ -7,7 +7,6 @@ observer of its own, in a third process: Zenoh sends nothing that nobody wants. 
 puts a leg's setpoints fifty times a second.
 """
 
-import datetime as dt
 import os
 import sys
 import tempfile
@@ -24,20 +23,11 @@ from gateway.client import Client, leg_payload
 from gateway.zenoh_config import load_config
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import (
-    CommandCounts,
-    GatewayState,
-    LegReport,
-    Mode,
-    ServoReport,
-    SpiReport,
-    StopLatency,
-    WatchdogReport,
-    WatchdogState,
-)
+from schemas.telemetry import Mode, WatchdogState
 from tests.benchmarks.processes import cpu_ns, rss_kb
 from tests.support.child import Child
 from tests.support.gateway_process import free_port
+from tests.support.watch_reports import state
 
 HOST = "127.0.0.1"
 SIZES = (1, 10, 30)
@@ -121,14 +111,14 @@ def _router(config: Path) -> None:
 
 
 def _robots(folder: Path, count: int) -> None:
-    state = _state()
+    report = _state()
     opened: list[tuple[zenoh.Publisher, Any]] = []
     kept: list[Any] = []
     for number in range(count):
         session = zenoh.open(load_config(folder / f"{_robot(number)}.json5"))
         kept.append(session)
         kept.append(session.liveliness().declare_token(keys.ALIVE))
-        kept.append(session.declare_queryable(keys.STATE, lambda query: query.reply(keys.STATE, state)))
+        kept.append(session.declare_queryable(keys.STATE, lambda query: query.reply(keys.STATE, report)))
         publisher = session.declare_publisher(keys.STATE, congestion_control=zenoh.CongestionControl.DROP)
         opened.append((publisher, session.declare_subscriber(keys.ALL_COMMANDS, RingChannel(1000))))
     print(READY, flush=True)
@@ -137,7 +127,7 @@ def _robots(folder: Path, count: int) -> None:
     due = time.monotonic()
     while True:
         for publisher, subscriber in opened:
-            publisher.put(state, encoding="application/json")
+            publisher.put(report, encoding="application/json")
             while subscriber.handler.try_recv() is not None:
                 commands += 1
         if asked():
@@ -175,33 +165,13 @@ def _asked() -> Any:
 
 
 def _state() -> str:
-    legs = tuple(
-        LegReport(
-            leg=leg,
-            watchdog=WatchdogState.ARMED,
-            age_ms=12.3,
-            servos=(_servo(leg, 1), _servo(leg, 2), _servo(leg, 3)),
-        )
-        for leg in LEGS
+    """Of a robot whose 18 servos run."""
+    counts = (12345, 12, 123)
+    one = state(
+        1234.5, Mode.ACTIVE, counts=counts, frames=123456, age_ms=12.3, watchdog=WatchdogState.ARMED, running=True
     )
-    return GatewayState(
-        mode=Mode.ACTIVE,
-        time=dt.datetime.now(dt.UTC),
-        uptime_s=1234.5,
-        version="1.0.0",
-        protocol="1.0.0",
-        simulated=True,
-        legs=legs,
-        commands=CommandCounts(accepted=12345, rejected=12, coalesced=123),
-        spi=SpiReport(device="/dev/spidev0.0", framing="plain", frames=123456, errors=0),
-        watchdog=WatchdogReport(
-            timeout_ms=250.0, expirations=1, stop_latency_us=StopLatency(p50=123.4, p99=234.5, max=345.6)
-        ),
-    ).model_dump_json()
-
-
-def _servo(leg: int, joint: int) -> ServoReport:
-    return ServoReport(id=leg * 10 + joint, running=True, angle_deg=123.45)
+    legs = tuple(one.legs[2].model_copy(update={"leg": leg}) for leg in LEGS)
+    return one.model_copy(update={"legs": legs}).model_dump_json()
 
 
 if __name__ == "__main__":

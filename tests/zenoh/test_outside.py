@@ -32,26 +32,12 @@ def opened(device: Path) -> int:
     return os.open(device, os.O_RDWR)
 
 
-def test_a_gateway_sees_it_at_work_and_its_end(device: Path) -> None:
+def test_a_gateway_sees_it_at_work_and_it_stays_until_the_gateway_knows_of_its_end(device: Path) -> None:
     gateway = Listener(opened(device))
     assert not gateway.look()
     notice = Notice(str(device))
     notice.give()
     assert notice.gateway_runs
-    assert gateway.look()
-    assert gateway.look()
-    end = threading.Thread(target=notice.end)
-    end.start()
-    while gateway.look():
-        pass
-    end.join()
-    assert not gateway.look()
-
-
-def test_it_stays_until_the_gateway_has_looked_and_knows_of_its_end(device: Path) -> None:
-    gateway = Listener(opened(device))
-    notice = Notice(str(device))
-    notice.give()
     ended: list[bool] = []
     end = threading.Thread(target=lambda: ended.append(notice.end()))
     end.start()
@@ -60,6 +46,7 @@ def test_it_stays_until_the_gateway_has_looked_and_knows_of_its_end(device: Path
         pass
     end.join()
     assert ended == [True]
+    assert not gateway.look()
 
 
 def test_a_gateway_that_never_looks_is_not_waited_for_long(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
