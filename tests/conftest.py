@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import get_context
 from multiprocessing.pool import AsyncResult
+from pathlib import Path
 
 import async_solipsism
 import pytest
@@ -46,6 +47,11 @@ def pytest_asyncio_loop_factories(
     if item.get_closest_marker("virtual_time"):
         return {"virtual": async_solipsism.EventLoop}
     return {"real": asyncio.new_event_loop}
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """pytest's hook."""
+    return schedule.is_elsewhere(collection_path, config.option.markexpr) or None
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -2,10 +2,12 @@
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import pytest
 
+TESTS: Final = Path(__file__).parents[1]
 ORDER: Final = (
     "box",
     "console",
@@ -55,6 +57,8 @@ TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
 SEARCHES: Final = "test_every_reachable_state"
 """The model check's: it waits for processes of its own, which search while others run alone."""
+STAGES: Final = {"alone": (*ALONE, "fuzz/test_model_check.py"), "attended": ATTENDED}
+"""By the mark that `make test` asks for: where its tests are."""
 
 
 def arrange(items: list[pytest.Item]) -> None:
@@ -74,6 +78,11 @@ def arrange(items: list[pytest.Item]) -> None:
         return ORDER.index(folder) if folder in ORDER else -1
 
     items.sort(key=place)
+
+
+def is_elsewhere(path: Path, stage: str) -> bool:
+    """Whether a file has no test of this stage; to import it for the sake of its marks would take its time."""
+    return stage in STAGES and path.suffix == ".py" and not _is_among(str(path.relative_to(TESTS)), STAGES[stage])
 
 
 def give_way() -> None:
