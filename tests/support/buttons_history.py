@@ -8,7 +8,7 @@ from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRe
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
-from tests.support.history import demand
+from tests.support.history import cloned, demand
 
 MOST_BUTTONS = 16
 DRIFT = 5000
@@ -41,10 +41,7 @@ class ButtonsHistory:
 
     def clone(self) -> Self:
         """A copy."""
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        other.known = dict(self.known)
-        return other
+        return cloned(self, known=dict(self.known))
 
     def key(self, now_ns: int) -> tuple[object, ...]:
         """What of it still matters; one token is as good as another, and so is a count."""

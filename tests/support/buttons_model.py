@@ -9,6 +9,7 @@ from gateway.robot.core.events import ButtonDo, ButtonRequest, Event
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from tests.support.buttons_history import ButtonsHistory
+from tests.support.history import cloned
 
 _FIELDS: Final = vars(Buttons(Rules())).keys()
 _KNOWN: Final = {"_required", "_timeout_ns", "_by_token", "closed", "fell_ns", "alive", "due_ns", "changes"}
@@ -20,11 +21,8 @@ if _FIELDS != _KNOWN or _OF_EACH != _KNOWN_OF_EACH:
 
 def copied_buttons(buttons: Buttons) -> Buttons:
     """A copy that shares nothing that changes."""
-    other = object.__new__(type(buttons))
-    other.__dict__.update(buttons.__dict__)
-    other._by_token = {token: replace(button) for token, button in buttons._by_token.items()}
-    other.changes = buttons.changes.copy()
-    return other
+    by_token = {token: replace(button) for token, button in buttons._by_token.items()}
+    return cloned(buttons, _by_token=by_token, changes=buttons.changes.copy())
 
 
 def buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:

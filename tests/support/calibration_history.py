@@ -5,7 +5,6 @@ another reading of them.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from copy import copy
 from typing import NamedTuple, Self
 
 from gateway.robot.core.calibration import Calibration, ServoChange
@@ -104,10 +103,6 @@ class CalibrationHistory:
         self.whole = Whole.of(calibration)
         self.trusted = fault is None
         self.on_its_way: _OnItsWay | None = None
-
-    def clone(self) -> Self:
-        """A copy; nothing that it has ever changes."""
-        return copy(self)
 
     def key(self) -> tuple[object, ...]:
         """What of it still matters."""

@@ -1,7 +1,7 @@
 """The calibration in the model check: what may be asked of it, how it is copied, and what of it tells states apart."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import Final
 
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.calibration import Calibration, Change
@@ -10,6 +10,7 @@ from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.calibration_history import CalibrationHistory
+from tests.support.history import cloned
 
 _KNOWN: Final = [
     {"_limits_cdeg", "_landing_cdeg", "_avoid_cdeg", "calibration", "wire", "limited"},
@@ -22,12 +23,8 @@ if _FIELDS != _KNOWN:
 
 def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:
     """Give `other` a calibration of its own, that of `supervisor`; to be called once it has its own legs."""
-    reach: Any = object.__new__(type(supervisor._reach))
-    reach.__dict__.update(supervisor._reach.__dict__)
-    calibrating: Any = object.__new__(type(supervisor.calibrating))
-    calibrating.__dict__.update(supervisor.calibrating.__dict__)
-    other._reach = other.legs._reach = calibrating._reach = reach
-    other.calibrating = calibrating
+    other._reach = other.legs._reach = cloned(supervisor._reach)
+    other.calibrating = cloned(supervisor.calibrating, _reach=other._reach)
 
 
 def _key(calibration: Calibration) -> tuple[object, ...]:

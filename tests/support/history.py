@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from operator import attrgetter
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 from gateway.robot.core.events import Announce, Command, Effect, Rejected, Reset, StoppedOutside
 from gateway.robot.core.leg import Rules
@@ -14,6 +14,7 @@ from schemas.telemetry import Kind, Mode, Reason
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
 """Modes in which every command is rejected, and for what."""
 NOBODY = "somebody without a name"
+T = TypeVar("T")
 STOP_SERVOS = {
     "stop-servos at work": StoppedOutside(at_work=True),
     "stop-servos ended": StoppedOutside(at_work=False),
@@ -45,6 +46,13 @@ def is_newer(reset: Reset, age_ns: int, estops: int, rules: Rules) -> bool:
     if reset.estop is None:
         return age_ns >= rules.unnumbered_reset_ns
     return reset.estop == estops and age_ns > 0
+
+
+def cloned(thing: T, **changed: object) -> T:
+    """A copy with the same attributes, but these; copy.copy takes four times as long."""
+    other = object.__new__(type(thing))
+    other.__dict__.update(thing.__dict__, **changed)
+    return other
 
 
 class Want(NamedTuple):

@@ -1,7 +1,6 @@
 """What a judge of the supervisor remembers of the lease, and what it demands of each request; see `oracle.py`."""
 
 from collections.abc import Sequence
-from typing import Self
 
 from gateway.robot.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
 from gateway.robot.core.leg import Rules
@@ -26,12 +25,6 @@ class LeaseHistory:
         self.askers: tuple[str, ...] = ()
         self.is_new = False
         """Whether somebody has acquired it in this step."""
-
-    def clone(self) -> Self:
-        """A copy."""
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        return other
 
     def key(self, now_ns: int) -> tuple[object, ...]:
         """What of it still matters; one token is as good as another."""

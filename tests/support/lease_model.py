@@ -6,6 +6,7 @@ from typing import Final
 from gateway.robot.core.events import Do, Event, LeaseRequest
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Rules
+from tests.support.history import cloned
 from tests.support.lease_history import LeaseHistory
 
 _FIELDS: Final = vars(Lease(Rules())).keys()
@@ -16,11 +17,7 @@ if _FIELDS != _KNOWN:
 
 def copied_lease(lease: Lease) -> Lease:
     """A copy that shares nothing that changes."""
-    other = object.__new__(type(lease))
-    other.__dict__.update(lease.__dict__)
-    other._askers = dict(lease._askers)
-    other.changes = lease.changes.copy()
-    return other
+    return cloned(lease, _askers=dict(lease._askers), changes=lease.changes.copy())
 
 
 def lease_key(lease: Lease, now_ns: int) -> tuple[object, ...]:

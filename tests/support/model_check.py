@@ -40,7 +40,7 @@ from tests.support.buttons_history import ButtonsHistory
 from tests.support.buttons_model import button_requests, buttons_key, copied_buttons
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.calibration_model import calibrating_key, changes, copy_calibrating
-from tests.support.history import STOP_SERVOS, Violation, demand, speed_age_ns
+from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
 from tests.support.lease_history import LeaseHistory
 from tests.support.lease_model import copied_lease, lease_key, lease_requests, tokens
 from tests.support.motion import landing_key
@@ -132,10 +132,7 @@ def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
 
 def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
-    other = object.__new__(type(supervisor))
-    other.__dict__.update(supervisor.__dict__)
-    other.legs = legs = object.__new__(type(supervisor.legs))
-    legs.__dict__.update(supervisor.legs.__dict__)
+    legs = cloned(supervisor.legs)
     by_number: dict[int, Leg] = {}
     for number, leg in supervisor.legs.by_number.items():
         first, second, third = (type(servo)(*_servo_fields(servo)) for servo in leg.servos)
@@ -143,7 +140,8 @@ def copied(supervisor: Supervisor) -> Supervisor:
         _, _, _, *rest = _leg_fields(leg)
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
-    other.lease, other.buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
+    lease, buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
+    other = cloned(supervisor, legs=legs, lease=lease, buttons=buttons)
     copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))

@@ -11,7 +11,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Mode, Reason
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
-from tests.support.history import CLOSED, LegHistory, ServoHistory, demand
+from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand
 from tests.support.lease_history import LeaseHistory
 from tests.support.motion import LandingHistory
 
@@ -49,15 +49,16 @@ class RobotHistory:
 
     def clone(self) -> Self:
         """A copy that shares nothing that changes."""
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        other.legs = {number: leg.clone() for number, leg in self.legs.items()}
-        other.servos = {servo_id: servo.clone() for servo_id, servo in self.servos.items()}
-        other.pending = dict(self.pending)
-        other.landing = self.landing and self.landing.clone()
-        other.lease, other.calibration = self.lease.clone(), self.calibration.clone()
-        other.buttons = self.buttons.clone()
-        return other
+        return cloned(
+            self,
+            legs={number: leg.clone() for number, leg in self.legs.items()},
+            servos={servo_id: servo.clone() for servo_id, servo in self.servos.items()},
+            pending=dict(self.pending),
+            landing=self.landing and self.landing.clone(),
+            lease=cloned(self.lease),
+            calibration=cloned(self.calibration),
+            buttons=self.buttons.clone(),
+        )
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
         """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""

@@ -175,15 +175,6 @@ def test_stops_are_not_tried_for_ever(step_ns: int, calls: int) -> None:
     assert sum(bus.transfer_latency.buckets) == 1 + calls
 
 
-def test_what_failed_is_followed_by_a_preamble_for_all_that_comes() -> None:
-    scene = Scene(PREFIXED)
-    scene.device.begin({1})
-    scene.bus.write([START_11])
-    scene.device.begin(())
-    scene.bus.write([START_2])
-    assert scene.device.seen == [*[ZERO] * PREAMBLE_ZEROS, *scene.transfers(START_2)]
-
-
 # ---- the bus in virtual time: when the preamble is written and when not
 
 
