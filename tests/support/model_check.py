@@ -1,17 +1,13 @@
 """An exhaustive check of the supervisor: every state that small robots can reach, each step judged by the oracle.
 
-`python -m tests.support.model_check` prints for each configuration states and steps seen, and whether that is all.
-
 Breadth first from a supervisor that has just been made: in every state, every event that `TRANSITIONS` allows there is
 tried at every distance in time that the configuration has: at once (the same instant), a tick later, in the same
 instant or in one of its own, and so late that several deadlines are jumped over. Two states are one if nothing in them
 differs relative to now, so the clock does not make them infinite, and the search ends when no step leads to a new one:
-no depth limits it. What is small is the robot
-(one or two legs, a few commands, one or two angles) and the resolution of time (a tick is half a leg's period, or a
-quarter of it).
+no depth limits it. What is small is the robot (one or two legs, a few commands, one or two angles) and the resolution
+of time (a tick is half a leg's period, or a quarter of it).
 """
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -45,7 +41,7 @@ from tests.support.lease_history import LeaseHistory
 from tests.support.lease_model import copied_lease, lease_key, lease_requests, tokens
 from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
-from tests.support.small_robots import CONFIGURATIONS, Configuration
+from tests.support.small_robots import Configuration
 from tests.support.transitions import LEASE_TRANSITIONS, TRANSITIONS
 
 
@@ -55,7 +51,6 @@ class Report:
 
     states: int
     steps: int
-    seconds: float
 
 
 # ---- states: copied, and told apart
@@ -339,7 +334,6 @@ def _what_follows(legs: Legs) -> tuple[object, ...]:
 
 def check(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> Report:
     """Visit every reachable state. Raises Violation, with the shortest way to it, where a promise is broken."""
-    started = time.monotonic()
     seen: set[Key] = set()
     frontier = deque([start(configuration, make)])
     steps = 0
@@ -349,22 +343,4 @@ def check(configuration: Configuration, make: Callable[[Rules], Supervisor] = Su
             if found not in seen:
                 seen.add(found)
                 frontier.append(state)
-    return Report(len(seen), steps, time.monotonic() - started)
-
-
-def main() -> None:
-    """Check all configurations and say what was seen."""
-    total = 0.0
-    for configuration in CONFIGURATIONS:
-        report = check(configuration)
-        total += report.seconds
-        print(
-            f"{configuration.name}: {report.states} states, {report.steps} steps, all of them seen, "
-            f"in {report.seconds:.1f} s",
-            flush=True,
-        )
-    print(f"no promise broken; {total:.1f} s")
-
-
-if __name__ == "__main__":
-    main()
+    return Report(len(seen), steps)

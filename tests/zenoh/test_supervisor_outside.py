@@ -8,18 +8,15 @@ from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 def test_all_count_as_stopped_and_get_a_stop_from_here_too() -> None:
     robot = Steps()
     robot.command(100, legs_to("36", "start 90"))
-    assert robot.outside(110, at_work=True) == [*all_stopped("repeat"), "announce stopped_outside"]
+    robot.command(101, leg_to(3, "set 80"))
+    assert robot.outside(102, at_work=True) == [
+        *all_stopped("repeat"),
+        "rejected 2 servo_stopped",
+        "announce stopped_outside",
+    ]
     assert robot.running == []
     assert robot.supervisor.mode is Mode.IDLE
     assert robot.due_ms is None, "there is nothing to watch any more"
-
-
-def test_what_waited_is_rejected() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "set 80"))
-    assert "rejected 2 servo_stopped" in robot.outside(102, at_work=True)
-    assert robot.time(1000) == []
 
 
 def test_starts_and_sets_are_rejected_until_it_has_ended_and_stops_are_taken() -> None:
@@ -49,14 +46,6 @@ def test_the_stops_are_repeated_although_the_program_has_ended() -> None:
     assert robot.time(120) == all_stopped("repeat")
     assert robot.time(140) == all_stopped("repeat")
     assert robot.due_ms is None
-
-
-def test_the_latch_of_an_emergency_stop_stays() -> None:
-    robot = Steps()
-    robot.estop(100)
-    assert robot.outside(110, at_work=True)[:6] == all_stopped("repeat")
-    robot.outside(120, at_work=False)
-    assert robot.supervisor.mode is Mode.ESTOPPED
 
 
 def test_beside_a_bus_fault_nothing_is_sent_until_the_bus_answers() -> None:

@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given
 
-from gateway.robot.protocol.frames import Frame, stop_leg
+from gateway.robot.protocol.frames import Frame
 from gateway.robot.protocol.framing import Framing, avoided_by
 from tests.unit.robot.test_frames import frames
 
@@ -13,16 +13,6 @@ def test_the_names_of_the_configuration() -> None:
     assert Framing("plain") is Framing.PLAIN
     with pytest.raises(ValueError, match="prefixed"):
         Framing("prefixed")
-
-
-def test_plain_is_one_transfer() -> None:
-    frame = bytes.fromhex("06 02 20 02 00 00")
-    assert Framing.PLAIN.transfers(frame) == (frame,)
-
-
-def test_the_length_goes_ahead_in_a_transfer_of_its_own() -> None:
-    frame = stop_leg(1).to_bytes()
-    assert Framing.LENGTH_PREFIXED.transfers(frame) == (b"\x0e", frame)
 
 
 def test_only_length_prefixed_has_a_preamble() -> None:
