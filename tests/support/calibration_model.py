@@ -1,24 +1,12 @@
 """The calibration in the model check: what may be asked of it, how it is copied, and what of it tells states apart."""
 
 from collections.abc import Iterator, Sequence
-from typing import Final
 
-from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.calibration import Calibration, Change
 from gateway.robot.core.events import Calibrate, Event, Kept
-from gateway.robot.core.joint_limits import Reach
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import cloned
-
-_KNOWN: Final = [
-    {"_limits_cdeg", "_landing_cdeg", "_avoid_cdeg", "calibration", "wire", "limited"},
-    {"_reach", "fault", "guards", "_on_its_way", "_delay"},  # _delay: words for people, which decide nothing
-]
-_FIELDS: Final = [set(vars(part)) for part in (Reach(Rules()), Calibrating(Reach(Rules())))]
-if _FIELDS != _KNOWN:
-    raise TypeError(f"reach and calibrating have the fields {_FIELDS}; the model checker knows {_KNOWN}")
 
 
 def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:

@@ -97,6 +97,11 @@ def all_stopped(cause: str) -> list[str]:
     return [f"{cause} {number} stop" for number in range(1, 7)]
 
 
+def staggered(pause_ms: float = 50) -> "Steps":
+    """A robot whose legs are energised one after the other."""
+    return Steps(Rules(repeats=0, start_pause_ns=round(pause_ms * NS_PER_MS)))
+
+
 def _ns(at_ms: float) -> int:
     return round((60_000 + at_ms) * NS_PER_MS)
 
@@ -144,6 +149,11 @@ class Steps:
         """The only effect of this kind that the latest step has."""
         (found,) = [effect for effect in self.effects if isinstance(effect, kind)]
         return found
+
+    @property
+    def announced(self) -> list[Announce]:
+        """What the latest step says to everybody."""
+        return [effect for effect in self.effects if isinstance(effect, Announce)]
 
     @property
     def detail(self) -> str:

@@ -66,10 +66,11 @@ class Buttons:
     """The buttons of one robot. One owner, one thread."""
 
     def __init__(self, rules: Rules) -> None:
-        self._required = rules.buttons_required
+        self.required = rules.buttons_required
+        """How many must be alive."""
         self._timeout_ns = rules.buttons_timeout_ns
         self._by_token: dict[str, Button] = {}
-        self.closed = self._required > 0
+        self.closed = self.required > 0
         """Whether fewer are alive than are required."""
         self.fell_ns: int | None = None
         """Since when, if enough were alive before."""
@@ -79,11 +80,6 @@ class Buttons:
         """When the next of them falls silent."""
         self.changes: Counter[Kind] = Counter()
         """How often what has happened to them."""
-
-    @property
-    def required(self) -> int:
-        """How many must be alive."""
-        return self._required
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -183,7 +179,7 @@ class Buttons:
         times_ns = [button.until_ns for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min(times_ns, default=None)
         self.alive = len(times_ns)
-        closed, self.closed = self.closed, self.alive < self._required
+        closed, self.closed = self.closed, self.alive < self.required
         if not self.closed:
             self.fell_ns = None
             return False
@@ -193,9 +189,9 @@ class Buttons:
 
     def _count(self) -> str:
         are = "is" if self.alive == 1 else "are"
-        if not self._required:
+        if not self.required:
             return f"{self.alive} {are} alive, and none is required"
-        return f"{self.alive} of the {self._required} buttons that are required {are} alive"
+        return f"{self.alive} of the {self.required} buttons that are required {are} alive"
 
     def _answer(self, token: str | None = None) -> ButtonAnswer:
         return ButtonAnswer(token=token, alive=self.alive)

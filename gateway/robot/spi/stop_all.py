@@ -26,11 +26,7 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
     It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. Each batch is
     atomic on the bus, so none comes into a frame of the gateway's.
     """
-
-    def open_device() -> KernelDevice:
-        return KernelDevice(spi.device, spi.speed_hz, exclusive=False)
-
-    bus = Bus(spi, open_device)
+    bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))
     notice = Notice(spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None

@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.robot.core.buttons import DRIFT_PPM, MOST_BUTTONS, Buttons
-from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest
+from gateway.robot.core.events import ButtonAnswer, ButtonDo, ButtonRequest
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
@@ -30,12 +30,6 @@ def watched(required: int = 1, landing_ms: int = 0) -> Steps:
     if required == 1:
         assert robot.command(1, START) == ["command 1 start 90", "completed 1"]
     return robot
-
-
-def announced(robot: Steps) -> Announce:
-    """What is told of the latest step."""
-    found = [effect for effect in robot.effects if isinstance(effect, Announce)]
-    return found[0]
 
 
 def at_ns(at_ms: float) -> int:
@@ -80,7 +74,7 @@ def test_where_none_is_required_buttons_come_and_go_and_stop_nothing() -> None:
     robot.button(0, "register", "kitchen")
     robot.button(0, "alive", "kitchen", 1)
     assert robot.time(TIMEOUT_MS) == ["announce button_silent"]
-    assert announced(robot).legs == ()
+    assert robot.announced[0].legs == ()
     assert robot.running
 
 
@@ -92,7 +86,7 @@ def test_all_six_legs_stop_when_the_last_one_that_counts_falls_silent() -> None:
     assert robot.due_ms == TIMEOUT_MS
     assert robot.time(TIMEOUT_MS - 1) == []
     assert robot.time(TIMEOUT_MS) == [*all_stopped("watchdog"), "announce button_silent"]
-    told = announced(robot)
+    told = robot.announced[0]
     assert (told.source, told.key, told.legs) == ("kitchen", None, (1, 2, 3, 4, 5, 6)), "nobody asked for it"
     assert told.detail == (
         "the button kitchen was not heard for 1000 ms; 0 of the 1 buttons that are required are alive; "
@@ -154,7 +148,7 @@ def test_one_of_two_that_are_required_is_not_enough() -> None:
     robot.command(501, START)
     robot.button(999, "alive", "door", 2)
     assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog"), "the kitchen is silent, whoever else is alive"
-    assert announced(robot).source == "kitchen"
+    assert robot.announced[0].source == "kitchen"
 
 
 def test_a_third_button_makes_up_for_a_silent_one() -> None:
@@ -162,7 +156,7 @@ def test_a_third_button_makes_up_for_a_silent_one() -> None:
     robot.button(10, "register", "door")
     robot.button(500, "alive", "door", 1)
     assert robot.time(TIMEOUT_MS) == ["announce button_silent"]
-    assert announced(robot).legs == ()
+    assert robot.announced[0].legs == ()
     assert robot.running
     assert robot.time(1500)[:6] == all_stopped("watchdog")
 
@@ -172,8 +166,7 @@ def test_two_that_fall_silent_in_one_step_are_told_in_their_order() -> None:
     robot.button(10, "register", "door")
     robot.button(10, "alive", "door", 1)
     assert robot.time(2000) == [*all_stopped("watchdog"), "announce button_silent", "announce button_silent"]
-    told = [effect for effect in robot.effects if isinstance(effect, Announce)]
-    assert [(each.source, bool(each.legs)) for each in told] == [("kitchen", False), ("door", True)]
+    assert [(each.source, bool(each.legs)) for each in robot.announced] == [("kitchen", False), ("door", True)]
 
 
 def test_the_stop_is_known_to_be_late_from_the_buttons_own_deadline() -> None:
@@ -206,7 +199,7 @@ def test_a_bus_fault_does_not_keep_a_button_from_falling_silent() -> None:
 def test_where_a_landing_is_configured_it_begins_and_ends_in_time() -> None:
     robot = watched(landing_ms=400)
     assert robot.time(TIMEOUT_MS) == ["announce button_silent", "announce landing"]
-    assert announced(robot).detail.endswith("the robot lands")
+    assert robot.announced[0].detail.endswith("the robot lands")
     assert robot.command(1100, SET) == ["rejected 2 landing"]
     robot.button(1200, "alive", "kitchen", 2)
     took = robot.time(1400)
@@ -243,7 +236,7 @@ def test_a_name_registers_once_and_the_older_registration_ends() -> None:
     robot.oracle.buttons.known["the first"] = robot.oracle.buttons.known.pop("kitchen")
     took = robot.button(10, "register", "kitchen")
     assert took == [*all_stopped("watchdog"), "announce button_registered", "button granted, 0 alive"]
-    assert announced(robot).detail.startswith("kitchen is registered as a button, in place of the one of that name")
+    assert robot.announced[0].detail.startswith("kitchen is registered as a button, in place of the one of that name")
     assert robot.button(11, "alive", "the first", 2) == ["button unknown_button, 0 alive"]
     assert robot.button(12, "alive", "kitchen", 0) == ALIVE
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.core.events import Announce, Do, LeaseAnswer, LeaseRequest
+from gateway.robot.core.events import Do, LeaseAnswer, LeaseRequest
 from gateway.robot.core.lease import MOST_ASKERS, Lease, LeaseState
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind
@@ -28,7 +28,7 @@ def answer_to(robot: Steps, at_ms: float, request: LeaseRequest) -> LeaseAnswer:
 
 
 def told(robot: Steps) -> list[tuple[Kind, str | None, str]]:
-    return [(each.kind, each.source, each.detail) for each in robot.effects if isinstance(each, Announce)]
+    return [(each.kind, each.source, each.detail) for each in robot.announced]
 
 
 # ---- free

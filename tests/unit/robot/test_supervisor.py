@@ -3,10 +3,9 @@
 import pytest
 
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Mode, WatchdogState
-from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
+from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to, staggered
 
 # ---- 1, start; 2, start before set
 
@@ -245,10 +244,6 @@ def test_a_stop_among_moves_wins_too() -> None:
 
 
 JOINTS = pytest.mark.parametrize("joint", [1, 2, 3])
-
-
-def staggered(pause_ms: int) -> Steps:
-    return Steps(Rules(repeats=0, start_pause_ns=pause_ms * NS_PER_MS))
 
 
 # ---- each joint

@@ -39,10 +39,6 @@ TURN_32 = Change({32: ServoChange(trim_cdeg=-5_00, inverted=True)}, {})
 NOTHING = Change({}, {})
 
 
-def announced(steps: Steps) -> list[Announce]:
-    return [effect for effect in steps.effects if isinstance(effect, Announce)]
-
-
 # ---- angles
 
 
@@ -121,7 +117,7 @@ def test_a_change_is_in_force_once_it_is_kept() -> None:
     assert steps.supervisor.calibrating.in_force == Calibration()
     assert steps.kept(50) == ["announce calibrated", "completed 1"]
     told = "calibration 1 is in force; it changes servo 32"
-    assert announced(steps) == [Announce(Kind.CALIBRATED, told, "anna", "hexapod/calibration/cmd")]
+    assert steps.announced == [Announce(Kind.CALIBRATED, told, "anna", "hexapod/calibration/cmd")]
     assert steps.supervisor.calibrating.in_force == Calibration(1, {32: ServoCalibration(-5_00, inverted=True)})
     assert steps.command(51, servo_to(32, "start 90")) == ["command 32 start 85", "completed 2"]
 
@@ -152,7 +148,7 @@ def test_what_is_named_but_stays_as_it_is_may_run() -> None:
     assert steps.calibrate(1, Change({32: ServoChange(trim_cdeg=7_00)}, {})) == ["keep 2"]
     assert steps.command(2, servo_to(32, "set 91")) == []  # it waits for its rate slot, for nothing else
     assert steps.kept(3) == ["announce calibrated", "completed 2"]
-    assert announced(steps)[0].detail == "calibration 4 is in force; it changes nothing"
+    assert steps.announced[0].detail == "calibration 4 is in force; it changes nothing"
 
 
 def test_the_landing_pose_is_changed_while_the_robot_stands() -> None:
@@ -160,7 +156,7 @@ def test_the_landing_pose_is_changed_while_the_robot_stands() -> None:
     steps.command(0.5, leg_to(3, "start 90"))
     assert steps.calibrate(1, Change({}, {32: 90_00})) == ["keep 2"]
     steps.kept(2)
-    assert announced(steps)[0].detail == "calibration 1 is in force; it changes the landing pose"
+    assert steps.announced[0].detail == "calibration 1 is in force; it changes the landing pose"
 
 
 def test_nothing_that_is_changed_starts_meanwhile() -> None:
@@ -272,7 +268,7 @@ def test_the_default_is_accepted_once_it_is_kept() -> None:
     assert steps.calibrate(4, NOTHING, accept_default=True) == ["keep 4"]
     assert steps.kept(5) == ["announce calibrated", "completed 4"]
     expected = "the default calibration is taken as this robot's; calibration 7 is in force; it changes nothing"
-    assert announced(steps)[0].detail == expected
+    assert steps.announced[0].detail == expected
     assert steps.supervisor.calibrating.fault is None
     assert steps.command(6, servo_to(11, "start 90")) == ["command 11 start 90", "completed 5"]
     assert steps.supervisor.mode is Mode.ACTIVE
@@ -285,7 +281,7 @@ def test_the_default_is_what_is_accepted_and_not_what_was_loaded() -> None:
     assert steps.supervisor.calibrating.in_force == Calibration(4, {11: ServoCalibration(1_00)})
 
 
-# ---- whatever comes: the default calibration changes no byte, and another one nothing but the angles on the wire
+# ---- whatever comes: a calibration changes nothing but the angles on the wire
 
 
 MOST_TRIM_CDEG = 20_00
@@ -348,37 +344,26 @@ def as_users_count(effects: list[Effect], calibration: Calibration) -> list[Effe
     ]
 
 
-def bytes_of(effects: list[Effect]) -> list[bytes]:
-    return [effect.frame.to_bytes() for effect in effects if isinstance(effect, Transmit)]
-
-
 @given(st.sampled_from(RULES), streams, trimmed, st.booleans())
 def test_a_calibration_changes_nothing_but_the_angles_on_the_wire(
     rules: Rules, stream: list[tuple[int, Event]], servos: dict[int, ServoCalibration], wakes: bool
 ) -> None:
     """Beside a robot that no calibration was ever loaded for: the same frames, answers and times."""
-    plain, default, calibrated = (_Numbered(Supervisor(rules)) for _ in range(3))
+    plain, calibrated = _Numbered(Supervisor(rules)), _Numbered(Supervisor(rules))
     calibration = Calibration(4, servos)
-    default.supervisor.calibrating.load(Calibration(9, dict.fromkeys(SERVO_IDS, ServoCalibration())))
     calibrated.supervisor.calibrating.load(calibration)
     now_ns = 1
     for wait_ms, event in ((0, BusOpened()), *stream):
         until_ns = now_ns + wait_ms * NS_PER_MS
         while wakes and (due_ns := plain.supervisor.due_ns) is not None and due_ns <= until_ns:
             now_ns = max(now_ns, due_ns)
-            _agree(plain, default, calibrated, calibration, TimePassed(), now_ns)
+            _agree(plain, calibrated, calibration, TimePassed(), now_ns)
         now_ns = until_ns
-        _agree(plain, default, calibrated, calibration, event, now_ns)
+        _agree(plain, calibrated, calibration, event, now_ns)
 
 
-def _agree(
-    plain: _Numbered, default: _Numbered, calibrated: _Numbered, calibration: Calibration, event: Event, now_ns: int
-) -> None:
+def _agree(plain: _Numbered, calibrated: _Numbered, calibration: Calibration, event: Event, now_ns: int) -> None:
     effects = plain.take(event, now_ns)
-    same = default.take(event, now_ns)
-    assert same == effects
-    assert bytes_of(same) == bytes_of(effects)
     assert as_users_count(calibrated.take(event, now_ns), calibration) == effects
-    for other in (default, calibrated):
-        assert other.supervisor.due_ns == plain.supervisor.due_ns
-        assert other.supervisor.mode == plain.supervisor.mode
+    assert calibrated.supervisor.due_ns == plain.supervisor.due_ns
+    assert calibrated.supervisor.mode == plain.supervisor.mode

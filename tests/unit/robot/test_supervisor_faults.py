@@ -14,11 +14,10 @@ from gateway.robot.core.events import (
     TimePassed,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied
-from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
+from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to, staggered
 from tests.support.transitions import TRANSITIONS
 
 # ---- 6, bus fault
@@ -82,10 +81,6 @@ def test_an_emergency_stop_before_the_bus_was_ever_open_latches() -> None:
 
 
 # ---- starts one after the other
-
-
-def staggered(pause_ms: float = 50) -> Steps:
-    return Steps(Rules(repeats=0, start_pause_ns=round(pause_ms * NS_PER_MS)))
 
 
 def test_legs_are_energised_with_a_pause_between_them() -> None:
