@@ -15,7 +15,6 @@ from gateway.errors import ZenohError
 from gateway.people.client.diagnosis import TIMEOUT_S as LOOK_S
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port
-from tests.support.tmux import Terminal, need_tmux
 
 LATER_S = 0.5
 SLACK_S = 0.5
@@ -68,16 +67,6 @@ def test_every_command_goes_by_the_second_host_and_ends_well(tmp_path: Path, com
         with closing(child):
             assert child.wait() == 0, child
             assert not child.stderr or command == ["estop"], child
-
-
-def test_watch_shows_and_stops_by_the_second_host(tmp_path: Path) -> None:
-    need_tmux()
-    with Gateway(tmp_path) as gateway, no_way("silent") as nowhere:
-        config = hosts_file(tmp_path, nowhere, gateway.endpoint)
-        with Terminal(tmp_path, [*COMMAND, "watch", "--zenoh-config", str(config)]) as terminal:
-            terminal.wait("IDLE")
-            terminal.press("Space")
-            terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
 
 
 def test_nobody_anywhere_is_a_line_for_each_host_in_time(tmp_path: Path) -> None:

@@ -41,9 +41,6 @@ class Timer:
         self.when_ns = when_ns
         self._call: tuple[Callable[..., object], tuple[object, ...]] | None = (callback, arguments)
 
-    def when(self) -> float:
-        return self.when_ns / 1e9
-
     def cancel(self) -> None:
         self._call = None
 
@@ -86,9 +83,6 @@ class VirtualLoop:
 
     def call_later(self, delay_s: float, callback: Callable[..., object], *arguments: object) -> Timer:
         return self.at_ns(self.clock_ns + round(delay_s * 1e9), callback, *arguments)
-
-    def call_soon(self, callback: Callable[..., object], *arguments: object) -> Timer:
-        return self.at_ns(self.clock_ns, callback, *arguments)
 
     def step(self) -> None:
         """Run the next timer."""

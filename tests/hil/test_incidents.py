@@ -81,7 +81,8 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
             "zenoh": {"listen": [endpoint]},
             "spi": {"framing": Framing.LENGTH_PREFIXED},
             # A repeated Stop whose preamble met the planted fault would be tried nevertheless, and counts as failed.
-            "watchdog": {"repeats": 0},
+            # And a busy machine must not stop the leg before the fault does.
+            "watchdog": {"repeats": 0, "timeout_ms": 1000},
             "recorder": {"path": str(tmp_path / "box"), "seconds": 60},
         },
     )

@@ -86,7 +86,6 @@ JUDGES: Final = {
         *_CHECKER,
         f"{_UNIT}test_buttons_conductor.py",
         *_CALIBRATION_REQUESTS,
-        "tests/zenoh/test_lease.py",
     ),
     "gateway/robot/host/ownership.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
     "gateway/robot/core/message.py": _INBOX,

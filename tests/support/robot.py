@@ -56,7 +56,6 @@ class Robot:
         self.controller = FaultyController(self.settings.spi.framing, clock=self.now_ns)
         self.openings_ns: list[int] = []
         self.reports: list[tuple[str, BaseModel]] = []
-        self._acks: list[tuple[int, Ack]] = []
         self._waiting: list[Received] = []
         self.instant_open = False
         self.conductor = Conductor(

@@ -150,19 +150,6 @@ def test_a_zenoh_that_cannot_be_opened_ends_it_with_lines_for_people(
         assert "Traceback" not in gateway.child.stderr
 
 
-def test_a_wrong_configuration_ends_it_with_2_and_one_line_per_fault(tmp_path: Path) -> None:
-    path = write_settings(
-        tmp_path / "gateway.toml",
-        {"watchdog": {"timeout_ms": 5}, "limits": {"leg_rate": 50}, "spi": {"speed_hz": "fast"}},
-    )
-    end = subprocess.run([*COMMAND, "run", "--sim", "--config", path], capture_output=True, text=True, check=False)
-    assert end.returncode == 2
-    lines = end.stderr.splitlines()
-    assert len(lines) == 3
-    assert all(line.startswith(f"hexapod-gateway: {path}: ") for line in lines)
-    assert {re.split(": ", line)[2] for line in lines} == {"watchdog.timeout_ms", "limits.leg_rate", "spi.speed_hz"}
-
-
 FAULTY = """
 import atexit, os, sys
 from gateway import cli
