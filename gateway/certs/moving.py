@@ -34,7 +34,7 @@ def revoke(
     """
     now = now or folder.now_utc()
     ca, known = folder.load_ca(directory, now), folder.revoked(directory)
-    before = {entry.common_name: entry for each in (known, known_there) if each is not None for entry in each.entries}
+    before = _entries(known, known_there)
     present = [each for each in folder.expiries(directory) if _is_laptop(each)]
     everyone = [*present, *folder.earlier(directory)]
     chosen = [each for each in everyone if name in (each.path.stem, each.name, each.common_name)]
@@ -68,8 +68,13 @@ def merge(directory: Path, known_there: RevocationList, *, now: dt.datetime | No
     """The folder's list, made newer than the one that a robot has, with everybody whom either shuts out."""
     now = now or folder.now_utc()
     known = folder.revoked(directory)
-    entries = {entry.common_name: entry for each in (known, known_there) if each for entry in each.entries}
-    return _sign(directory, folder.load_ca(directory, now), entries.values(), (known, known_there), now)
+    entries = _entries(known, known_there).values()
+    return _sign(directory, folder.load_ca(directory, now), entries, (known, known_there), now)
+
+
+def _entries(*lists: RevocationList | None) -> dict[str, Revoked]:
+    """All that are shut out by any of these, by their common names."""
+    return {entry.common_name: entry for each in lists if each is not None for entry in each.entries}
 
 
 def reissue(

@@ -121,7 +121,7 @@ def compare(
     differences: list[str] = []
     pairs: list[tuple[int, int]] = []
     for kind in wanted:
-        matching = _Matching(expected, wanted[kind], written, found[kind], lateness)
+        matching = _Matching(lateness, wanted[kind], found[kind])
         pairs += matching.pairs
         if matching.first:
             differences.append(_sentence(kind, matching))
@@ -142,26 +142,22 @@ def compare(
     return Comparison(len(expected), len(pairs), differences, swapped, worst_ms, p99_ms, worst_at_s, beyond)
 
 
-class _Lateness:
+class _Lateness(NamedTuple):
     """How much longer than in the recording a frame took from here to the wire, but for a constant."""
 
-    def __init__(self, expected: Frames, recorded_ns: Sequence[int], sent: Sent, written: Frames) -> None:
-        self._expected = expected
-        self._recorded_ns = recorded_ns
-        self._sent = sent
-        self._written = written
+    expected: Frames
+    recorded_ns: Sequence[int]
+    sent: Sent
+    written: Frames
 
     def between(self, want: int, have: int) -> tuple[int, int]:
         """At least, and at most."""
-        after_ns = self._written.at_ns[have] - self._expected.at_ns[want]
-        step = self._expected.steps[want]
-        if not 0 <= step < len(self._sent):
+        after_ns = self.written.at_ns[have] - self.expected.at_ns[want]
+        step = self.expected.steps[want]
+        if not 0 <= step < len(self.sent):
             return after_ns, after_ns
-        recorded_ns = self._recorded_ns[step]
-        return (
-            after_ns - (self._sent.done_ns[step] - recorded_ns),
-            after_ns - (self._sent.begun_ns[step] - recorded_ns),
-        )
+        recorded_ns = self.recorded_ns[step]
+        return after_ns - (self.sent.done_ns[step] - recorded_ns), after_ns - (self.sent.begun_ns[step] - recorded_ns)
 
 
 _OfLeg = tuple[int, bool]
@@ -179,12 +175,10 @@ def _sorted_out(frames: Frames) -> Mapping[_OfLeg, Sequence[int]]:
 class _Matching:
     """Which of a leg's frames is which: the same bytes in the same order, past what is missing, added or different."""
 
-    def __init__(
-        self, expected: Frames, wanted: Sequence[int], written: Frames, found: Sequence[int], lateness: _Lateness
-    ) -> None:
-        self._expected, self._wanted = expected, wanted
-        self._written, self._found = written, found
+    def __init__(self, lateness: _Lateness, wanted: Sequence[int], found: Sequence[int]) -> None:
         self._lateness = lateness
+        self._expected, self._wanted = lateness.expected, wanted
+        self._written, self._found = lateness.written, found
         self._usual_ns: int | None = None
         self._recent_ns: list[int] = []
         self._run_ends = 0, 0  # of the frames with the same bytes that were counted last
