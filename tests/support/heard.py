@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from gateway.client import Client
 from gateway.robot.protocol.frames import decode
 from schemas import keys
-from schemas.telemetry import Event, FrameRecord, GatewayState
+from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState
 
 R = TypeVar("R", bound=BaseModel)
 
@@ -66,6 +66,10 @@ def is_stop(frame: FrameRecord) -> bool:
 
 def events(client: Client) -> Heard[Event]:
     return Heard(client, keys.EVENT, Event)
+
+
+def bodies(client: Client) -> Heard[BodyReport]:
+    return Heard(client, keys.SIM_BODY, BodyReport)
 
 
 def frames(client: Client) -> Heard[FrameRecord]:

@@ -21,16 +21,15 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.errors import ZenohError
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import load_config
 from schemas import keys
 from schemas.lease import LeaseAck
-from schemas.telemetry import GatewayState, Kind, Mode, Reason
+from schemas.telemetry import GatewayState, Mode, Reason
 from tests.support.certs_folder import contents, fault
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
-from tests.support.heard import Heard, events, states
+from tests.support.heard import states
 from tests.support.zenoh_actor import Remote
 
 DEPLOY = Path(__file__).parents[2] / "deploy" / "zenoh"
@@ -182,21 +181,6 @@ def test_nobody_commands_or_sees_the_robot_of_another(fleet: Fleet, anna: Client
         untouched(bert, before)
     assert not [key for key in seen if not key.startswith("robot-1/")]
     assert anna.state().mode is Mode.IDLE
-
-
-def test_an_observer_watches_and_commands_nothing(fleet: Fleet, anna: Client) -> None:
-    with fleet.present("otto") as otto:
-        heard: Heard[Any] = events(otto)
-        before = otto.state().commands
-        with pytest.raises(ZenohError, match="may you command it"):
-            otto.start_leg(3, 1, 2, 3)
-        otto.publish(keys.leg_command(3), leg_payload("start", (1, 2, 3)))
-        otto.session.put(keys.ESTOP, b"")
-        state = otto.state()
-        assert state.mode is Mode.IDLE
-        assert (state.commands.accepted, state.commands.rejected) == (before.accepted, before.rejected)
-        assert not anna.set_leg(3, 1, 2, 3).accepted
-        assert heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED).source == "anna"
 
 
 def test_a_robot_does_not_speak_for_another(fleet: Fleet, bert: Client) -> None:

@@ -14,12 +14,12 @@ from gateway.client import Client
 from gateway.geometry import ELKAPOD
 from gateway.people.recordings import read
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Kind
+from schemas.telemetry import Ack, Kind
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import Heard, events
+from tests.support.heard import bodies, events
 
 PHYSICS: Final = ("--sim=physics",)
 PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
@@ -27,10 +27,6 @@ PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_00
 
 
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
-
-
-def bodies(client: Client) -> Heard[BodyReport]:
-    return Heard(client, keys.SIM_BODY, BodyReport)
 
 
 def set_upright(client: Client, key: str = keys.SIM_UPRIGHT) -> list[Ack]:

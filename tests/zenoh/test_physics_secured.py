@@ -17,18 +17,13 @@ from gateway.client import Client
 from gateway.errors import UnansweredError
 from gateway.people.client.live import set_upright
 from schemas import keys
-from schemas.telemetry import BodyReport
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
-from tests.support.heard import Heard
+from tests.support.heard import bodies
 from tests.support.secured import HOST, Secured
 from tests.support.zenoh_actor import Remote
 
 PHYSICS: Final = ("--sim=physics",)
-
-
-def bodies(client: Client) -> Heard[BodyReport]:
-    return Heard(client, keys.SIM_BODY, BodyReport)
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
+from unittest.mock import patch
 
 import pytest
 import zenoh
@@ -82,13 +83,10 @@ class Robot:
     def laptop(self, name: str) -> Client:
         return self.client(self.folder / f"{name}.json5")
 
-    def keep(self, gateway: Gateway, **environment: str) -> Child:
+    def keep(self, gateway: Gateway) -> Ended:
         """`hexapod-gateway revoke FILE` on the robot."""
-        command = [*COMMAND, "revoke", str(self.folder / "revoked.crl"), "--config", str(gateway.config)]
-        child = Child(command, {**os.environ, "STATE_DIRECTORY": str(self.state), **environment})
-        child.wait()
-        child.close()
-        return child
+        with patch.dict(os.environ, STATE_DIRECTORY=str(self.state)):
+            return run_here("revoke", str(self.folder / "revoked.crl"), "--config", str(gateway.config))
 
     def revoke(self, name: str) -> Ended:
         """`hexapod-gateway certs revoke NAME` where the CA is, over bert's connection."""
@@ -140,8 +138,10 @@ def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_w
         with pytest.raises(ZenohError):
             robot.laptop("bert")
         assert "this robot's clock is wrong: it says 1970-01-01" in gateway.child.stdout + gateway.child.stderr
-        kept = robot.keep(gateway, LD_PRELOAD=in_1970)
-        assert kept.returncode == 0, kept.stderr
+        command = [*COMMAND, "revoke", str(robot.folder / "revoked.crl"), "--config", str(gateway.config)]
+        kept = Child(command, {**os.environ, "STATE_DIRECTORY": str(robot.state), "LD_PRELOAD": in_1970})
+        assert kept.wait() == 0, str(kept)
+        kept.close()
         assert "list 1 shuts out operator-00" in kept.stdout
     with robot.start(LD_PRELOAD=in_1970) as gateway:
         assert "list 1 shuts out operator-00" in gateway.child.stdout + gateway.child.stderr

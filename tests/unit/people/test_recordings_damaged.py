@@ -46,11 +46,19 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "ride.mcap"
 
 
-@pytest.fixture
-def ride(path: Path) -> bytes:
+@pytest.fixture(scope="module", name="made")
+def make_ride(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A whole recording, of some fifteen chunks."""
+    path = tmp_path_factory.mktemp("ride") / "ride.mcap"
     recorded(path, 2000).close()
     return path.read_bytes()
+
+
+@pytest.fixture
+def ride(path: Path, made: bytes) -> bytes:
+    """The same, at `path`."""
+    path.write_bytes(made)
+    return made
 
 
 def contents(path: Path, losses: Losses | None = None) -> Contents:

@@ -290,21 +290,6 @@ def test_after_steps_that_are_missing_the_rest_is_compared_and_timed(planned: Pl
     assert compare(planned, LONG_SENT, late, 1).beyond == 60, "what is late behind it is late"
 
 
-@pytest.mark.parametrize("planned", [LONG, STANDING], ids=["walking", "standing"])
-def test_frames_that_were_added_or_changed_are_counted_and_the_rest_is_the_same(planned: Planned) -> None:
-    written = list(planned.expected)
-    for place in (9000, 3000):
-        at_ns = written[place].at_ns
-        written[place:place] = [Written(at_ns - 7_000_000 + each * 50_000, leg(2, deg=7).to_bytes()) for each in (1, 2)]
-    written[17] = written[17]._replace(data=leg(6, deg=3).to_bytes())
-    found = compare(planned, LONG_SENT, written, 1)
-    assert [each.partition(";")[0] for each in found.differences] == [
-        "leg 2: 3000 frames are the same, 4 added",
-        "leg 6: 2999 frames are the same, 1 different",
-    ]
-    assert (found.same, found.beyond) == (17_999, 0)
-
-
 def test_a_frame_of_the_same_bytes_that_is_late_is_not_taken_for_its_neighbour() -> None:
     late = list(STANDING.expected)
     late[600:606] = shifted(late[600:606], 15 * NS_PER_MS)
