@@ -30,8 +30,6 @@ except ImportError as error:
 
 HOST: Final = "127.0.0.1"
 """This machine only: its WebSocket asks nobody who they are. From elsewhere, `ssh -L` leads here."""
-DEFAULT_PORT: Final = 8765
-"""Where viewers look."""
 SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
 MOST_WAITING: Final = 10_000

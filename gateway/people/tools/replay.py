@@ -18,12 +18,9 @@ from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState
 
 SOURCE: Final = "hexapod-gateway replay"
-TOLERANCE_MS: Final = 5.0
 
 
-def replay(
-    connect: Connection, path: Path, *, speed: float, check: bool, agreed: bool, tolerance_ms: float = TOLERANCE_MS
-) -> int:
+def replay(connect: Connection, path: Path, *, speed: float, check: bool, agreed: bool, tolerance_ms: float) -> int:
     """Replay `path` and return the exit code. Raises ConfigError, RejectedError, StoppedError, ZenohError."""
     if check and speed != 1:
         raise ConfigError("--check compares times, so it goes with --speed 1")

@@ -86,17 +86,16 @@ def unit_result(properties: Mapping[str, str]) -> Result:
     return ok(name, "is enabled and active")
 
 
-def granted_rtprio(*, systemctl: str = "systemctl") -> int | None:
+def granted_rtprio() -> int | None:
     """The real-time priority that the unit allows the service; None where there is no unit."""
-    said = _show("LoadState,LimitRTPRIO", systemctl)
+    said = _show("LoadState,LimitRTPRIO")
     return int(said["LimitRTPRIO"]) if said.get("LoadState") == "loaded" and said["LimitRTPRIO"].isdigit() else None
 
 
-def running_realtime(*, systemctl: str = "systemctl") -> Result | None:
+def running_realtime() -> Result | None:
     """What the kernel has granted the service that runs; None where none does."""
-    process = _show("MainPID", systemctl).get("MainPID", "0")
     try:
-        threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
+        threads = [int(thread.name) for thread in Path(f"/proc/{main_process()}/task").iterdir()]
         first = [os.sched_getparam(thread).sched_priority for thread in threads]
     except OSError:
         return None
@@ -109,27 +108,27 @@ def running_realtime(*, systemctl: str = "systemctl") -> Result | None:
     )
 
 
-def main_process(*, systemctl: str = "systemctl") -> int:
+def main_process() -> int:
     """The number of the service's process; 0: none runs here."""
-    return int(_show("MainPID", systemctl).get("MainPID", "0"))
+    return int(_show("MainPID").get("MainPID", "0"))
 
 
-def _show(properties: str, systemctl: str) -> dict[str, str]:
+def _show(properties: str) -> dict[str, str]:
     try:
-        return _shown(properties, systemctl)
+        return _shown(properties)
     except (OSError, subprocess.SubprocessError):
         return {}
 
 
-def _shown(properties: str, systemctl: str) -> dict[str, str]:
+def _shown(properties: str, systemctl: str = "systemctl") -> dict[str, str]:
     command = [systemctl, "show", UNIT, f"--property={properties}"]
     said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
     return dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
 
 
-def realtime(priority: int = LOOP_PRIORITY) -> Result:
+def realtime() -> Result:
     """Whether this process may be scheduled before others: on a busy machine that keeps a Stop from being late."""
-    name = "real-time"
+    name, priority = "real-time", LOOP_PRIORITY
     if not hasattr(os, "sched_setscheduler"):
         return warning(name, "this system has no SCHED_FIFO", "run the gateway on Linux")
     faults: list[OSError] = []

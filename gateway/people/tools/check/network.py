@@ -204,12 +204,12 @@ def _service_at(port: int, link: str) -> str:
 _LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
 
 
-def owners(port: int, kind: socket.SocketKind, *, proc: Path = Path("/proc/net")) -> set[int]:
+def owners(port: int, kind: socket.SocketKind) -> set[int]:
     """The users (numbers) of the sockets that listen on a port, as the kernel shows everybody."""
     found = set()
     for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
         with suppress(OSError):
-            for line in (proc / file).read_text().splitlines()[1:]:
+            for line in Path("/proc/net", file).read_text().splitlines()[1:]:
                 _, local, _, state, _, _, _, uid, *_ = line.split()
                 if state in _LISTENS and int(local.rpartition(":")[2], 16) == port:
                     found.add(int(uid))

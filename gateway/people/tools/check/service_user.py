@@ -23,20 +23,20 @@ _LOADED_LATE: Final = ("gateway.certs.folder", "spidev")
 _CRASHED: Final = 70  # EX_SOFTWARE
 
 
-def uid(name: str = SERVICE_USER) -> int | None:
+def uid() -> int | None:
     """The service's user, where it is installed."""
     try:
-        return pwd.getpwnam(name).pw_uid
+        return pwd.getpwnam(SERVICE_USER).pw_uid
     except KeyError:
         return None
 
 
-def run(look: Callable[[], int], rtprio: int | None, name: str = SERVICE_USER) -> int:
+def run(look: Callable[[], int], rtprio: int | None) -> int:
     """Call `look` as the service's user where that is possible, else as oneself; what it returned.
 
     `rtprio` is the limit that the unit sets.
     """
-    if os.geteuid() or uid(name) is None:
+    if os.geteuid() or uid() is None:
         return look()
     for module in _LOADED_LATE:
         with suppress(ImportError):
@@ -49,7 +49,7 @@ def run(look: Callable[[], int], rtprio: int | None, name: str = SERVICE_USER) -
     code = _CRASHED
     try:
         with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: `who` then says so
-            _become(pwd.getpwnam(name), rtprio)
+            _become(pwd.getpwnam(SERVICE_USER), rtprio)
         code = look()
     except GatewayError as error:
         sys.stderr.writelines(f"hexapod-gateway: {line}\n" for line in str(error).splitlines())
@@ -74,9 +74,9 @@ def _become(user: pwd.struct_passwd, rtprio: int | None) -> None:
     os.setuid(user.pw_uid)
 
 
-def who(name: str = SERVICE_USER) -> Result | None:
+def who() -> Result | None:
     """Whose rights the other lines are about; None where there is no service on this machine."""
-    service = uid(name)
+    service, name = uid(), SERVICE_USER
     if service is None:
         return None
     if os.geteuid() == service:

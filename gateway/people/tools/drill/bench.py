@@ -19,8 +19,6 @@ from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
 if TYPE_CHECKING:
     from gateway.people.tools.drill.watching import Watching
 
-LATE_MS: Final = 20.0
-"""How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
 PERIOD_S: Final = 0.02
 QUIET_S: Final = 0.15
 """What was to be sent has been by then: a leg's rate slot comes every 20 ms."""
@@ -78,7 +76,7 @@ class Bench:
     reaches: dict[str, Any]
     """How `Client` reaches the gateway."""
     late_ms: float
-    """How late a Stop may be."""
+    """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
     lands: bool = False
     """Whether silence lands the robot before it stops it."""
     restart: bool = False

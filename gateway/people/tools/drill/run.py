@@ -12,7 +12,7 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say, this_command, visible
 from gateway.people.tools import kept_lease
-from gateway.people.tools.drill.bench import LATE_MS, Bench, FailedError, Figures, Seen, Skipped
+from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Seen, Skipped
 from gateway.people.tools.drill.steps import STEPS, Step
 from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
@@ -72,12 +72,12 @@ def drill(
     angle_deg: float,
     whole_leg: bool,
     agreed: bool,
-    only: Sequence[str] = (),
-    late_ms: float = LATE_MS,
+    only: Sequence[str],
+    late_ms: float,
     endpoint: str | None,
-    zenoh_config: Path | None = None,
-    restart: bool = False,
-    config: Path | None = None,
+    zenoh_config: Path | None,
+    restart: bool,
+    config: Path | None,
 ) -> Drill:
     """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers.
 
