@@ -145,7 +145,7 @@ def test_a_framing_that_moves_no_servo_and_angles_that_kill_the_firmware_are_war
     assert sentence in found.sentence
 
 
-# ---- ports
+# ---- ports (one on which a gateway answers: tests/hil/test_check_device.py)
 
 
 @pytest.fixture
@@ -168,13 +168,6 @@ def test_a_port_is_free_or_taken(endpoint: str, taken: int) -> None:
     assert "is taken by another program" in result.sentence
     assert network.port(endpoint.format(taken), gateway_runs=True).verdict is OK
     assert network.port(endpoint.format(free_port())).verdict is OK
-
-
-def test_a_port_on_which_a_gateway_answers(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway:
-        result = network.port(gateway.endpoint)
-    assert result.verdict is OK
-    assert "is in use by a gateway that is idle, on a simulated controller" in result.sentence
 
 
 @pytest.mark.parametrize(

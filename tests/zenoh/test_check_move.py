@@ -144,8 +144,8 @@ def test_a_laptop_that_is_late_is_informed_that_it_is_late(tmp_path: Path) -> No
 def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway, client: Client) -> None:
     client.estop()
     heard = frames(client)
-    child = begin(gateway, options=("--yes",))
-    assert end(child) == 2, str(child)
-    assert "leave the emergency stop first" in child.stderr
+    done = gateway.run("check", "--move", "--yes")
+    assert done.returncode == 2, str(done)
+    assert "leave the emergency stop first" in done.stderr
     assert servo_frames(heard) == []
     assert client.reset().accepted

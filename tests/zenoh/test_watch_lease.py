@@ -20,7 +20,9 @@ def _tmux(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 gateway = gateway_fixture({"watchdog": {"timeout_ms": 10_000}}, scope="function")
 
 
-def test_it_shows_the_holder_asks_and_takes_with_a_question(gateway: Gateway, tmp_path: Path) -> None:
+def test_it_shows_the_holder_asks_takes_with_a_question_and_lets_go_at_its_end(
+    gateway: Gateway, tmp_path: Path
+) -> None:
     asked, lost = threading.Event(), threading.Event()
     with (
         Terminal(tmp_path, [*COMMAND, "watch", "--connect", gateway.endpoint]) as terminal,
@@ -51,14 +53,6 @@ def test_it_shows_the_holder_asks_and_takes_with_a_question(gateway: Gateway, tm
         terminal.press("t")
         terminal.wait("released: commands are taken from anyone again")
         assert anna.state().lease.holder is None
-
-
-def test_its_end_lets_go(gateway: Gateway, tmp_path: Path) -> None:
-    with (
-        Terminal(tmp_path, [*COMMAND, "watch", "--connect", gateway.endpoint]) as terminal,
-        gateway.client(source="anna") as anna,
-    ):
-        terminal.wait("IDLE")
         terminal.press("t")
         terminal.wait("Drive? Nobody else's starts, sets and resets count then")
         terminal.press("y")
@@ -67,4 +61,4 @@ def test_its_end_lets_go(gateway: Gateway, tmp_path: Path) -> None:
         terminal.press("q")
         assert terminal.wait_for_end() == 0
         assert anna.state().lease.holder is None
-        assert not list((tmp_path / "hexapod-gateway").iterdir())
+    assert not list((tmp_path / "hexapod-gateway").iterdir())

@@ -15,6 +15,7 @@ import pytest
 from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
+from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events
@@ -298,21 +299,13 @@ def test_an_unconfirmed_stop_is_reported_once_more_at_the_end(tmp_path: Path) ->
 
 
 def test_without_a_terminal_it_says_so(gateway: Gateway) -> None:
-    end = gateway.run("watch")
-    assert end.returncode == 2
-    assert (
-        end.stderr
-        == "hexapod-gateway: watch needs a terminal; a program reads hexapod/state and hexapod/event instead\n"
-    )
+    sentence = "watch needs a terminal; a program reads hexapod/state and hexapod/event instead"
+    assert gateway.run("watch") == (2, "", f"hexapod-gateway: {sentence}\n")
 
 
-def test_where_there_are_no_unix_terminals_it_says_so() -> None:
-    code = "import sys; sys.modules['termios'] = None; sys.argv[1:] = ['watch']; import gateway.cli; gateway.cli.main()"
-    end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=LATE_S)
-    assert (end.returncode, end.stderr) == (
-        2,
-        "hexapod-gateway: watch needs a Unix terminal; on Windows, run it in WSL\n",
-    )
+def test_where_there_are_no_unix_terminals_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "termios", None)
+    assert run_here("watch") == (2, "", "hexapod-gateway: watch needs a Unix terminal; on Windows, run it in WSL\n")
 
 
 def test_a_faulty_file_is_reported_before_the_screen(tmp_path: Path) -> None:
