@@ -20,9 +20,7 @@ def _tmux(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 gateway = gateway_fixture({"watchdog": {"timeout_ms": 10_000}}, scope="function")
 
 
-def test_it_shows_the_holder_asks_takes_with_a_question_and_lets_go_at_its_end(
-    gateway: Gateway, tmp_path: Path
-) -> None:
+def test_it_shows_the_holder_asks_takes_and_lets_go_at_its_end(gateway: Gateway, tmp_path: Path) -> None:
     asked, lost = threading.Event(), threading.Event()
     with (
         Terminal(tmp_path, [*COMMAND, "watch", "--connect", gateway.endpoint]) as terminal,

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Final, Self, TextIO
+from typing import Final, Self
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, GatewayError
 
 PROGRESS_S: Final = 0.2
 """How often a line of progress changes."""
@@ -80,18 +80,20 @@ def hint(text: str) -> None:
     sys.stderr.flush()
 
 
-def why_no_screen(program: str, otherwise: str, *, on_windows: str = "") -> str | None:
-    """Why a program cannot fill this terminal; None: it can. `otherwise` goes on with what to do without one."""
+def check_terminal(
+    program: str, otherwise: str, *, on_windows: str = "", error: type[GatewayError] = GatewayError
+) -> None:
+    """Raises `error` where the program cannot fill this terminal; `otherwise` goes on with what to do without one."""
     if importlib.util.find_spec("termios") is None:
-        return f"{program} needs a Unix terminal; on Windows, run it in WSL{on_windows}"
-    return None if sys.stdin.isatty() and sys.stdout.isatty() else f"{program} needs a terminal{otherwise}"
+        raise error(f"{program} needs a Unix terminal; on Windows, run it in WSL{on_windows}")
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise error(f"{program} needs a terminal{otherwise}")
 
 
-def ask(question: str, out: TextIO | None = None) -> str:
-    """One line of what somebody types, in lower case; "" where nobody does. `out`: where the question is printed."""
-    out = out or sys.stderr
-    out.write(question)
-    out.flush()
+def ask(question: str) -> str:
+    """One line of what somebody types, in lower case; "" where nobody does."""
+    sys.stderr.write(question)
+    sys.stderr.flush()
     return sys.stdin.readline().strip().lower()
 
 

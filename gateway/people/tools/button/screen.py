@@ -10,7 +10,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.live import reports, subscribed
 from gateway.people.client.stops import UntilConfirmed
-from gateway.people.terminal import hint, screen, visible, why_no_screen
+from gateway.people.terminal import check_terminal, hint, screen, visible
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection
 from schemas import keys as wire
@@ -118,8 +118,7 @@ def hold(connect: Connection, name: str) -> int:
 
     Raises ConfigError, RejectedError, ZenohError.
     """
-    if (why_not := why_no_screen("button", "", on_windows=", or open the console's /button")) is not None:
-        raise GatewayError(why_not)
+    check_terminal("button", "", on_windows=", or open the console's /button")
     with connect() as client:
         button = client.button(name)
         button.register()

@@ -6,9 +6,9 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import GatewayError, LeaseError, LeaseLostError
+from gateway.errors import LeaseError, LeaseLostError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, say, screen, visible, why_no_screen
+from gateway.people.terminal import check_terminal, hint, say, screen, visible
 from gateway.people.tools import driving
 from gateway.people.tools.calibrate import once
 from gateway.people.tools.calibrate.guide import Guide
@@ -79,8 +79,7 @@ _OTHERWISE: Final = (
 
 def run(connect: Connection) -> int:
     """Guide. Raises ZenohError where no gateway answers."""
-    if (why_not := why_no_screen("calibrate", _OTHERWISE)) is not None:
-        raise GatewayError(why_not)
+    check_terminal("calibrate", _OTHERWISE)
     with connect() as client:
         state = client.state()
         fault = state.calibration.fault

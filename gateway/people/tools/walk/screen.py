@@ -14,7 +14,7 @@ from gateway.errors import GatewayError, LeaseError
 from gateway.people.client.blocking import Client
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import hint, screen, visible, why_no_screen
+from gateway.people.terminal import check_terminal, hint, screen, visible
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
@@ -185,8 +185,7 @@ def _shown(velocity: Velocity) -> str:
 def drive(connect: Connection, gait: str, geometry: Path | None, height_m: float | None) -> int:
     """Drive until q. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
     without_one = "; without one: --forward 0.1 --seconds 5"
-    if (why_not := why_no_screen("walk from the keyboard", without_one, on_windows=", or give --seconds")) is not None:
-        raise GatewayError(why_not)
+    check_terminal("walk from the keyboard", without_one, on_windows=", or give --seconds")
     with connect() as client:
         try:
             with client.lease(source=kept_lease.me()) as lease:

@@ -12,7 +12,7 @@ from typing import Final, NoReturn
 from gateway.errors import ConfigError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, why_no_screen
+from gateway.people.terminal import check_terminal, hint
 from gateway.people.tools import why
 from gateway.people.tools.watch.screen import Watch
 from gateway.zenoh_config import client_config, connect_endpoints
@@ -25,8 +25,7 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
 
     Raises ConfigError before it begins.
     """
-    if (why_not := why_no_screen("watch", _OTHERWISE)) is not None:
-        raise ConfigError(why_not)
+    check_terminal("watch", _OTHERWISE, error=ConfigError)
     config = client_config(connect, zenoh_config)  # a faulty file is reported before the screen is taken
     client = partial(
         Client,
