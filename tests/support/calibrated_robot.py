@@ -3,7 +3,9 @@
 import threading
 from collections.abc import Callable, Mapping
 
+from gateway.client import Client
 from gateway.errors import GatewayError, RejectedError
+from gateway.people.client.payloads import Angle
 from gateway.people.tools.calibrate.robot import ChangedMeanwhileError, Robot
 from gateway.robot.core.calibration import Calibration, Change, ServoCalibration, ServoChange
 from schemas.telemetry import Ack, Reason
@@ -12,7 +14,7 @@ LATE_S = 20.0
 """For what takes milliseconds on a machine that is not busy."""
 
 
-class Servos:
+class Servos(Client):
     """One running servo, and all that was asked of it. Each answer can be held back, or be an error."""
 
     def __init__(self) -> None:
@@ -26,13 +28,13 @@ class Servos:
         self.fails: dict[str, GatewayError] = {}
         self._changed = threading.Condition()
 
-    def servo(self, servo_id: int, op: str, angle_deg: float | None = None) -> Ack:
+    def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         self._note(servo_id, op, angle_deg)
         self._answer(op)
         if op == "set" and servo_id not in self.running:
             return Ack(accepted=False, reason=Reason.SERVO_STOPPED, detail=f"servo {servo_id} does not run")
-        if angle_deg is not None and angle_deg > self.highest_deg:
-            return Ack(accepted=False, reason=Reason.JOINT_LIMIT, detail=f"{angle_deg:g} is outside")
+        if angle_deg is not None and float(angle_deg) > self.highest_deg:
+            return Ack(accepted=False, reason=Reason.JOINT_LIMIT, detail=f"{float(angle_deg):g} is outside")
         self.running.add(servo_id)
         return Ack(accepted=True)
 

@@ -7,11 +7,12 @@ thread of its own, and so waits for no answer to an earlier request.
 import threading
 import time
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError
+from gateway.people.client.blocking import Client
 from gateway.people.terminal import visible
 from schemas.telemetry import Ack, Reason
 
@@ -40,20 +41,10 @@ class _Wanted:
     angle_deg: float
 
 
-class Commands(Protocol):
-    """What it needs of a client."""
-
-    def servo(self, servo_id: int, op: str, angle_deg: float | None = None) -> Ack:
-        """Start, set or stop one servo."""
-
-    def stop(self, leg: int | None = None) -> Ack:
-        """Stop a leg, or all six."""
-
-
 class HeldServo:
     """Repeats the newest angle of one servo. `fault` states why it stopped doing so."""
 
-    def __init__(self, client: Commands, timeout_ms: float = 250.0) -> None:
+    def __init__(self, client: Client, timeout_ms: float = 250.0) -> None:
         """`timeout_ms` is the gateway's `watchdog.timeout_ms`."""
         self._client = client
         self._period_s = min(PERIOD_S, timeout_ms / 5000)
