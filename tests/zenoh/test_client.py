@@ -2,22 +2,28 @@
 
 import doctest
 import json
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
+from typing import Any
 
 import pytest
 import zenoh
 
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
-from gateway.errors import ZenohError
+from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import aio, blocking, lease, payloads, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
+
+MOST_LOOKS = 500
+"""In half a second: asked again every 50 ms, and each time a few calls. Without pauses they are many thousands."""
+
 
 gateway = gateway_fixture()
 robot = client_fixture("test", rests=True)
@@ -82,13 +88,30 @@ def test_it_stops_one_leg_or_all(robot: Client) -> None:
     assert robot.state().mode == Mode.IDLE
 
 
-def test_what_nobody_answers_is_one_sentence(tmp_path: Path) -> None:
+def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) -> None:
+    looks = 0
+
+    def count(_frame: FrameType, kind: str, called: Any) -> None:
+        nonlocal looks
+        looks += kind == "c_call" and called.__name__ == "monotonic"
+
     with Gateway(tmp_path) as gateway, Client(gateway.endpoint, timeout_s=0.5) as client:
+        client.state()
         gateway.child.kill()
-        with pytest.raises(ZenohError, match="no gateway answered and the link may have been lost; "):
-            client.start_leg(3, 1, 2, 3)
-        with pytest.raises(ZenohError, match=r"no gateway answered within 0\.5 s; "):
-            client.stop()
+        gateway.child.wait()
+        for ask, why in (
+            (lambda: client.start_leg(3, 1, 2, 3), "and the link may have been lost"),
+            (client.state, r"within 0\.5 s"),
+            (client.stop, r"within 0\.5 s"),
+        ):
+            looks = 0
+            sys.setprofile(count)
+            try:
+                with pytest.raises(UnansweredError, match=f"^no gateway answered {why}; "):
+                    ask()
+            finally:
+                sys.setprofile(None)
+            assert 0 < looks < MOST_LOOKS
 
 
 def test_a_stop_whose_link_is_lost_is_asked_again(tmp_path: Path) -> None:

@@ -141,15 +141,6 @@ def test_the_cookie(console: Console) -> None:
     assert console.get(**SignedIn(f"{name}={value[:-1]}", key).headers).status_code == 403
 
 
-def test_the_cookie_alone_opens_nothing(console: Console, session: SignedIn) -> None:
-    """It goes to other ports of this host, too."""
-    other = console.sign_in()
-    for thief in (SignedIn(session.cookie, ""), SignedIn(session.cookie, other.key), SignedIn("", session.key)):
-        assert console.get(**thief.headers).status_code == 403
-        with pytest.raises(InvalidStatus, match="403"):
-            Page(console.url, thief)
-
-
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""])
 def test_dns_rebinding(console: Console, session: SignedIn, host: str) -> None:
     """A foreign name that points here gets nothing, not even with the cookie."""

@@ -16,7 +16,6 @@ from tests.support.gateway_process import Gateway
 
 FORWARD: Final = {"forward_m_s": 0.06}
 STEP_S: Final = 0.05
-PRESSES: Final = 3
 LATE_S: Final = 30.0
 PATIENT: Final[dict[str, dict[str, Any]]] = {"watchdog": {"timeout_ms": 2000}, "lease": {"ttl_ms": 5000}}
 """It outlasts a moment in which this machine is busy."""
@@ -259,16 +258,8 @@ def test_what_the_legs_cannot_do_is_reported(page: Page, pad: Pad) -> None:
 
 
 def test_a_stop_all_while_it_walks_is_as_quick(console: Console, session: SignedIn, page: Page, pad: Pad) -> None:
-    took_ms: dict[str, list[float]] = {"resting": [], "walking": []}
     with console.page(session) as other:
-        for kind, took in took_ms.items():
-            for _ in range(PRESSES):
-                if kind == "walking":
-                    walks(page, pad)
-                began_s = time.perf_counter()
-                stopped = other.stop_all()
-                took.append((time.perf_counter() - began_s) * 1000)
-                assert page.reset(stopped["estop"])["ack"]["accepted"]
-    for kind, took in took_ms.items():
-        print(f"{kind}: p50 {sorted(took)[PRESSES // 2]:.1f} ms, at most {max(took):.1f} ms")
-    assert max(took_ms["walking"]) < 250
+        walks(page, pad)
+        began_s = time.perf_counter()
+        other.stop_all()
+        assert time.perf_counter() - began_s < 0.25

@@ -103,7 +103,7 @@ class Driving:
             try:
                 motion.command(at_rad)
             except RejectedError as error:
-                if motion.over():
+                if motion.is_over:
                     raise
                 raise NotTakenError(str(error)) from error
 

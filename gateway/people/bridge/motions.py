@@ -70,13 +70,10 @@ class JointCommands:
         self._started |= sent.keys()
         self._received_s = time.monotonic()
 
-    def over(self) -> bool:
+    @property
+    def is_over(self) -> bool:
         """Whether an error has ended it, and no message goes on."""
-        try:
-            self._stream.check_open()
-        except GatewayError:
-            return True
-        return False
+        return self._stream.is_over
 
     def check(self, now_s: float) -> bool:
         """See Motion."""
