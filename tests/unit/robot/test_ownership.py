@@ -15,9 +15,10 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.receiver import MOST_LOOKS, ReceiverThread
 from gateway.robot.host.ownership import Ownership, OwnersTimer
+from gateway.robot.host.realtime import RECEIVER_PRIORITY
 from gateway.robot.protocol.frames import decode
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.service import rules
+from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
@@ -319,7 +320,9 @@ def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
     assert found == [2, 3, 4]
 
 
-def receiver(note: Callable[[object, int], Callable[[], None]]) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
+def receiver(
+    note: Callable[[object, int], Callable[[], float | None]],
+) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
     """One whose ring has a message, which is heard at the stage's first point."""
     stage = Stage(lambda names: names[0])
     loop, ring = SteppedLoop(stage), Ring(stage)
@@ -354,6 +357,20 @@ def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(w
     assert not made.goes_on()
 
 
+def test_a_receiver_thread_has_its_priority_and_pauses_where_it_is_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    priorities: list[int] = []
+    slept_s: list[float] = []
+    monkeypatch.setattr("gateway.robot.edge.receiver.prefer_thread", priorities.append)
+    monkeypatch.setattr("gateway.robot.edge.receiver.time.sleep", slept_s.append)
+    pauses_s = [None, 0.25]
+    made, stage, _, _ = receiver(lambda *_: pauses_s.pop)
+    stage.run(1)
+    assert (priorities, slept_s) == ([RECEIVER_PRIORITY], [0.25])
+    assert (made.thread.name, made.thread.daemon) == ("receiver", True), "a stuck one does not keep the process"
+    stage.end()
+    made.thread.join(PATIENCE_S)
+
+
 def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> None:
     stuck, entered = threading.Event(), threading.Event()
 
@@ -362,6 +379,7 @@ def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> 
         stuck.wait(PATIENCE_S)
 
     made, stage, _, _ = receiver(lambda *_: wait)
+    assert round(MOST_LOOKS * BEAT_S) == 3
     assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "that nothing comes is no reason"
     runs = threading.Thread(target=lambda: stage.run(1))
     runs.start()
