@@ -8,6 +8,7 @@ from gateway.robot.blackbox.recorder import ACCEPTED, COALESCED, Decided, Heard,
 from gateway.robot.core.events import Announce, Completed, Effect, Rejected, Transmit
 from gateway.robot.core.intake import echo_of
 from gateway.robot.core.message import Reply
+from gateway.robot.protocol.frames import leg_of
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason
@@ -115,4 +116,4 @@ class Answers:
 
 def legs_of(servos: Servos) -> tuple[int, ...]:
     """Whose servos these are, ascending."""
-    return tuple(sorted({servo_id // 10 for servo_id, _ in servos}))
+    return tuple(sorted({leg_of(servo_id) for servo_id, _ in servos}))

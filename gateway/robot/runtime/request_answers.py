@@ -42,7 +42,7 @@ _BUTTON_DOES: Final = '"challenge", "register", "alive" or "leave"'
 
 def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
     """Why a request cannot be read, which may `do` these. Nothing of what was sent is repeated: it may be a secret."""
-    first = error.errors(include_url=False, include_input=False)[0]
+    first = error.errors()[0]
     if first["type"] == "json_invalid":
         return Reason.MALFORMED, "the payload is not JSON"
     # The names in it are ours, but for one that is not known; the first is the verb's, which pydantic adds.

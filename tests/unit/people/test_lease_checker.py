@@ -18,12 +18,13 @@ from hypothesis import strategies as st
 from gateway.certs import authority
 from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose
 from gateway.people.client.requests import Identity
-from gateway.robot.core.events import LeaseRequest
+from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import NONCE_NS, Nonces
 from gateway.robot.edge.proofs import CHECKS_PER_S
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.request_answers import LeaseAnswers
+from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
+from gateway.robot.settings import ButtonSettings
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 
@@ -300,6 +301,25 @@ class Desk(LeaseAnswers):
 
     def claim(self, do: str, made: Proof | None, source: str = "anna") -> None:
         self.answer_to({"do": do, "source": source, **({} if made is None else {"proof": made.model_dump()})})
+
+
+def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gateway.robot.runtime.request_answers.wall_clock", lambda: NOW)
+    asked: list[ButtonRequest] = []
+    rejected: list[tuple[object, ...]] = []
+    buttons = ButtonAnswers(cast(Conductor, None), ButtonSettings(), CHECKER)
+    monkeypatch.setattr(buttons, "ask", lambda request, _reply: asked.append(request))
+    monkeypatch.setattr(buttons, "reject", lambda *why: rejected.append(why[:2]))
+    answers: list[bytes] = []
+    buttons.read(b'{"do": "challenge"}', 0, answers.append)()
+    request = {"do": "register", "source": "anna/phone"}
+    nonce = json.loads(answers[0])["nonce"]
+    signature = ANNA.key.sign(WATCHING.signed("register", "anna/phone", nonce), ec.ECDSA(hashes.SHA256()))
+    made = proof(nonce=nonce, signature=base64.b64encode(signature).decode()).model_dump()
+    for each in (request, {**request, "proof": made}, {**request, "proof": made}):
+        buttons.read(json.dumps(each).encode(), 0, answers.append)()
+    assert [each.source for each in asked] == ["anna/phone"]
+    assert rejected == [("anna/phone", Reason.BUTTON_DENIED)] * 2
 
 
 @pytest.mark.parametrize("do", ["acquire", "ask", "take"])

@@ -74,6 +74,8 @@ async def test_what_is_rejected_is_told_with_its_reason() -> None:
     told = [(event.key, event.reason) for event in robot.events(Kind.COMMAND_REJECTED)]
     assert told == [(keys.BUTTON, Reason.STALE), (keys.BUTTON, Reason.UNKNOWN_BUTTON)]
     assert not any(str(ack.button) in event.detail for event in robot.events(Kind.COMMAND_REJECTED))
+    assert robot.button("leave", button=ack.button).accepted
+    assert robot.conductor.state().buttons.alive == 0
 
 
 @pytest.mark.parametrize(

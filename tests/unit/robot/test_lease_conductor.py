@@ -2,11 +2,15 @@
 
 import asyncio
 import json
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import zenoh
 
+from gateway.robot.core.intake import Rejection, too_large
 from gateway.robot.core.message import Verb
+from gateway.robot.runtime.request_answers import BAD_ENCODING, BY_WILDCARD, payload_of
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Kind, Mode, Reason
@@ -133,7 +137,11 @@ BAD: list[tuple[bytes, Reason, str]] = [
     (json.dumps({"do": "renew", "lease": TOKEN.upper()}).encode(), Reason.INVALID, "lease is missing, or not"),
     (json.dumps({"do": "renew", "lease": TOKEN}).encode(), Reason.NOT_HOLDER, "this is not the token"),
     (json.dumps({"do": "release", "lease": TOKEN, "to": 7}).encode(), Reason.INVALID, "to is missing, or not"),
-    (json.dumps({"do": "renew", "lease": TOKEN, TOKEN: 1}).encode(), Reason.INVALID, "a field that is not known"),
+    (
+        json.dumps({"do": "renew", "lease": TOKEN, TOKEN: 1}).encode(),
+        Reason.INVALID,
+        "the payload has a field that is not known",
+    ),
     (json.dumps({"do": TOKEN}).encode(), Reason.INVALID, "do must be"),
     (json.dumps({"do": "acquire", "source": {"a": TOKEN}}).encode(), Reason.INVALID, "source is missing, or not"),
 ]
@@ -149,10 +157,39 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
     ack = LeaseAck.model_validate_json(answers[0])
     assert (ack.accepted, ack.reason) == (False, reason)
     assert ack.detail is not None
-    assert detail in ack.detail
+    assert ack.detail.startswith(detail)
     (event,) = robot.events(Kind.COMMAND_REJECTED)
     assert (event.key, event.reason) == (keys.LEASE, reason)
     assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "encoding", "found"),
+    [
+        (keys.LEASE, None, None, b""),
+        (keys.LEASE, b"{}", "application/json", b"{}"),
+        (keys.LEASE, b"{}", "image/png", BAD_ENCODING),
+        (keys.LEASE, b"12345678", None, b"12345678"),
+        (keys.LEASE, b"123456789", None, too_large(9, 8)),
+        ("hexapod/*/cmd", b"{}", None, BY_WILDCARD),
+    ],
+)
+def test_what_is_read_of_a_query(
+    key: str, payload: bytes | None, encoding: str | None, found: bytes | Rejection
+) -> None:
+    of: Any = SimpleNamespace(
+        key_expr=key, payload=None if payload is None else zenoh.ZBytes(payload), encoding=encoding
+    )
+    assert payload_of(of, 8) == found
+
+
+async def test_after_the_end_nobody_is_answered() -> None:
+    robot = await started_and_quiet()
+    robot.conductor.close()
+    answers: list[bytes] = []
+    robot.leases.read(b'{"do": "acquire", "source": "anna"}', 0, answers.append)()
+    robot.buttons.read(b'{"do": "register", "source": "kitchen"}', 0, answers.append)()
+    assert answers == []
 
 
 async def test_a_put_is_no_request() -> None:
