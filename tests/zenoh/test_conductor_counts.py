@@ -144,6 +144,18 @@ async def test_a_device_that_will_not_open_is_tried_again_and_again_with_the_sam
     assert len(robot.events(Kind.BUS_FAULT)) == len(robot.events(Kind.BUS_RECOVERED)) == 2, "each fault is told once"
 
 
+async def test_after_the_end_no_timer_opens_the_device_again() -> None:
+    robot = await started_and_quiet()
+    device = WillNotOpen(robot, 1000)
+    robot.controller.fail_next(1)
+    robot.put(LEG_1, START)
+    await asyncio.sleep(0.1)
+    robot.conductor.close()
+    tried = len(device.tried_ns)
+    await asyncio.sleep(1)
+    assert len(device.tried_ns) == tried > 1
+
+
 # ---- the preamble
 
 
