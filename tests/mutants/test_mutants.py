@@ -38,7 +38,7 @@ def test_every_file_that_is_named_is_there() -> None:
     accepted = tomllib.loads(ACCEPTED.read_text(encoding="utf-8"))
     assert {*accepted, *MADE} <= JUDGES.keys()
     for file in {*JUDGES, *(test for tests in JUDGES.values() for test in tests)}:
-        assert (ROOT / file).is_file()
+        assert (ROOT / file.partition("::")[0]).is_file()
 
 
 @pytest.mark.parametrize("file", MADE)

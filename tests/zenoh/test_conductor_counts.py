@@ -142,6 +142,7 @@ async def test_a_device_that_will_not_open_is_tried_again_and_again_with_the_sam
         assert pauses_ms == pytest.approx([20] * len(pauses_ms), abs=0.1), "no leg is known to be stopped meanwhile"
         device = WillNotOpen(robot, 10)
     assert len(robot.events(Kind.BUS_FAULT)) == len(robot.events(Kind.BUS_RECOVERED)) == 2, "each fault is told once"
+    assert robot.conductor.bus.errors == 2 + 2 * 10, "nothing is written to what is not open"
 
 
 async def test_after_the_end_no_timer_opens_the_device_again() -> None:

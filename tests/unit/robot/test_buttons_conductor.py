@@ -66,10 +66,21 @@ async def test_so_many_are_required(required: int) -> None:
     assert robot.ask(LEG_3, START).accepted is (required < 2)
 
 
+async def test_a_check_in_counts_from_when_it_was_sent() -> None:
+    robot = await started_and_quiet(buttons={"required": 1})
+    ack = robot.button("register", "kitchen", sent_ms=0)
+    await asyncio.sleep(0.6)
+    assert robot.button("alive", button=ack.button, count=1, sent_ms=100).accepted
+    assert robot.conductor.state().buttons.alive == 1
+    await asyncio.sleep(0.6)
+    assert robot.conductor.state().buttons.alive == 0
+
+
 async def test_what_is_rejected_is_told_with_its_reason() -> None:
     robot, ack = await watched()
     again = robot.button("alive", button=ack.button, count=1)
     assert (again.accepted, again.reason) == (False, Reason.STALE)
+    assert again.detail == robot.events(Kind.COMMAND_REJECTED)[0].detail
     assert robot.button("alive", button="0" * 32, count=1).reason == Reason.UNKNOWN_BUTTON
     told = [(event.key, event.reason) for event in robot.events(Kind.COMMAND_REJECTED)]
     assert told == [(keys.BUTTON, Reason.STALE), (keys.BUTTON, Reason.UNKNOWN_BUTTON)]

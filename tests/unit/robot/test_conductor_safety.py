@@ -251,6 +251,9 @@ async def test_an_emergency_stop_during_a_fault_that_has_just_ended_stops_at_onc
     ack = robot.ask(keys.ESTOP)
     assert ack.stop_frames == 6
     assert robot.mode == Mode.ESTOPPED
+    opened = len(robot.openings_ns)
+    await asyncio.sleep(0.1)
+    assert len(robot.openings_ns) == opened, "once is enough"
 
 
 async def test_a_controller_that_hears_nothing_for_a_while_gets_the_repeats() -> None:
@@ -290,9 +293,11 @@ async def test_the_end_stops_all_legs_repeats_it_and_rejects_everything() -> Non
 async def test_the_end_during_a_fault_tries_once_more() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, START)
-    robot.controller.fail_next(1)
+    robot.controller.fail_for_ms(10)
     robot.put(LEG_3, leg("stop"))
-    robot.conductor.shut_down()
+    robot.sleep_through(0.01)
+    assert robot.controller.energised
+    assert robot.conductor.shut_down()
     assert robot.controller.energised == set()
 
 

@@ -43,6 +43,8 @@ async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> No
     assert (lease.holder, lease.verified, lease.asked_by) == ("anna", False, None)
     assert lease.held_s == pytest.approx(0.1, abs=1e-6)
     assert lease.expires_in_ms == pytest.approx(900, abs=0.001)
+    await asyncio.sleep(1)
+    assert robot.events()[-1].kind is Kind.LEASE_EXPIRED, "without any other message"
 
 
 async def test_others_are_rejected_with_her_name_and_their_stops_are_taken() -> None:
