@@ -19,6 +19,7 @@ from gateway.people.incidents.story import story, what
 from gateway.people.recordings import read
 from gateway.people.recordings.contents import contents
 from gateway.people.recordings.drawing import JOINT_STATES
+from gateway.people.recordings.replaying import steps_of
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
@@ -217,7 +218,9 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     assert way_down.endswith("leg 3 at 30 45 120")
     angles = UserAngles()
     frames = [decode(bytes.fromhex(record["bytes"])) for record in angles.frames(told)]
-    assert angles.known, "it can be replayed"
+    assert angles.known
+    sent = next(steps_of(UserAngles().frames(told)))
+    assert (sent.key, sent.payload()["servos"][1]) == (LEG_3, {"op": "start", "angle_deg": 45}), "it can be replayed"
     started = next(frame for frame in frames if not frame.is_stop)
     assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
     joints = positions(drawn_in(path, JOINT_STATES)[-1])
