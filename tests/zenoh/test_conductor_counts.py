@@ -56,6 +56,7 @@ async def test_an_emergency_stop_says_how_long_it_took_and_is_measured() -> None
     ack = robot.ask(keys.ESTOP)
     assert ack.stop_frames == 0
     assert len(robot.conductor.metrics.emergency_stops.recent_us) == 2, "that was none for all legs"
+    assert robot.ask(keys.ESTOP, received_ns=robot.now_ns() + MS).latency_us == 0, "none is negative"
 
 
 # ---- counters and events

@@ -229,7 +229,7 @@ async def test_many_stops_within_seconds_are_one_incident(folder: Path) -> None:
         incident_id(WALL_NS, "estop"),
     ]
     stops = [found for found in contents(folder, form.CommandRecord) if found.key == keys.ESTOP]
-    assert [stop.source for stop in stops] == ["bert", "bert"]
+    assert [(stop.source, stop.number) for stop in stops] == [("bert", 0), ("bert", 0)]
 
 
 async def test_an_incident_does_not_grow_for_ever(folder: Path) -> None:

@@ -73,10 +73,12 @@ async def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> No
 
 async def test_it_is_told_when_it_changes_and_when_somebody_asks() -> None:
     robot = await started_and_quiet()
-    assert (told(robot).revision, len(told(robot).servos), told(robot).landing) == (0, 18, {})
+    robot.calibrations.announce_start()
+    first = told(robot)
+    assert (first.revision, len(first.servos), first.landing) == (0, 18, {})
     robot.calibrate({**OWN, "landing": {"11": 45}})
     published = [report for key, report in robot.reports if key == keys.CALIBRATION]
-    assert published == [told(robot)]
+    assert published == [first, told(robot)]
     assert told(robot).servos["32"] == calibration.ServoCalibration(trim_deg=-10, inverted=True)
     assert told(robot).landing == {"11": 45}
     state = robot.states[-1].calibration
@@ -157,8 +159,9 @@ async def test_what_was_delayed_on_the_way_is_rejected() -> None:
     robot = await started_and_quiet(limits={"max_age_ms": 100})
     robot.put(LEG_3, leg("stop", sent_ms=500, source="anna"))
     await asyncio.sleep(0.2)
-    (ack,) = robot.calibrate({**OWN, "sent_ms": 501, "source": "anna"})
+    (ack,) = robot.calibrate({**OWN, "landing": {"11": 45}, "sent_ms": 501, "source": "anna"})
     assert ack.reason == Reason.STALE
+    assert robot.events()[-1].legs == (1, 3)
     assert told(robot).revision == 0
 
 

@@ -159,7 +159,8 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
     assert gateway.conductor.supervisor.estops == 1, "noted once, served once"
     (noted,) = gateway.noted
     assert gateway.kinds[noted:].count(False) <= 1, "the frame that was under way"
-    assert [GatewayState.model_validate_json(answer).protocol for answer in gateway.answers] == ["1.0.0"]
+    (state,) = map(GatewayState.model_validate_json, gateway.answers)
+    assert (state.protocol, state.calibration.kept) == ("1.0.0", False)
 
 
 @pytest.mark.parametrize("order", range(ORDERS))
