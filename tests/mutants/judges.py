@@ -115,7 +115,7 @@ JUDGES: Final = {
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,
-    "gateway/robot/runtime/calibrations.py": (*_CALIBRATION_REQUESTS, "tests/unit/people/test_recorder.py"),
+    "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": _CONDUCTOR,
     "gateway/robot/runtime/executor.py": _CONDUCTOR,
     "gateway/robot/runtime/conductor.py": _CONDUCTOR,

@@ -82,6 +82,9 @@ async def test_an_event_repeats_little_of_a_key_of_the_senders_own_making() -> N
     (event,) = robot.events(Kind.COMMAND_REJECTED)
     assert event.key is not None
     assert len(event.key) == MAX_KEY == 100
+    robot.conductor.announce(Kind.REVOKED, "bert", keys.REVOCATION)
+    (event,) = robot.events(Kind.REVOKED)
+    assert (event.detail, event.key) == ("bert", keys.REVOCATION)
 
 
 # ---- failed transfers
@@ -144,6 +147,14 @@ async def test_a_device_that_will_not_open_is_tried_again_and_again_with_the_sam
         device = WillNotOpen(robot, 10)
     assert len(robot.events(Kind.BUS_FAULT)) == len(robot.events(Kind.BUS_RECOVERED)) == 2, "each fault is told once"
     assert robot.conductor.bus.errors == 2 + 2 * 10, "nothing is written to what is not open"
+
+
+async def test_the_end_releases_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet()
+    closed: list[bool] = []
+    monkeypatch.setattr(robot.controller, "close", lambda: closed.append(True))
+    robot.conductor.close()
+    assert closed == [True]
 
 
 async def test_after_the_end_no_timer_opens_the_device_again() -> None:

@@ -71,14 +71,17 @@ async def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> No
     assert (event.source, event.key) == ("anna", keys.CALIBRATION_CMD)
 
 
-async def test_it_is_told_when_it_changes_and_when_somebody_asks() -> None:
+async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
+    recorded: list[Calibration] = []
+    monkeypatch.setattr(robot.conductor.recorder, "calibration", recorded.append)
     robot.calibrations.announce_start()
     first = told(robot)
     assert (first.revision, len(first.servos), first.landing) == (0, 18, {})
     robot.calibrate({**OWN, "landing": {"11": 45}})
     published = [report for key, report in robot.reports if key == keys.CALIBRATION]
     assert published == [first, told(robot)]
+    assert [each.revision for each in recorded] == [0, 1]
     assert told(robot).servos["32"] == calibration.ServoCalibration(trim_deg=-10, inverted=True)
     assert told(robot).landing == {"11": 45}
     state = robot.states[-1].calibration
@@ -236,7 +239,7 @@ async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_
 ) -> None:
     robot = await started_and_quiet()
     answers: list[bytes] = []
-    assert robot.calibrations.note(asked, 0, answers.append)() == PAUSE_S > 0
+    assert robot.calibrations.note(asked, 0, answers.append)() == PAUSE_S == 0.05
     (answer,) = answers
     assert Ack.model_validate_json(answer).reason == reason
     (event,) = robot.events()
