@@ -146,6 +146,10 @@ def test_a_rejection_names_both_angles() -> None:
     )
     assert calibration.why_not(33, 140_01) == ("servo 33 is calibrated to go from 0 to 140 degrees; 140.01 is outside")
     assert calibration.why_not(33, 140_00) is None
+    for trim_cdeg, last_cdeg, beyond_cdeg in ((20_00, 160_00, 160_01), (-20_00, 20_00, 19_99)):
+        calibration = Calibration(servos={32: ServoCalibration(trim_cdeg)})
+        assert calibration.why_not(32, last_cdeg) is None
+        assert calibration.why_not(32, beyond_cdeg) is not None
 
 
 @pytest.mark.parametrize(
