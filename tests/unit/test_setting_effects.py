@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from gateway.robot.core.leg import Rules
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.robot.protocol.framing import Framing
+from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch
 from gateway.robot.spi.bus import Bus
@@ -50,6 +52,10 @@ SHOWN_ELSEWHERE = {
     "log.level": "test_logs.py",
     "log.format": "test_logs.py",
 }
+
+
+def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
+    assert rules(Settings()) == Rules()
 
 
 @pytest.mark.parametrize(("leg_rate_hz", "frames"), [(1, 4), (10, 13), (50, 53), (100, 101)])

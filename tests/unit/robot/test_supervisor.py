@@ -14,6 +14,7 @@ def test_the_start_stops_all_six_legs() -> None:
     robot = Steps(opened=False)
     before = robot.supervisor.mode
     assert before is Mode.STARTING
+    assert {leg.watchdog for leg in robot.supervisor.legs} == {WatchdogState.IDLE}
     assert robot.open(0) == all_stopped("startup")
     assert robot.supervisor.mode is Mode.IDLE
     assert robot.due_ms is None
