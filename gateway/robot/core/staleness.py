@@ -58,7 +58,7 @@ class _Stretch:
     last_ms: float
     smallest_ms: float
     largest_ms: float
-    overtaken: bool = False
+    overtaken: bool
     """Whether one of them arrived after a newer one: then there may be two clocks."""
 
 

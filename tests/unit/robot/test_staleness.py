@@ -97,6 +97,50 @@ def test_a_delay_that_is_steady_for_less_than_five_seconds_is_none_for_good(stal
     assert all(publisher.streams(1000, 5900, delay_ms=700))
 
 
+@pytest.mark.parametrize("first_ms", [700, 1000], ids=["steady", "grows once"])
+def test_a_way_that_has_become_slower_for_good_is_the_new_baseline_after_five_seconds(
+    staleness: Staleness, first_ms: float
+) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 1000)
+    assert all(publisher.streams(1000, 2000, delay_ms=first_ms))
+    rejected = publisher.streams(2000, 12_000, delay_ms=1000 if first_ms == 700 else 700)
+    assert sum(rejected) * 20 == pytest.approx(STEADY_MS, abs=40)
+    assert not any(rejected[260:])
+    now_delayed = 905 + (300 if first_ms == 700 else 0)
+    assert publisher.arrives(20_000, sent_at_ms=20_000 - now_delayed) == pytest.approx(205, abs=3)
+
+
+@pytest.mark.parametrize(("apart_ms", "becomes_steady"), [(1000, True), (1001, False)])
+def test_a_steady_delay_is_one_that_is_heard_each_second(
+    staleness: Staleness, apart_ms: float, becomes_steady: bool
+) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 1000)
+    rejected = publisher.streams(1000, 1000 + 7 * apart_ms, delay_ms=700, period_ms=apart_ms)
+    assert rejected == [True] * 5 + [not becomes_steady] * 2
+
+
+@pytest.mark.parametrize(("behind_ms", "late_ms"), [(20_000, 20_000), (20_001, None)])
+def test_what_is_out_of_order_is_an_old_one_where_a_link_can_have_held_it(
+    staleness: Staleness, behind_ms: float, late_ms: float | None
+) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 40_000)
+    assert publisher.arrives(40_000) is None
+    assert publisher.arrives(40_000, sent_at_ms=40_000 - behind_ms) == late_ms
+
+
+@pytest.mark.parametrize(("ahead_ms", "late_ms"), [(50, 210), (51, None)])
+def test_a_baseline_falls_by_a_quarter_of_what_is_allowed_and_beyond_that_it_is_another_clock(
+    staleness: Staleness, ahead_ms: float, late_ms: float | None
+) -> None:
+    publisher = Publisher(staleness)
+    assert publisher.arrives(1000) is None
+    assert publisher.arrives(1000, sent_at_ms=1000 + ahead_ms) is None
+    assert publisher.arrives(1000, sent_at_ms=1000 - 160) == late_ms
+
+
 def test_a_delay_that_grows_is_never_steady(staleness: Staleness) -> None:
     publisher = Publisher(staleness)
     publisher.streams(0, 1000)
@@ -159,20 +203,21 @@ def test_sources_do_not_disturb_each_other(staleness: Staleness) -> None:
     assert second.arrives(3000) is None
 
 
-def test_a_source_is_forgotten_only_after_a_minute_of_silence(staleness: Staleness) -> None:
+@pytest.mark.parametrize("begun_ms", [0, 3_600_000])
+def test_a_source_is_forgotten_only_after_a_minute_of_silence(staleness: Staleness, begun_ms: float) -> None:
     first = Publisher(staleness, name="first")
-    first.streams(0, 100)
+    first.streams(begun_ms, begun_ms + 100)
     others = [Publisher(staleness, name=f"source {number}", zero_ms=number) for number in range(SOURCES)]
-    said = [other.asks(100) for other in others]
+    said = [other.asks(begun_ms + 100) for other in others]
     assert said[:-1] == [None] * (SOURCES - 1)
     assert said[-1] is not None
     assert re.fullmatch(
         r"256 sources have sent commands within 60 s, more than .* wait, or leave out sent_ms", said[-1]
     )
-    assert first.arrives(1300, sent_at_ms=1000) is not None, "its burst is known for one"
-    assert others[-1].asks(100 + FORGET_MS) is None, "one of the silent ones is forgotten"
+    assert first.arrives(begun_ms + 1300, sent_at_ms=begun_ms + 1000) is not None, "its burst is known for one"
+    assert others[-1].asks(begun_ms + 100 + FORGET_MS) is None, "one of the silent ones is forgotten"
     assert len(staleness._sources) == SOURCES
-    assert first.arrives(100 + FORGET_MS, sent_at_ms=FORGET_MS - 200) is not None
+    assert first.arrives(begun_ms + 100 + FORGET_MS, sent_at_ms=begun_ms + FORGET_MS - 200) is not None
 
 
 def test_memory_is_bounded(staleness: Staleness) -> None:
@@ -182,6 +227,7 @@ def test_memory_is_bounded(staleness: Staleness) -> None:
             for clock in range(2 * CLOCKS):
                 staleness.too_old(f"{index % (2 * SOURCES)}", clock * 1e6, index * MS, index * MS)
         assert len(staleness._sources) == SOURCES
+        assert {len(clocks) for clocks, _ in staleness._sources.values()} == {8}
         assert tracemalloc.get_traced_memory()[0] < 1_500_000
     finally:
         tracemalloc.stop()
@@ -354,9 +400,11 @@ def test_a_pause_between_two_commands_of_one_instant_counts_too(stopping: Stalen
 
 
 def test_the_usual_turns_of_the_loop_are_no_pause(stopping: Staleness) -> None:
-    for now_ms in (0, 100, 349, 550, 799):
+    for now_ms in (0, 100, 350, 550, 800):
         stopping.turned(now_ms * MS)
         assert without_sent_ms(stopping, now_ms) is None
+    stopping.turned(1051 * MS)
+    assert without_sent_ms(stopping, 1051) is not None
 
 
 def test_a_pause_that_is_not_longer_than_what_a_command_may_be_delayed_is_none() -> None:
