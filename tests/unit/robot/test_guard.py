@@ -98,6 +98,8 @@ def test_an_announcement_and_its_body_are_in_one_batch() -> None:
     assert not passes(PREFIXED, b"\x0e", STOP_1, b"\x06")
     assert not passes(PREFIXED, STOP_1)
     assert not passes(PREFIXED, b"\x0e", ZERO)
+    assert not passes(PREFIXED, b"\x0e", START_11), "a legal frame, and not the one announced"
+    assert not passes(PREFIXED, b"\x06", STOP_1)
     assert passes(PREFIXED, ZERO, b"\x0e", STOP_1, ZERO)
 
 
