@@ -149,6 +149,15 @@ async def test_a_device_that_will_not_open_is_tried_again_and_again_with_the_sam
     assert robot.conductor.bus.errors == 2 + 2 * 10, "nothing is written to what is not open"
 
 
+async def test_the_stops_behind_an_opening_are_repeated_though_nothing_else_comes() -> None:
+    robot = await started_and_quiet()
+    repeats = robot.conductor.metrics.frames[Cause.REPEAT]
+    robot.controller.fail_next(1)
+    robot.put(LEG_1, START)
+    await asyncio.sleep(0.1)
+    assert robot.conductor.metrics.frames[Cause.REPEAT] - repeats == 3 * 6
+
+
 async def test_the_end_releases_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
     closed: list[bool] = []

@@ -312,7 +312,7 @@ def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
     def call() -> None:
         found.append(loop.now_s)
         if len(found) < 3:
-            timer.set(loop.now_s + 1)
+            timer.set_in(1)
 
     timer = timer_on(loop, call)
     timer.set(2)
