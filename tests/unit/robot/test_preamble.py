@@ -157,14 +157,3 @@ async def test_a_zero_that_fails_is_a_fault_of_the_bus() -> None:
     assert robot.mode == Mode.IDLE, "opened again at once"
     assert [event.kind for event in robot.events()][-2:] == [Kind.BUS_FAULT, Kind.BUS_RECOVERED]
     assert [state.mode for state in robot.states][-2:] == [Mode.BUS_FAULT, Mode.IDLE]
-
-
-async def test_after_the_end_no_zero_is_written() -> None:
-    robot = await prefixed()
-    robot.put(LEG_3, START)
-    robot.put(LEG_3, leg("stop"))
-    await asyncio.sleep(0.0001)
-    robot.conductor.close()
-    opened, told = len(robot.openings_ns), len(robot.reports)
-    await asyncio.sleep(1)
-    assert (len(robot.openings_ns), len(robot.reports)) == (opened, told)
