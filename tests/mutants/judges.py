@@ -89,9 +89,11 @@ JUDGES: Final = {
         *_CALIBRATION_REQUESTS,
     ),
     "gateway/robot/host/ownership.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
-    "gateway/robot/core/message.py": _INBOX,
+    "gateway/robot/core/message.py": (f"{_UNIT}test_conductor_safety.py",),
     "gateway/robot/core/intake.py": (
         f"{_UNIT}test_intake.py",
+        f"{_UNIT}test_targets.py",
+        f"{_UNIT}test_calibration_intake.py",
         f"{_UNIT}test_conductor.py",
         f"{_UNIT}test_conductor_safety.py",
     ),

@@ -34,6 +34,7 @@ SERVO_FAULTS: list[tuple[object, str]] = [
     ({"op": None}, f"op is null; {OP_RULE}"),
     ({"op": ["stop"]}, f'op is ["stop"]; {OP_RULE}'),
     ({"op": "\n\x1b[31m"}, rf'op is "\n\u001b[31m"; {OP_RULE}'),
+    ({"op": "z" * 38}, f'op is "{"z" * 38}"; {OP_RULE}'),
     ({"op": "z" * 4000}, f'op is "{"z" * 39}…; {OP_RULE}'),
     # angle_deg
     ({"op": "start"}, "angle_deg is missing"),
@@ -48,6 +49,8 @@ SERVO_FAULTS: list[tuple[object, str]] = [
     (ANGLE % "-Infinity", "angle_deg is -Infinity; it must be a finite number"),
     (ANGLE % "1e999", "angle_deg is Infinity; it must be a finite number"),
     (ANGLE % ("9" * 4000), "angle_deg is a whole number of about 4000 digits; it must be a finite number"),
+    (ANGLE % 2**128, "angle_deg is a whole number of about 39 digits; it must be between 0 and 180"),
+    (ANGLE % (2**128 - 1), "angle_deg is (hex digits); it must be between 0 and 180"),
     (ANGLE % ("9" * 30), f"angle_deg is {'9' * 30}; it must be between 0 and 180"),
     (ANGLE % "181", "angle_deg is 181; it must be between 0 and 180"),
     (ANGLE % "180.001", "angle_deg is 180.001; it must be between 0 and 180"),

@@ -42,7 +42,7 @@ def intent_of(received: Received) -> Intent | Rejection:
     key = received.target
     if key is None:
         try:
-            keys.parse(without_secrets(received.expression[: 2 * MAX_KEY]))
+            keys.parse(echo_of(received.expression))
         except ValueError as error:
             return Rejection(Reason.INVALID, str(error))
         return Rejection(Reason.INVALID, f"{echo_of(received.expression)} names no command key")
@@ -199,9 +199,9 @@ def _sentence(fault: dict[str, Any]) -> str:
         case "literal_error" if field == "[key]":
             may = '"1" to "6"' if loc[0] == "legs" else '"11" to "63": the leg (1 to 6), then the joint (1 to 3)'
             return f"{loc[0]} has {_echo(fault['input'])}; it may have {may}"
-        case "too_long" if field == "servos":
+        case "too_long":
             return f"{where} has {fault['ctx']['actual_length']} entries; a leg has {len(JOINTS)} servos"
-        case "too_short" if loc == ("legs",):
+        case "too_short":
             return "legs is empty; name at least one leg"
         case kind:
             must = _MUST.get(kind) or _RANGES.get(field) or "what the schema says"

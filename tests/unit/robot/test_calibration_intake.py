@@ -64,6 +64,7 @@ BAD: list[tuple[object, Reason, str]] = [
     ({"servos": {"11": {"inverted": "yes"}}}, Reason.INVALID, 'servos.11.inverted is "yes"; it must be true or false'),
     ({"servos": {"11": {"inverted": 1}}}, Reason.INVALID, "servos.11.inverted is 1; it must be true or false"),
     ({"servos": {"11": {"min_deg": -1}}}, Reason.INVALID, "servos.11.min_deg is -1; it must be between 0 and 180"),
+    ({"servos": {"11": {"max_deg": 181}}}, Reason.INVALID, "servos.11.max_deg is 181; it must be between 0 and 180"),
     ({"servos": {"11": {"speed": 1}}}, Reason.INVALID, "servos.11.speed is not known here"),
     ({"landing": {"11": 181}}, Reason.INVALID, "landing.11 is 181; it must be between 0 and 180"),
     ({"landing": {"11": True}}, Reason.INVALID, "landing.11 is true; it must be a number"),

@@ -170,6 +170,7 @@ async def test_a_start_by_another_way_does_not_undo_a_stop_that_may_have_been_lo
     lost(robot, LEG_3)
     other = keys.servo_command(31) if verb is Verb.PUT else LEG_3
     robot.put(other, servo("start", 1) if verb is Verb.PUT else START, verb=verb)
+    await asyncio.sleep(0.1)  # a Start that is taken waits for its leg's rate slot
     assert robot.controller.energised == set()
 
 

@@ -8,12 +8,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.robot.core import intake
-from gateway.robot.core.intake import Rejection, decode, deleted, too_large
+from gateway.robot.core.intake import Rejection, decode, deleted, echo_of, intent_of, too_large
+from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import Intent
 from gateway.robot.protocol.frames import STOP as STOP_OP
 from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import ESTOP, CommandKey
+from schemas.keys import ESTOP, CommandKey, servo_command
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
 from tests.fuzz.targets import ENCODINGS, KEYS, MAX_DETAIL, check_intake
@@ -141,6 +142,11 @@ def test_the_largest_payload_and_one_byte_more() -> None:
     payload = as_json(STOP)
     largest = payload + b" " * (MAX_PAYLOAD_BYTES - len(payload))
     assert decode(SERVO_32, largest, JSON) == Intent(((32, STOP_OP),))
+    key = servo_command(32)
+    whole, not_copied = (
+        intent_of(Received(key, key, SERVO_32, Verb.PUT, payload, size, JSON, None, 0)) for size in (4096, 4097)
+    )
+    assert (whole, not_copied) == (Intent(((32, STOP_OP),)), too_large(4097))
     assert len(largest) == 4096
     assert rejection(SERVO_32, largest + b" ") == too_large(4097)
     assert too_large(4097) == Rejection(Reason.TOO_LARGE, "the payload has 4097 bytes; at most 4096 are read")
@@ -280,6 +286,13 @@ def test_the_longest_answer_is_well_below_the_bound() -> None:
         key=lambda answer: len(answer.detail),
     )  # fmt: skip
     assert len(longest.detail) < MAX_DETAIL // 1.5
+
+
+def test_of_a_key_of_the_senders_own_making_little_is_looked_at_and_less_repeated_and_no_token() -> None:
+    token = "0123456789abcdef" * 2
+    assert echo_of("x" * 101) == "x" * 100
+    assert echo_of(f"{token}/" * 4) == "(hex digits)/" * 4, "none is cut in two before it is recognised"
+    assert echo_of("a" * 200 + "/x") == "(hex digits)"
 
 
 SENT = {"sent_ms": 1, "lease": "0" * 32}
