@@ -121,6 +121,20 @@ def test_a_steady_delay_is_one_that_is_heard_each_second(
     assert rejected == [True] * 5 + [not becomes_steady] * 2
 
 
+@pytest.mark.parametrize(("spread_ms", "becomes_steady"), [(200, True), (201, False)])
+def test_a_steady_delay_varies_by_no_more_than_what_is_allowed(
+    staleness: Staleness, spread_ms: float, becomes_steady: bool
+) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 1000)
+    late = [
+        publisher.arrives(sent_ms + 700 + spread_ms * (sent_ms % 1000 != 0), sent_at_ms=sent_ms) is not None
+        for sent_ms in range(1000, 7000, 500)
+    ]
+    assert all(late[:10])
+    assert late[-1] is not becomes_steady
+
+
 @pytest.mark.parametrize(("behind_ms", "late_ms"), [(20_000, 20_000), (20_001, None)])
 def test_what_is_out_of_order_is_an_old_one_where_a_link_can_have_held_it(
     staleness: Staleness, behind_ms: float, late_ms: float | None
@@ -139,6 +153,27 @@ def test_a_baseline_falls_by_a_quarter_of_what_is_allowed_and_beyond_that_it_is_
     assert publisher.arrives(1000) is None
     assert publisher.arrives(1000, sent_at_ms=1000 + ahead_ms) is None
     assert publisher.arrives(1000, sent_at_ms=1000 - 160) == late_ms
+
+
+@pytest.mark.parametrize(("sent_at_ms", "late_ms"), [(1979, 600), (1980, None)])
+def test_a_clock_keeps_its_baseline_where_a_late_command_overtook_another_since_there_may_be_two(
+    staleness: Staleness, sent_at_ms: float, late_ms: float | None
+) -> None:
+    publisher = Publisher(staleness)
+    publisher.streams(0, 1000)
+    assert all(publisher.streams(1000, 2000, delay_ms=700))
+    assert publisher.arrives(2690, sent_at_ms=sent_at_ms) is not None, "the newest was sent at 1980 ms"
+    assert publisher.streams(2000, 8000, delay_ms=700)[-50:] == [False] * 50
+    assert publisher.arrives(9000, sent_at_ms=8400) == (late_ms and pytest.approx(late_ms, abs=3))
+
+
+def test_a_clock_that_has_a_new_baseline_is_the_one_heard_last(staleness: Staleness) -> None:
+    slower, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + 600)
+    slower.streams(0, 1000)
+    assert all(slower.streams(1000, 6000, delay_ms=700))
+    assert ahead.arrives(6690) is None
+    assert slower.arrives(6700, sent_at_ms=6000) is None
+    assert slower.arrives(8300, sent_at_ms=7300) == pytest.approx(300, abs=3), "by the other's clock 1600 ms"
 
 
 def test_a_delay_that_grows_is_never_steady(staleness: Staleness) -> None:
@@ -292,6 +327,15 @@ def test_who_invents_clocks_under_a_name_does_not_push_out_the_one_that_has_prov
     assert owner.arrives(3001) is None
 
 
+def test_a_new_clock_takes_the_place_of_the_proven_one_that_is_silent_for_longest(staleness: Staleness) -> None:
+    *proven, new = (Publisher(staleness, zero_ms=number * 1e6) for number in range(CLOCKS + 1))
+    for begin_ms, publisher in zip(range(0, 54_000, 6000), (*proven, proven[0]), strict=True):
+        publisher.streams(begin_ms, begin_ms + 6000)
+    assert new.arrives(54_000) is None
+    assert proven[0].arrives(55_000, sent_at_ms=54_400) is not None
+    assert proven[1].arrives(55_000, sent_at_ms=54_400) is None, "as a clock that nobody knows"
+
+
 @pytest.mark.parametrize("apart_ms", [3_600_000, 21_000, 600, 51, 0])
 def test_two_programs_of_one_name_on_two_machines_both_work(staleness: Staleness, apart_ms: float) -> None:
     first, second = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + apart_ms)
@@ -333,12 +377,38 @@ def test_a_clock_first_heard_with_a_delay_lets_nothing_as_old_in_later(staleness
     assert all(late is not None for late in burst)
 
 
-def test_an_old_command_between_two_clocks_is_judged_by_the_one_heard_last(staleness: Staleness) -> None:
+@pytest.mark.parametrize("sent_at_ms", [5350, 6000], ids=["out of order", "in order, and both are proven"])
+def test_an_old_command_between_two_clocks_is_judged_by_the_one_heard_last(
+    staleness: Staleness, sent_at_ms: float
+) -> None:
     behind, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + 600)
-    for index in range(100):
+    for index in range(300):
         assert behind.arrives(index * 20) is None
         assert ahead.arrives(index * 20 + 10) is None
-    assert ahead.arrives(2000, sent_at_ms=2000 - 650) is not None, "by the other's clock it would be 50 ms old"
+    assert ahead.arrives(sent_at_ms + 650, sent_at_ms=sent_at_ms) is not None, "50 ms old by the other's clock"
+
+
+@pytest.mark.parametrize(
+    ("apart_ms", "delay_ms", "late_ms", "later_ms"),
+    [
+        (600, 200, None, 250),  # just fresh by the one heard for longest
+        (600, 201, 801, 850),
+        (100, 100, None, 350),  # just fresh by the one heard last, which is believed first
+    ],
+)
+def test_of_two_clocks_the_one_heard_last_is_believed_and_then_the_one_heard_for_longest(
+    staleness: Staleness, apart_ms: float, delay_ms: float, late_ms: float | None, later_ms: float
+) -> None:
+    behind, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + apart_ms)
+    said = [
+        staleness.too_old(publisher.name, publisher.clock_ms(now_ms - before_ms), now_ms * MS, 1000 * MS)
+        for publisher, now_ms, before_ms in (
+            *((behind, 1000, 0), (behind, 1010, 0), (ahead, 1020, 0)),
+            *((behind, 2000, delay_ms), (behind, 2001, 250)),
+        )
+    ]
+    delays = [None if why is None else float(why.split()[5]) for why in said]
+    assert delays == [None, None, None, late_ms, later_ms]
 
 
 def test_an_old_command_that_is_let_in_lets_no_older_one_of_another_clock_in(staleness: Staleness) -> None:
