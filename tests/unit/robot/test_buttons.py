@@ -19,7 +19,13 @@ REFUSED = "rejected 1 no_button"
 
 def rules(required: int = 1, landing_ms: int = 0) -> Rules:
     """The watchdog is slower than the buttons, so that it is not what stops the legs."""
-    return Rules(repeats=0, timeout_ns=10_000 * NS_PER_MS, buttons_required=required, landing_ns=landing_ms * NS_PER_MS)
+    return Rules(
+        repeats=0,
+        timeout_ns=10_000 * NS_PER_MS,
+        buttons_required=required,
+        landing_ns=landing_ms * NS_PER_MS,
+        landing_cdeg={11: 30_00},
+    )
 
 
 def watched(required: int = 1, landing_ms: int = 0) -> Steps:
@@ -200,10 +206,16 @@ def test_where_a_landing_is_configured_it_begins_and_ends_in_time() -> None:
     robot = watched(landing_ms=400)
     assert robot.time(TIMEOUT_MS) == ["announce button_silent", "announce landing"]
     assert robot.announced[0].detail.endswith("the robot lands")
-    assert robot.command(1100, SET) == ["rejected 2 landing"]
+    assert robot.command(1100, SET) == ["rejected 2 landing", "watchdog 11 set 86.66"]
     robot.button(1200, "alive", "kitchen", 2)
     took = robot.time(1400)
     assert took == [*all_stopped("watchdog"), "announce watchdog_expired"], "who is back makes it no longer"
+
+
+def test_where_somebody_leaves_it_begins_a_slot_later() -> None:
+    robot = watched(landing_ms=400)
+    assert robot.button(10, "leave", "kitchen")[0] == "announce landing"
+    assert robot.due_ms == 30
 
 
 def test_a_landing_that_would_begin_after_its_end_is_a_stop() -> None:

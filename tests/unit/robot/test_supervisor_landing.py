@@ -67,13 +67,21 @@ def test_what_else_is_due_meanwhile_makes_no_frames_sooner() -> None:
     assert min(later - earlier for earlier, later in pairwise(times_ms)) >= 20
 
 
-@pytest.mark.parametrize(("late_ms", "next_ms"), [(0, 300), (5, 300), (20, 320), (65, 365)])
+@pytest.mark.parametrize(("late_ms", "next_ms"), [(0, 300), (5, 300), (15, 300), (16, 301), (20, 320), (65, 365)])
 def test_what_a_timer_is_late_does_not_add_up_and_is_not_made_up_for(late_ms: float, next_ms: float) -> None:
     steps = landing_steps()
     steps.time(10 + TIMEOUT_MS)
     assert steps.due_ms == 280
     assert steps.time(280 + late_ms)[0].startswith("watchdog 31 set")
     assert steps.due_ms == next_ms
+    assert steps.time(next_ms)[0].startswith("watchdog 31 set")
+
+
+def test_a_leg_whose_slot_comes_later_keeps_no_other_from_going_on() -> None:
+    steps = landing_steps(landing_cdeg={31: 30_00, 42: 90_24})
+    steps.time(10 + TIMEOUT_MS)
+    assert steps.time(296) == ["watchdog 31 set 88.75"]
+    assert steps.time(300) == ["watchdog 42 set 90.01"]
 
 
 def test_a_second_landing_begins_where_the_servos_are() -> None:
