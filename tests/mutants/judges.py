@@ -21,10 +21,8 @@ _CONDUCTOR: Final = (
     "tests/unit/people/test_recorder.py",
 )
 _INBOX: Final = (
-    "tests/zenoh/test_rings.py",
-    "tests/zenoh/test_inbox.py",
-    "tests/zenoh/test_inbox_parts.py",
     "tests/zenoh/test_inbox_wakeups.py",
+    "tests/zenoh/test_inbox_parts.py",
     f"{_UNIT}test_ownership.py",
 )
 _SUPERVISOR: Final = (
@@ -81,7 +79,7 @@ JUDGES: Final = {
     ),
     "gateway/certs/proof.py": _CHECKER,
     "gateway/robot/edge/inbox.py": _INBOX,
-    "gateway/robot/edge/rings.py": _INBOX,
+    "gateway/robot/edge/rings.py": ("tests/zenoh/test_rings.py", *_INBOX),
     "gateway/robot/edge/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
     "gateway/robot/runtime/request_answers.py": (
         *_CHECKER,

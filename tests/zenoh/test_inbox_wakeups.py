@@ -8,13 +8,14 @@ import itertools
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from queue import SimpleQueue
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import zenoh
 
 from gateway.robot.core.message import Received, Reply
-from gateway.robot.edge.inbox import OTHER_DEPTH, Inbox
+from gateway.robot.edge.inbox import LOOK_AFTER_FLOOD, LOOK_AGAIN_S, OTHER_DEPTH, Inbox
 from gateway.robot.host.ownership import Ownership
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
@@ -179,3 +180,144 @@ async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: 
         await taker.wait_until(lambda: len(taker.taken) == early + beside + 2)
     finally:
         await asyncio.to_thread(taker.inbox.close)
+
+
+# ---- how many messages of a key are heard of and taken: W, its wakeup is heard; M, it reaches its ring; T, a tick
+
+K, OTHER, FURTHER = leg_command(1), leg_command(2), leg_command(3)
+
+
+class Counted:
+    """An inbox whose wakeups and messages come when the test says so; each step is taken at once."""
+
+    def __init__(self) -> None:
+        rings: Any = LateRings()
+        self.rings: dict[str, LateRing] = rings.rings
+        self.taker = Taker(rings)
+        self.inbox: Any = self.taker.inbox
+
+    def step(self, kind: str, key: str = K) -> None:
+        with self.taker.owner:
+            if kind == "M":
+                self.rings[key].put(Sample(key))
+            elif kind == "T":
+                self.taker.tick()
+            else:
+                self.inbox._on_wakeup(named(key), 0)
+
+    @property
+    def left(self) -> dict[str, int]:
+        """Those of which a wakeup was heard and that were not taken; negative: taken before their wakeup."""
+        missed: dict[str, int] = self.inbox._missed
+        return missed | {key: -count for key, count in self.inbox._early.items()}
+
+
+def named(expression: str) -> Any:
+    """As much of a sample as a wakeup looks at."""
+    return SimpleNamespace(key_expr=zenoh.KeyExpr(expression) if "*" in expression else expression)
+
+
+@pytest.fixture
+async def counted() -> AsyncIterator[Counted]:
+    made = Counted()
+    yield made
+    await asyncio.to_thread(made.inbox.close)
+
+
+@pytest.mark.parametrize(
+    ("steps", "left"),
+    [
+        ("MW", 0),
+        ("W", 1),
+        ("WMT", 0),
+        ("MT", -1),
+        ("MTW", 0),
+        ("MTWW", 1),
+        ("MMT", -2),
+        ("MMTW", -1),
+        ("MMTWW", 0),
+        ("MTMT", -2),
+        ("WW", 2),
+        ("WWMT", 1),
+        ("WWMTMT", 0),
+        ("WMMT", -1),
+        ("WMMTWMW", 0),
+    ],
+)
+async def test_as_many_are_looked_for_as_were_heard_of_and_not_taken(counted: Counted, steps: str, left: int) -> None:
+    for step in steps:
+        counted.step(step)
+    assert counted.left == ({K: left} if left else {})
+    assert counted.taker.taken == [K] * steps.count("M")
+    assert counted.inbox._look_again.armed or left <= 0
+
+
+async def test_a_wildcard_is_heard_of_for_each_key_that_it_names_each_time(counted: Counted) -> None:
+    for _ in range(2):
+        counted.step("W", "hexapod/leg/*/cmd")
+    assert counted.left == {leg_command(number): 2 for number in range(1, 7)}
+
+
+async def test_a_message_that_is_looked_for_is_looked_for_five_times(counted: Counted) -> None:
+    """Each later than the one before, beginning anew only where another one is missed; then it is given up."""
+    counted.step("W")
+    for attempt in range(len(LOOK_AGAIN_S)):
+        assert (counted.inbox._attempt, counted.left) == (attempt, {K: 1})
+        for step in "MT":  # of this key one was taken early, and nothing more is missed
+            counted.step(step, OTHER)
+        assert counted.inbox._attempt == attempt
+        counted.step("W", OTHER)
+        counted.inbox._looked()
+    assert counted.left == {}
+    counted.step("W")
+    counted.inbox._looked()
+    assert counted.inbox._attempt == 1
+    counted.step("W", FURTHER)
+    assert counted.inbox._attempt == 0, "of a further message all looks are taken"
+
+
+async def test_only_the_rings_of_what_is_missed_are_looked_into(counted: Counted) -> None:
+    counted.step("W")
+    counted.rings[FURTHER].put(Sample(FURTHER))  # its wakeup comes later
+    counted.rings[K].put(Sample(K))
+    counted.inbox._looked()
+    assert counted.taker.taken == [K]
+    counted.step("W", FURTHER)
+    assert counted.taker.taken == [K, FURTHER]
+
+
+async def test_a_message_that_was_counted_once_too_often_is_forgotten(counted: Counted) -> None:
+    for step in "MT":
+        counted.step(step)
+    until_s = counted.inbox._early_until_s
+    counted.step("W", OTHER)
+    assert counted.left == {K: -1, OTHER: 1}
+    assert counted.inbox._early_until_s == until_s, "others do not keep it"
+    await asyncio.sleep(max(0.0, until_s - asyncio.get_running_loop().time()) + 0.001)
+    counted.step("W", FURTHER)
+    assert K not in counted.left
+    counted.step("W")
+    assert counted.left[K] == 1, "and the next one is looked for"
+
+
+@pytest.mark.parametrize(("waiting", "all_rings"), [(OTHER_DEPTH - 3, False), (OTHER_DEPTH - 2, True)])
+async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
+    counted: Counted, waiting: int, all_rings: bool
+) -> None:
+    """Whoever was missed before is among them; they are looked at once more, after the flood's next tick."""
+    counted.step("W", FURTHER)
+    counted.rings[OTHER].put(Sample(OTHER))
+    wakeups = [named(K)] * waiting
+    counted.inbox._wakeups = (SimpleNamespace(try_recv=lambda: wakeups.pop() if wakeups else None),)
+    counted.step("W")
+    assert counted.taker.taken == [OTHER] * all_rings
+    assert counted.left == ({} if all_rings else {FURTHER: 1, K: waiting + 1})
+    assert counted.inbox._attempt == (LOOK_AFTER_FLOOD if all_rings else 0)
+    if all_rings:
+        counted.step("M", FURTHER)
+        counted.inbox._looked()
+        assert counted.taker.taken == [OTHER, FURTHER]
+        for _ in range(LOOK_AFTER_FLOOD + 1, len(LOOK_AGAIN_S)):
+            assert counted.inbox._lost_some
+            counted.inbox._looked()
+        assert not counted.inbox._lost_some
