@@ -177,6 +177,15 @@ async def test_an_emergency_stop_waits_for_no_wakeup(session: zenoh.Session, hel
     assert [each.key for each in held.estops] == [ESTOP]
 
 
+async def test_a_put_by_wildcard_is_an_emergency_stop_and_a_get_is_none(session: zenoh.Session, held: Held) -> None:
+    session.put("hexapod/estop/*", b"")
+    await held.until(lambda: len(held.estops) == 1)
+    (answer,) = await asyncio.to_thread(list, session.get("hexapod/estop/*", timeout=PATIENCE_S))
+    assert answer.ok is not None
+    assert b'"accepted":false' in answer.ok.payload.to_bytes()
+    assert len(held.estops) == 1
+
+
 async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:
     """The sender of all other answers waits for an asker who does not read."""
     gate = threading.Event()

@@ -5,6 +5,7 @@ In one process: a session's own messages take the same rings.
 
 import asyncio
 import itertools
+import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -14,8 +15,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.robot.core.message import Received, Reply
+from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.edge.inbox import LOOK_AFTER_FLOOD, LOOK_AGAIN_S, OTHER_DEPTH, Inbox
+from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from gateway.robot.host.ownership import Ownership
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
@@ -300,7 +302,9 @@ async def test_a_message_that_was_counted_once_too_often_is_forgotten(counted: C
     assert counted.left[K] == 1, "and the next one is looked for"
 
 
-@pytest.mark.parametrize(("waiting", "all_rings"), [(OTHER_DEPTH - 3, False), (OTHER_DEPTH - 2, True)])
+@pytest.mark.parametrize(
+    ("waiting", "all_rings"), [(OTHER_DEPTH - 3, False), (OTHER_DEPTH - 2, True), (OTHER_DEPTH + 3, True)]
+)
 async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     counted: Counted, waiting: int, all_rings: bool
 ) -> None:
@@ -310,6 +314,7 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     wakeups = [named(K)] * waiting
     counted.inbox._wakeups = (SimpleNamespace(try_recv=lambda: wakeups.pop() if wakeups else None),)
     counted.step("W")
+    assert len(wakeups) == max(0, waiting - OTHER_DEPTH), "what comes meanwhile is left for the next time"
     assert counted.taker.taken == [OTHER] * all_rings
     assert counted.left == ({} if all_rings else {FURTHER: 1, K: waiting + 1})
     assert counted.inbox._attempt == (LOOK_AFTER_FLOOD if all_rings else 0)
@@ -321,3 +326,22 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
             assert counted.inbox._lost_some
             counted.inbox._looked()
         assert not counted.inbox._lost_some
+
+
+async def test_what_was_passed_over_in_a_full_ring_and_what_names_no_key_of_ours_is_not_counted(
+    counted: Counted,
+) -> None:
+    for _ in range(LEAST_PUT_DEPTH):
+        counted.rings[K].put(Sample(K))
+    begun_ns = time.monotonic_ns()
+    with counted.taker.owner:
+        lost, *newest = counted.inbox.take()
+    assert (lost.verb, lost.size) == (Verb.LOST, LEAST_PUT_DEPTH - RING_DEPTH)
+    assert [each.verb for each in newest] == [Verb.PUT] * RING_DEPTH
+    assert begun_ns <= newest[0].received_ns <= time.monotonic_ns()
+    assert counted.left == {K: -RING_DEPTH}
+    with counted.taker.owner:
+        counted.inbox._note(Sample("hexapod/x/cmd"), 7)
+        (unknown,) = counted.inbox.take()
+    assert (unknown.target, unknown.received_ns) == (None, 7)
+    assert counted.left == {K: -RING_DEPTH}
