@@ -38,7 +38,7 @@ class Held:
             on_wakeup=self.wake,
             on_estop=self._stop,
             on_state_query=lambda reply: reply(b"{}"),
-            readers={LEASE: lambda _query, _ns, _reply: lambda: None},
+            readers={LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
         )
 
     def wake(self) -> None:
@@ -184,6 +184,21 @@ async def test_a_put_by_wildcard_is_an_emergency_stop_and_a_get_is_none(session:
     assert answer.ok is not None
     assert b'"accepted":false' in answer.ok.payload.to_bytes()
     assert len(held.estops) == 1
+
+
+@pytest.mark.parametrize(("key", "answer"), [(LEASE, b"read"), ("hexapod/x/cmd", b"unknown")])
+async def test_what_is_asked_on_a_further_key_is_read_and_on_an_unknown_one_taken(
+    session: zenoh.Session, held: Held, key: str, answer: bytes
+) -> None:
+    asked = asyncio.create_task(asyncio.to_thread(list, session.get(key, timeout=PATIENCE_S)))
+    while not asked.done():
+        await asyncio.sleep(0.001)
+        for each in held.inbox.take():
+            assert each.reply is not None
+            each.reply(b"unknown")
+    (reply,) = await asked
+    assert reply.ok is not None
+    assert reply.ok.payload.to_bytes() == answer
 
 
 async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:

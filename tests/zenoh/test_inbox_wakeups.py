@@ -5,6 +5,7 @@ In one process: a session's own messages take the same rings.
 
 import asyncio
 import itertools
+import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
@@ -129,6 +130,7 @@ class LateRing:
 
     def __init__(self) -> None:
         self.handler = self
+        self.closed = False
         self._items: SimpleQueue[Sample | None] = SimpleQueue()
 
     def put(self, item: "Sample | None") -> None:
@@ -141,6 +143,8 @@ class LateRing:
         return item
 
     def try_recv(self) -> "Sample | None":
+        if self.closed:
+            raise zenoh.ZError("closed")
         return None if self._items.empty() else self._items.get()
 
     def undeclare(self) -> None:
@@ -284,8 +288,9 @@ async def test_only_the_rings_of_what_is_missed_are_looked_into(counted: Counted
     counted.rings[K].put(Sample(K))
     counted.inbox._looked()
     assert counted.taker.taken == [K]
+    counted.rings[K].put(Sample(K))
     counted.step("W", FURTHER)
-    assert counted.taker.taken == [K, FURTHER]
+    assert counted.taker.taken == [K, FURTHER], "no longer into theirs"
 
 
 async def test_a_message_that_was_counted_once_too_often_is_forgotten(counted: Counted) -> None:
@@ -318,6 +323,7 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     assert counted.taker.taken == [OTHER] * all_rings
     assert counted.left == ({} if all_rings else {FURTHER: 1, K: waiting + 1})
     assert counted.inbox._attempt == (LOOK_AFTER_FLOOD if all_rings else 0)
+    assert not counted.inbox._read_all, "at the next tick those that were heard of are read"
     if all_rings:
         counted.step("M", FURTHER)
         counted.inbox._looked()
@@ -339,9 +345,31 @@ async def test_what_was_passed_over_in_a_full_ring_and_what_names_no_key_of_ours
     assert (lost.verb, lost.size) == (Verb.LOST, LEAST_PUT_DEPTH - RING_DEPTH)
     assert [each.verb for each in newest] == [Verb.PUT] * RING_DEPTH
     assert begun_ns <= newest[0].received_ns <= time.monotonic_ns()
+    assert newest[0].size == 0
     assert counted.left == {K: -RING_DEPTH}
     with counted.taker.owner:
         counted.inbox._note(Sample("hexapod/x/cmd"), 7)
         (unknown,) = counted.inbox.take()
     assert (unknown.target, unknown.received_ns) == (None, 7)
     assert counted.left == {K: -RING_DEPTH}
+
+
+@pytest.mark.parametrize("ring", [K, ALL_COMMANDS])
+async def test_a_tick_while_the_inbox_closes_finds_nothing(counted: Counted, ring: str) -> None:
+    counted.rings[ring].closed = True
+    counted.step("W")
+    assert counted.taker.taken == []
+
+
+async def test_it_is_closed_when_none_of_its_threads_has_anything_in_hand() -> None:
+    counted = Counted()
+    assert counted.inbox.goes_on()
+    closing = threading.Thread(target=counted.inbox.close)
+    with counted.taker.owner:
+        counted.rings[ESTOP].put(Sample(ESTOP))  # its thread waits for the state
+        closing.start()
+        closing.join(0.1)
+        assert closing.is_alive()
+    closing.join(PATIENCE_S)
+    assert not any(thread.is_alive() for thread in counted.inbox._threads)
+    assert counted.taker.taken == [ESTOP]
