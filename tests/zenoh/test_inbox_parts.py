@@ -15,6 +15,7 @@ from gateway.robot.core.message import Received, Verb
 from gateway.robot.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received, _words_of_stop
 from gateway.robot.edge.rings import RING_DEPTH, Ring
 from gateway.robot.host.ownership import Ownership
+from gateway.robot.host.realtime import LOOP_PRIORITY
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from tests.zenoh.test_inbox_wakeups import Taker
@@ -169,6 +170,11 @@ async def test_an_emergency_stop_that_waits_for_the_state_is_taken_without_any_c
         await held.until(lambda: bool(held.inbox._estops))
         assert [each.key for each in held.inbox.take()] == [ESTOP]
     assert not held.estops
+
+
+async def test_an_emergency_stops_threads_are_as_urgent_as_the_loop(held: Held) -> None:
+    urgent = {each.thread.name for each in held.inbox._receivers if each._priority == LOOP_PRIORITY}
+    assert urgent == {"estop-put", "estop-get"}
 
 
 async def test_an_emergency_stop_waits_for_no_wakeup(session: zenoh.Session, held: Held) -> None:
