@@ -188,7 +188,7 @@ async def test_a_put_by_wildcard_is_an_emergency_stop_and_a_get_is_none(session:
     await held.until(lambda: len(held.estops) == 1)
     (answer,) = await asyncio.to_thread(list, session.get("hexapod/estop/*", timeout=PATIENCE_S))
     assert answer.ok is not None
-    assert b'"accepted":false' in answer.ok.payload.to_bytes()
+    assert b'"accepted":false,"reason":"invalid"' in answer.ok.payload.to_bytes()
     assert len(held.estops) == 1
 
 
