@@ -6,9 +6,11 @@ Its faults (transfers that fail, a device that goes, openings that are rejected)
 import errno
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
+from tests.benchmarks.processes import OnDevice
 from tests.hil.bed import Opened, Segment, Setting, SpiTestbed, Transfer
 from tests.hil.wire import LATE_S
 from tests.support.child import Child
@@ -84,3 +86,11 @@ def test_a_wait_has_an_end_and_says_what_arrived(spi_testbed: SpiTestbed) -> Non
     run(spi_testbed, "spi.writebytes2([14])")
     with pytest.raises(TimeoutError, match=r"(?s)waited 0.05 s; arrived: .*data=b'\\x0e'"):
         spi_testbed.wait_for_data(b"\x0f", timeout_s=0.05)
+
+
+def test_a_benchmarks_program_has_a_device_of_its_own(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
+    """Beside the tests' own; what it writes is in the file by the time that it has ended."""
+    program = "import spidev\nspi = spidev.SpiDev()\nspi.open(0, 0)\nspi.writebytes2([14, 1])\nprint('ready')\ninput()"
+    with OnDevice([sys.executable, "-u", "-c", program], tmp_path / "log", ready="ready") as device:
+        assert [each.data for each in device.written()] == [b"\x0e\x01"]
+    assert not spi_testbed.transfers
