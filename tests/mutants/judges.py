@@ -9,6 +9,7 @@ _CONDUCTOR: Final = (
     f"{_UNIT}test_lease_conductor.py",
     "tests/zenoh/test_conductor_counts.py",
     f"{_UNIT}test_staleness.py",
+    f"{_UNIT}test_staleness_clocks.py",
     f"{_UNIT}test_preamble.py",
     f"{_UNIT}test_conductor_landing.py",
     f"{_UNIT}test_calibration_conductor.py",
@@ -95,7 +96,7 @@ JUDGES: Final = {
         f"{_UNIT}test_conductor.py",
         f"{_UNIT}test_conductor_safety.py",
     ),
-    "gateway/robot/core/staleness.py": (f"{_UNIT}test_staleness.py",),
+    "gateway/robot/core/staleness.py": (f"{_UNIT}test_staleness.py", f"{_UNIT}test_staleness_clocks.py"),
     "gateway/robot/core/pacing.py": (
         f"{_UNIT}test_pacing.py",
         f"{_UNIT}test_supervisor.py",

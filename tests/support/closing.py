@@ -1,13 +1,15 @@
 """What a `with` closes."""
 
+from abc import ABC, abstractmethod
 from typing import Self
 
 
-class Closing:
+class Closing(ABC):
     """Its `close` is called at the end of a `with`, however that ends."""
 
+    @abstractmethod
     def close(self) -> object:
-        raise NotImplementedError
+        """Release what it holds."""
 
     def __enter__(self) -> Self:
         return self
