@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Playwright, sync_playwright
 from tests.console.browser import ARGUMENTS, CHROMIUM, Visitor, put_to_rest
 from tests.hil.bed import missing_packages
 from tests.support.console_process import Console, SignedIn
-from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 
 
@@ -39,7 +39,7 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
     running.close()
 
 
-gateway = gateway_fixture(scope="package")
+gateway = gateway_fixture({"limits": patient()["limits"]}, scope="package")
 console = console_fixture("package")
 session = session_fixture("package")
 

@@ -11,13 +11,12 @@ from playwright.sync_api import ViewportSize, expect, sync_playwright
 
 from tests.console.browser import ARGUMENTS, CHROMIUM, Opened, Visitor
 from tests.support.console_process import Console
+from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
 
 PICTURE: Final = Path(__file__).parents[2] / "docs" / "console.png"
 TRIES: Final = 20
 """Drawing without a graphics card may hold the page up for so long that it stands still."""
-PATIENT: Final = {"watchdog": {"timeout_ms": 2000}, "lease": {"ttl_ms": 4000}}
-"""For the same reason."""
 SIZE: Final[ViewportSize] = {"width": 1240, "height": 800}
 
 
@@ -39,7 +38,7 @@ def looked_at(endpoint: str, *arguments: str, size: ViewportSize = SIZE) -> Iter
 def main() -> None:
     with (
         tempfile.TemporaryDirectory() as name,
-        Gateway(Path(name), PATIENT) as gateway,
+        Gateway(Path(name), patient()) as gateway,
         looked_at(gateway.endpoint) as page,
     ):
         page["lease-acquire"].click()

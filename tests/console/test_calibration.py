@@ -11,15 +11,14 @@ from playwright.sync_api import expect
 from gateway.client import Client
 from schemas.calibration import ServoChange
 from tests.console.browser import HIDE, Opened, Visitor
-from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 
 pytestmark = pytest.mark.browser
 
 PHONE: Final = {"width": 390, "height": 844}
 
-# Which outlasts a moment in which this machine is busy: a servo that is silent for so long is stopped.
-gateway = gateway_fixture({"watchdog": {"timeout_ms": 2000}, "lease": {"ttl_ms": 4000}})
+gateway = gateway_fixture(patient())
 console = console_fixture()
 session = session_fixture()
 

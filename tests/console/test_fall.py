@@ -10,9 +10,10 @@ from gateway.client import Client
 from gateway.geometry import load
 from tests.console.browser import Visitor
 from tests.support.console_process import Console
+from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
 
-PATIENT: Final = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
+PATIENT: Final = patient(10_000)
 """A browser that draws on the processor leaves little of it to others."""
 STEEP: Final = (
     "--sim=physics",

@@ -3,16 +3,14 @@
 import math
 import os
 import signal
-from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import expect
 
 from gateway.client import Client
-from tests.console.browser import GAMEPAD, HIDE, Opened, Visitor, put_to_rest
-from tests.support.console_process import Console
-from tests.support.gateway_process import Gateway
+from tests.console.browser import GAMEPAD, HIDE, Opened, Visitor
+from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 
 pytestmark = pytest.mark.browser
 
@@ -20,31 +18,10 @@ PHONES: Final = {"portrait": (320, 568), "landscape": (568, 320), "wide": (844, 
 TALL: Final = {"width": 390, "height": 844}
 
 
-@pytest.fixture(scope="module")
-def patient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    """A gateway that outlasts a moment in which this machine is busy."""
-    settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": 2000}, "lease": {"ttl_ms": 4000}}
-    with Gateway(tmp_path_factory.mktemp("patient"), settings) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def walked(patient: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with Console(tmp_path_factory.mktemp("walked"), "--connect", patient.endpoint) as running:
-        yield running
-
-
-@pytest.fixture
-def pages(browser: Browser, patient: Gateway, walked: Console) -> Iterator[Visitor]:
-    with Visitor(browser, walked.url, walked.sign_in()) as visitor:
-        yield visitor
-    put_to_rest(patient)
-
-
-@pytest.fixture
-def robot(patient: Gateway) -> Iterator[Client]:
-    with patient.client(source="watcher") as client:
-        yield client
+gateway = gateway_fixture(patient())
+console = console_fixture()
+session = session_fixture()
+robot = client_fixture("watcher")
 
 
 def drive(page: Opened) -> None:
@@ -88,9 +65,9 @@ def sit(page: Opened) -> None:
 
 
 @pytest.mark.parametrize("held", PHONES)
-def test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop(pages: Visitor, robot: Client, held: str) -> None:
+def test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop(visitor: Visitor, robot: Client, held: str) -> None:
     width, height = PHONES[held]
-    page = pages.open(viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
+    page = visitor.open(viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
     drive(page)
     walks(page)
     needed = ("stop-all", "stop-known", "mode", "said", "picture", "stand", "sit", "pad", "turn", "gait-wave")
@@ -114,8 +91,8 @@ def test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop(pages: Visitor, rob
     assert robot.state().mode == "estopped"
 
 
-def test_keys_walk_and_turn_and_letting_go_stands(pages: Visitor, robot: Client) -> None:
-    page = pages.open()
+def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Client) -> None:
+    page = visitor.open()
     page.page.keyboard.down("w")
     expect(page.said).to_have_text("Nothing moves: this page does not have the lease.")
     page.page.keyboard.up("w")
@@ -135,8 +112,8 @@ def test_keys_walk_and_turn_and_letting_go_stands(pages: Visitor, robot: Client)
     assert robot.state().mode == "idle"
 
 
-def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(pages: Visitor, robot: Client) -> None:
-    page = pages.open(script=GAMEPAD)
+def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(visitor: Visitor, robot: Client) -> None:
+    page = visitor.open(script=GAMEPAD)
     drive(page)
     page.page.evaluate("pad.axes[1] = -1")
     expect(page["walk-known"]).to_contain_text("It walks")
@@ -145,8 +122,8 @@ def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(pages: Visitor, rob
     assert robot.state().mode == "estopped"
 
 
-def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(pages: Visitor, robot: Client) -> None:
-    page = pages.open()
+def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, robot: Client) -> None:
+    page = visitor.open()
     drive(page)
     walks(page)
     page.page.evaluate(HIDE)
@@ -160,11 +137,11 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(pages: Visitor, 
     page.page.mouse.up()
 
 
-def test_a_frozen_page_leaves_a_robot_that_stands_and_then_sits(pages: Visitor, robot: Client) -> None:
-    page = pages.open()
+def test_a_frozen_page_leaves_a_robot_that_stands_and_then_sits(visitor: Visitor, robot: Client) -> None:
+    page = visitor.open()
     drive(page)
     walks(page)
-    renderers = pages.renderers()
+    renderers = visitor.renderers()
     for renderer in renderers:
         os.kill(renderer, signal.SIGSTOP)
     try:
@@ -178,9 +155,9 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_then_sits(pages: Visitor, 
     assert robot.state().mode == "idle"
 
 
-def test_the_floor_goes_as_the_feet_that_stand_do(pages: Visitor) -> None:
+def test_the_floor_goes_as_the_feet_that_stand_do(visitor: Visitor) -> None:
     """Four feet on the ground go back and turn about the body; two swing."""
-    page = pages.open()
+    page = visitor.open()
     feet = {1: (0.2, 0.2, -0.1), 2: (0.2, -0.2, -0.1), 3: (-0.2, 0.2, -0.1), 4: (-0.2, -0.2, -0.1)}
     angle, back = math.radians(-2), -0.01
 
@@ -199,8 +176,8 @@ def test_the_floor_goes_as_the_feet_that_stand_do(pages: Visitor) -> None:
     assert (x, y, heading) == pytest.approx((back, 0.0, angle), abs=1e-9)
 
 
-def test_a_hands_slider_moves_a_servo_no_faster_than_60_degrees_a_second(pages: Visitor) -> None:
-    page = pages.open(viewport=TALL)
+def test_a_hands_slider_moves_a_servo_no_faster_than_60_degrees_a_second(visitor: Visitor) -> None:
+    page = visitor.open(viewport=TALL)
     sent = page.module(
         "targets",
         "(m) => { const targets = new m.Targets(); targets.set(11, 100);"

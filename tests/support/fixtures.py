@@ -13,6 +13,21 @@ from tests.support.gateway_process import Gateway
 Scope = Literal["package", "module", "function"]
 
 
+def patient(silence_ms: float = 2000, **sections: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Settings that outlast a moment in which this machine is busy, and these `sections` of theirs.
+
+    A leg may be silent for so long, a lease unused, and the gateway itself stopped before it rejects what waited.
+    """
+    settings: dict[str, dict[str, Any]] = {
+        "watchdog": {"timeout_ms": silence_ms},
+        "lease": {"ttl_ms": max(5000, silence_ms)},
+        "limits": {"max_age_ms": max(3000, silence_ms)},
+    }
+    for section, values in sections.items():
+        settings[section] = {**settings.get(section, {}), **values}
+    return settings
+
+
 def gateway_fixture(
     settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     scope: Scope = "module",

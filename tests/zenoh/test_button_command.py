@@ -4,21 +4,18 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Mode
+from tests.support.fixtures import patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import states
 from tests.support.tmux import Terminal, need_tmux
 
 READY = "ANY KEY STOPS THE ROBOT"
-SETTINGS: dict[str, dict[str, Any]] = {
-    "buttons": {"required": 1, "timeout_ms": 2000},
-    "watchdog": {"timeout_ms": 10_000},
-}
+SETTINGS = patient(10_000, buttons={"required": 1, "timeout_ms": 2000})
 
 
 @pytest.fixture

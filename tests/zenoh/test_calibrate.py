@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,6 +12,7 @@ from gateway.errors import ConfigError
 from gateway.people.tools.attended import calibrate
 from gateway.robot.core.calibration import ServoCalibration, calibration_of
 from schemas.calibration import ServoChange
+from tests.support.fixtures import patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import frames, states
 from tests.support.tmux import Terminal, need_tmux
@@ -20,11 +20,8 @@ from tests.support.tmux import Terminal, need_tmux
 
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    settings: dict[str, dict[str, Any]] = {
-        "watchdog": {"timeout_ms": 10_000, "repeats": 0},
-        "telemetry": {"frames": True},
-        "calibration": {"path": str(tmp_path_factory.mktemp("kept") / "calibration.toml")},
-    }
+    kept = tmp_path_factory.mktemp("kept") / "calibration.toml"
+    settings = patient(10_000, watchdog={"repeats": 0}, telemetry={"frames": True}, calibration={"path": str(kept)})
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
 

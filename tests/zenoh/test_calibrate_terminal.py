@@ -15,13 +15,13 @@ import pytest
 from gateway.client import Client
 from gateway.people.tools.drill.cut_link import CutLink
 from schemas.telemetry import GatewayState
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
 from tests.support.tmux import LATE_S, Terminal, need_tmux
 
 # Its watchdog has nothing to do with what is stopped within ten seconds.
-patient = gateway_fixture({"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}})
+gateway = gateway_fixture(patient(10_000))
 quick = gateway_fixture()  # as it is by default: 250 ms
 
 
@@ -62,8 +62,8 @@ def stopped_by_a_stop(client: Client) -> None:
     assert state.watchdog.expirations == 0
 
 
-def test_space_escape_q_and_ctrl_c(patient: Gateway, tmp_path: Path) -> None:
-    with patient.client() as client, calibrating(tmp_path, patient.endpoint) as terminal:
+def test_space_escape_q_and_ctrl_c(gateway: Gateway, tmp_path: Path) -> None:
+    with gateway.client() as client, calibrating(tmp_path, gateway.endpoint) as terminal:
         heard = states(client)
         for key, says in (("Space", "all six legs are stopped"), ("Escape", "servo 32 is stopped"), ("q", "stopped")):
             assert runs(client.state())
@@ -80,8 +80,8 @@ def test_space_escape_q_and_ctrl_c(patient: Gateway, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["terminated", "window closed"])
-def test_a_signal_and_a_closed_window(patient: Gateway, tmp_path: Path, how: str) -> None:
-    with patient.client() as client, calibrating(tmp_path, patient.endpoint) as terminal:
+def test_a_signal_and_a_closed_window(gateway: Gateway, tmp_path: Path, how: str) -> None:
+    with gateway.client() as client, calibrating(tmp_path, gateway.endpoint) as terminal:
         assert runs(client.state())
         if how == "terminated":
             os.kill(terminal.pid, signal.SIGTERM)
@@ -91,12 +91,12 @@ def test_a_signal_and_a_closed_window(patient: Gateway, tmp_path: Path, how: str
         stopped_by_a_stop(client)
 
 
-def test_a_terminal_that_takes_no_more(patient: Gateway) -> None:
+def test_a_terminal_that_takes_no_more(gateway: Gateway) -> None:
     """Its picture stands still, so nobody sees the servo: it is stopped. The end of the program waits for nothing."""
     master, slave = pty.openpty()
-    with patient.client() as client:
+    with gateway.client() as client:
         heard = states(client)
-        calibrate = subprocess.Popen(command(patient.endpoint), stdin=slave, stdout=slave, stderr=slave)
+        calibrate = subprocess.Popen(command(gateway.endpoint), stdin=slave, stdout=slave, stderr=slave)
         os.close(slave)
         reads = threading.Event()
         reads.set()

@@ -13,14 +13,12 @@ from gateway.robot.protocol.frames import Op, decode
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
 from tests.support.child import Child
-from tests.support.fixtures import client_fixture, gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import frames, states
 from tests.support.tmux import Terminal, need_tmux
 
-gateway = gateway_fixture(
-    {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}, "telemetry": {"frames": True}}
-)
+gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 watcher = client_fixture("watcher")
 
 

@@ -16,12 +16,12 @@ from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.command import run_here
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events
 from tests.support.tmux import LATE_S, Terminal, need_tmux
 
-PATIENT = {"watchdog": {"timeout_ms": 10_000, "repeats": 0}}
+PATIENT = patient(10_000, watchdog={"repeats": 0})
 """So that a leg that was started once runs while the test looks at it, and nothing is written that nobody asked for."""
 
 
