@@ -39,17 +39,12 @@ run: $(VENV)/run
 quick: check
 	$(BIN)/pytest -q -n 2 -m "not thorough" tests/unit
 
-# First all that may run side by side, then pages and terminals in pairs, at last what measures time, alone
-# (tests/support/schedule.py).
 WORKERS ?= 3
 test: $(VENV)/dev debian-packages
 ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
 else
-	@$(BIN)/python -m tests.case --begin; \
-	$(BIN)/pytest -n $(WORKERS) -m "not alone and not attended" --junitxml=build/case/together.xml; together=$$?; \
-	$(BIN)/pytest -n 2 -m attended --junitxml=build/case/attended.xml; attended=$$?; \
-	$(BIN)/pytest -m alone --junitxml=build/case/alone.xml && exit $$((together + attended))
+	@$(BIN)/python -m tests --workers $(WORKERS)
 endif
 
 check: $(VENV)/dev

@@ -2,7 +2,6 @@
 
 python -m tests.case            # judges what the tests and the benchmark have left in build/case
 python -m tests.case --run      # runs the tests that it names first, unless they were run for these files
-python -m tests.case --begin    # `make test` does this: what follows is a run of these files
 python -m tests.case --draw     # writes docs/safety-case.svg anew
 """
 
@@ -27,13 +26,9 @@ _SIGNS = {Verdict.SHOWN: ("✓", 32), Verdict.PERSON: ("☐", 33), Verdict.RED: 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.case", description="The safety case of these files.")
     parser.add_argument("--run", action="store_true", help="run the tests that it names, unless that was done")
-    parser.add_argument("--begin", action="store_true", help="what pytest leaves from now on counts for these files")
     parser.add_argument("--draw", action="store_true", help="write docs/safety-case.svg anew")
     parser.add_argument("--all", action="store_true", help="show each piece of evidence, also what is shown")
     chosen = parser.parse_args()
-    if chosen.begin:
-        left.begin()
-        return 0
     try:
         case = load()
     except (ValidationError, ValueError) as error:
