@@ -18,6 +18,7 @@ from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, O
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 from tests.support.console_process import Console
+from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
 
 pytestmark = [pytest.mark.browser, pytest.mark.hil]
@@ -34,7 +35,7 @@ class Robot:
     def __init__(self, folder: Path) -> None:
         with ExitStack() as stack:
             self.bed = stack.enter_context(SpiTestbed())
-            self.gateway = stack.enter_context(Gateway(folder, {"watchdog": {"timeout_ms": TIMEOUT_MS}}, bed=self.bed))
+            self.gateway = stack.enter_context(Gateway(folder, patient(TIMEOUT_MS), bed=self.bed))
             self.link = stack.enter_context(CutLink(self.gateway.endpoint))
             self.console = stack.enter_context(Console(folder, "--connect", self.link.endpoint))
             self.session = self.console.sign_in()
