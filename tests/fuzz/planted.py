@@ -85,6 +85,17 @@ def making_up(effect: Effect, *, where: Callable[[Supervisor], bool] = lambda ro
     )
 
 
+def showing(part: str, **wrong: Any) -> Make:
+    """A part of the supervisor says something else of itself."""
+
+    def show(robot: Supervisor, _: Event, effects: list[Effect]) -> list[Effect]:
+        for name, value in wrong.items():
+            setattr(getattr(robot, part), name, value)
+        return effects
+
+    return wanting(show)
+
+
 def made_of(
     *,
     slots: type[RateSlots] = RateSlots,

@@ -8,7 +8,7 @@ import pytest
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.events import (
     Announce,
-    ButtonAnswer,
+    Answer,
     ButtonDo,
     ButtonRequest,
     Calibrate,
@@ -16,7 +16,6 @@ from gateway.robot.core.events import (
     Completed,
     Keep,
     Kept,
-    LeaseAnswer,
     LeaseRequest,
     Rejected,
     Reset,
@@ -26,7 +25,18 @@ from gateway.robot.core.events import (
 from gateway.robot.protocol.frames import STOP, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Kind
 from tests.fuzz import planted
-from tests.fuzz.planted import Make, answering, ignoring, losing, made_of, making_up, taking, wanting, without_stops
+from tests.fuzz.planted import (
+    Make,
+    answering,
+    ignoring,
+    losing,
+    made_of,
+    making_up,
+    showing,
+    taking,
+    wanting,
+    without_stops,
+)
 from tests.support.history import Violation
 from tests.support.model_check import check
 from tests.support.small_robots import CONFIGURATIONS, TICK, Configuration
@@ -141,7 +151,7 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
         DRIVERS,
         taking(Command, lambda robot, command: replace(command, lease=robot.lease._token)),
     ),
-    ("ask is answered with no_lease", DRIVERS, answering(LeaseAnswer, reason=None)),
+    ("ask is answered with no_lease", DRIVERS, answering(Answer, reason=None)),
     ("rejected for None", DRIVERS, planted.StopsNeedPermission),
     (
         "what waited of others moves under no new holder",
@@ -152,8 +162,8 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
             ]
         ),
     ),
-    ("who acquires it hears the token", DRIVERS, answering(LeaseAnswer, token=None)),
-    ("the answer names the holder", DRIVERS, answering(LeaseAnswer, holder="nobody")),
+    ("who acquires it hears the token", DRIVERS, answering(Answer, token=None)),
+    ("holds the lease, not nobody", DRIVERS, showing("lease", holder="nobody")),
     ("a change of the lease is told once", DRIVERS, losing(kind=Kind.LEASE_ACQUIRED)),
     ("no time but the lease's|wakes up in time", LEASE_REQUIRED, planted.WakesUpForLegsOnly),
     # buttons
@@ -166,16 +176,16 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
         taking(ButtonRequest, lambda _, request: replace(request, sent_ms=None)),
     ),
     (
-        "leave is answered|leave: .* is told|are alive, not",
+        "leave is answered|leave: .* is told",
         BUTTONS,
         taking(
             ButtonRequest,
             lambda _, asked: replace(asked, do=ButtonDo.ALIVE, count=99) if asked.do is ButtonDo.LEAVE else asked,
         ),
     ),
-    ("alive is answered with", BUTTONS, answering(ButtonAnswer, reason=None)),
-    ("are alive, not 7", BUTTONS, answering(ButtonAnswer, alive=7)),
-    ("who registers gets the token", BUTTONS, answering(ButtonAnswer, token=None)),
+    ("alive is answered with", BUTTONS, answering(Answer, reason=None)),
+    ("are alive, not 7", BUTTONS, showing("buttons", alive=7)),
+    ("who registers gets the token", BUTTONS, answering(Answer, token=None)),
     ("those that too few buttons watch", ANY_BUTTON, losing(cause=Cause.WATCHDOG)),
     ("rejected for landing|are stopped", BUTTON_LANDING, ignoring(landing_ns=0)),
     ("rejected for None", ANY_BUTTON, planted.StopsNeedPermission),

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest, Effect
+from gateway.robot.core.events import Announce, Answer, ButtonDo, ButtonRequest, Effect
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
@@ -98,12 +98,11 @@ class ButtonsHistory:
     def judge(self, request: ButtonRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> None:
         """Judge the answer to a request, and what is told of it."""
         reason, told = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
-        answers = [effect for effect in effects if isinstance(effect, ButtonAnswer)]
+        answers = [effect for effect in effects if isinstance(effect, Answer)]
         demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
         kinds = [(each.kind, each.source) for each in _told(effects) if each.kind is not Kind.BUTTON_SILENT]
         demand(kinds == ([] if told is None else [told]), f"{request.do}: {told} is told, not {kinds}")
         (answer,) = answers
-        demand(ended or answer.alive == len(self.alive), f"{len(self.alive)} are alive, not {answer.alive}")
         gives = reason is None and request.do is ButtonDo.REGISTER
         demand(
             answer.token == (request.fresh_token if gives else None), "who registers gets the token, and nobody else"

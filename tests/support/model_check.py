@@ -291,15 +291,7 @@ def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, inst
         demand(after in LEASE_TRANSITIONS[held][event.do], f"{event.do} leads the lease from {held} to {after}")
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
-    oracle.judge(
-        event,
-        now_ns,
-        effects,
-        mode=supervisor.mode,
-        due_ns=supervisor.due_ns,
-        estops=supervisor.estops,
-        instant_ns=instant_ns,
-    )
+    oracle.judge(event, now_ns, effects, supervisor, instant_ns)
     if isinstance(event, Command):  # after all others, every leg is looked at
         kept = _what_follows(supervisor.legs)
         supervisor.legs.look()

@@ -27,8 +27,9 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
+from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import Op, leg_of, stop_leg
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.telemetry import Cause, Kind, Reason
 from tests.support.history import (
     CLOSED,
     Want,
@@ -53,10 +54,7 @@ class Oracle(RobotHistory):
         event: Event,
         now_ns: int,
         effects: Sequence[Effect],
-        *,
-        mode: Mode,
-        due_ns: int | None,
-        estops: int,
+        after: Supervisor,
         instant_ns: int | None = None,
     ) -> None:
         """Judge one step: what came, what the supervisor wants done, and what it says of itself after it.
@@ -112,9 +110,12 @@ class Oracle(RobotHistory):
         demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
         calibrated = told(effects, Kind.CALIBRATED)
         demand(isinstance(event, Kept) or not calibrated, "a calibration is in force once it is kept")
-        demand(mode is self.mode, f"the mode is {self.mode}, not {mode}")
-        demand(estops == self.estops, f"{self.estops} emergency stops were requested, not {estops}")
-        self._after(now_ns, due_ns)
+        demand(after.mode is self.mode, f"the mode is {self.mode}, not {after.mode}")
+        demand(after.estops == self.estops, f"{self.estops} emergency stops were requested, not {after.estops}")
+        holder, alive = after.lease.holder, after.buttons.alive
+        demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
+        demand(alive == len(self.buttons.alive), f"{len(self.buttons.alive)} are alive, not {alive}")
+        self._after(now_ns, after.due_ns)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]

@@ -5,9 +5,9 @@ from typing import TypeVar
 from gateway.robot.core.calibration import Calibration, Change
 from gateway.robot.core.events import (
     Announce,
+    Answer,
     BusFailed,
     BusOpened,
-    ButtonAnswer,
     ButtonDo,
     ButtonRequest,
     Calibrate,
@@ -19,7 +19,6 @@ from gateway.robot.core.events import (
     Event,
     Keep,
     Kept,
-    LeaseAnswer,
     LeaseRequest,
     Rejected,
     Reset,
@@ -62,28 +61,18 @@ def legs_to(numbers: str, word: str) -> Targets:
 def said(effect: Effect) -> str:
     """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
     match effect:
-        case Transmit(frame=OneServo() as frame):
-            return f"{effect.cause} {frame.servo_id} {_word(frame.command)}"
         case Transmit(frame=frame):
             words = [_word(command) for _, command in frame.servos]
-            same = len(set(words)) == 1
-            return f"{effect.cause} {frame.servos[0][0] // 10} {words[0] if same else ' | '.join(words)}"
+            number = frame.servo_id if isinstance(frame, OneServo) else frame.leg
+            return f"{effect.cause} {number} {words[0] if len(set(words)) == 1 else ' | '.join(words)}"
         case Completed():
             return f"completed {effect.number}{' coalesced' if effect.coalesced else ''}"
         case Rejected():
             return f"rejected {effect.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
-        case LeaseAnswer() | ButtonAnswer() | Keep():
-            return _answer(effect)
-
-
-def _answer(effect: LeaseAnswer | ButtonAnswer | Keep) -> str:
-    match effect:
-        case LeaseAnswer():
-            return f"lease {effect.reason or 'granted'}"
-        case ButtonAnswer():
-            return f"button {effect.reason or 'granted'}, {effect.alive} alive"
+        case Answer():
+            return effect.reason or "granted"
         case Keep():
             return f"keep {effect.number}"
 
@@ -133,16 +122,7 @@ class Steps:
         now_ns = _ns(at_ms)
         instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
         self.effects = self.supervisor.step(event, now_ns, instant_ns)
-        after = self.supervisor
-        self.oracle.judge(
-            event,
-            now_ns,
-            self.effects,
-            mode=after.mode,
-            due_ns=after.due_ns,
-            estops=after.estops,
-            instant_ns=instant_ns,
-        )
+        self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
         return [said(effect) for effect in self.effects]
 
     def only(self, kind: type[T]) -> T:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import Final
 
-from gateway.robot.core.events import Announce, ButtonAnswer, ButtonDo, ButtonRequest, Effect
+from gateway.robot.core.events import Announce, Answer, ButtonDo, ButtonRequest, Decision, Effect
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
@@ -31,7 +31,6 @@ MOST_BUTTONS: Final = 16
 DRIFT_PPM: Final = 200
 """How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
 _ALL: Final = tuple(LEGS)
-Outcome = tuple[list[Effect], ButtonAnswer]
 
 
 @dataclass(slots=True)
@@ -108,7 +107,7 @@ class Buttons:
 
     # ---- requests
 
-    def grant(self, request: ButtonRequest, now_ns: int, then: str = "") -> Outcome:
+    def grant(self, request: ButtonRequest, now_ns: int, then: str = "") -> Decision:
         """Answer one request; what is told of it, and the answer."""
         match request.do:
             case ButtonDo.REGISTER:
@@ -118,50 +117,49 @@ class Buttons:
             case ButtonDo.LEAVE:
                 return self._leave(request, now_ns, then)
 
-    def _register(self, request: ButtonRequest, now_ns: int, then: str) -> Outcome:
+    def _register(self, request: ButtonRequest, now_ns: int, then: str) -> Decision:
         name = request.source or ""
         found = next((token for token, button in self._by_token.items() if button.name == name), None)
         gives_way = found
         if found is None and len(self._by_token) == MOST_BUTTONS:
             gives_way = next((token for token, button in self._by_token.items() if button.until_ns is None), None)
             if gives_way is None:
-                return self._rejected(Reason.BUTTON_DENIED, f"{MOST_BUTTONS} buttons are alive, and no more are taken")
+                return [], Answer(Reason.BUTTON_DENIED, f"{MOST_BUTTONS} buttons are alive, and no more are taken")
         if gives_way is not None:
             del self._by_token[gives_way]
         self._by_token[request.fresh_token] = button = Button(name)
         button.sent_ns(request.sent_ms, request.received_ns)
         what = f"{name} is registered as a button" + ("" if found is None else ", in place of the one of that name")
         effects = self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns, then)
-        return effects, self._answer(request.fresh_token)
+        return effects, Answer(token=request.fresh_token)
 
-    def _check_in(self, request: ButtonRequest, now_ns: int) -> Outcome:
+    def _check_in(self, request: ButtonRequest, now_ns: int) -> Decision:
         button = self._by_token.get(request.token)
         if button is None:
-            return self._rejected(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+            return [], Answer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
         if request.count <= button.count:
             detail = f"count is {request.count}, and {button.count} has come: a check-in counts once"
-            return self._rejected(Reason.STALE, detail)
+            return [], Answer(Reason.STALE, detail)
         button.count = request.count
         until_ns = button.sent_ns(request.sent_ms, request.received_ns) + self._timeout_ns
         if now_ns >= until_ns:
             delay_ms = (now_ns - until_ns + self._timeout_ns) / NS_PER_MS
             detail = f"the check-in is {delay_ms:.0f} ms old; it counts for {self._timeout_ns / NS_PER_MS:g} ms"
-            return self._rejected(Reason.STALE, detail)
+            return [], Answer(Reason.STALE, detail)
         silent, button.silent = button.silent, False
         button.until_ns = until_ns if button.until_ns is None else max(until_ns, button.until_ns)
         if not silent:
             self._look(now_ns)
-            return [], self._answer()
-        return self._changed(
-            Kind.BUTTON_RETURNED, f"the button {button.name} is back", button.name, now_ns
-        ), self._answer()
+            return [], Answer()
+        what = f"the button {button.name} is back"
+        return self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), Answer()
 
-    def _leave(self, request: ButtonRequest, now_ns: int, then: str) -> Outcome:
+    def _leave(self, request: ButtonRequest, now_ns: int, then: str) -> Decision:
         button = self._by_token.pop(request.token, None)
         if button is None:
-            return self._rejected(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+            return [], Answer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
         what = f"the button {button.name} has left on purpose"
-        return self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, then), self._answer()
+        return self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, then), Answer()
 
     # ----
 
@@ -192,12 +190,6 @@ class Buttons:
         if not self.required:
             return f"{self.alive} {are} alive, and none is required"
         return f"{self.alive} of the {self.required} buttons that are required {are} alive"
-
-    def _answer(self, token: str | None = None) -> ButtonAnswer:
-        return ButtonAnswer(token=token, alive=self.alive)
-
-    def _rejected(self, reason: Reason, detail: str) -> Outcome:
-        return [], ButtonAnswer(reason, detail, alive=self.alive)
 
 
 _UNKNOWN: Final = (

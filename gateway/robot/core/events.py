@@ -219,24 +219,15 @@ class Announce:
 
 
 @value
-class LeaseAnswer:
-    """The answer to a LeaseRequest: granted, if there is no `reason`. `token` is that of the lease that it gives."""
+class Answer:
+    """To a LeaseRequest or a ButtonRequest: granted, if there is no `reason`.
+
+    `token` is that of the lease, or of the registration, which it gives.
+    """
 
     reason: Reason | None = None
-    detail: str | None = None
-    holder: str | None = None
+    detail: str = ""
     token: str | None = field(default=None, repr=False)
-    verified: bool = False
-
-
-@value
-class ButtonAnswer:
-    """The answer to a ButtonRequest: granted, if there is no `reason`. `token` is that of the registration it gives."""
-
-    reason: Reason | None = None
-    detail: str | None = None
-    token: str | None = field(default=None, repr=False)
-    alive: int = 0
 
 
 @value
@@ -250,4 +241,6 @@ class Keep:
     calibration: Calibration
 
 
-Effect = Transmit | Completed | Rejected | Announce | LeaseAnswer | ButtonAnswer | Keep
+Effect = Transmit | Completed | Rejected | Announce | Answer | Keep
+Decision = tuple[list[Effect], Answer]
+"""What comes of a request: what is told of it, and its answer."""

@@ -18,7 +18,7 @@ from collections import Counter
 from enum import StrEnum
 from typing import Final
 
-from gateway.robot.core.events import Announce, Do, Effect, LeaseAnswer, LeaseRequest
+from gateway.robot.core.events import Announce, Answer, Decision, Do, Effect, LeaseRequest
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
@@ -119,7 +119,7 @@ class Lease:
         """Whether all legs have to be stopped before this request is granted."""
         return request.do is Do.TAKE and (self._rules.lease_takeover or self.holder is None)
 
-    def grant(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+    def grant(self, request: LeaseRequest, now_ns: int) -> Decision:
         """Answer one request; what is told of it, and the answer."""
         match request.do:
             case Do.ACQUIRE:
@@ -133,54 +133,55 @@ class Lease:
             case Do.RELEASE:
                 return self._release(request, now_ns)
 
-    def _acquire(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+    def _acquire(self, request: LeaseRequest, now_ns: int) -> Decision:
         handed_over = self.state is LeaseState.HANDED_OVER
         if self.holder is not None and not (handed_over and request.source == self.holder):
             where = "handed over to" if handed_over else "held by"
-            return self._rejected(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
+            return [], Answer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
         self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
-        return self._told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request)
+        return self._told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
 
-    def _take(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+    def _take(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, before = request.source, self.holder
         if not self.is_takeover(request):
             detail = f"{before} holds the lease, and lease.takeover lets nobody take it"
-            return self._rejected(Reason.LEASE_DENIED, detail)
+            return [], Answer(Reason.LEASE_DENIED, detail)
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
         if before is None:
-            return self._told(Kind.LEASE_ACQUIRED, f"{name} has stopped all legs and acquired the lease", request)
+            detail = f"{name} has stopped all legs and acquired the lease"
+            return self._told(Kind.LEASE_ACQUIRED, detail, name, self._token)
         detail = f"{name} has stopped all legs and taken the lease from {before}"
-        return self._told(Kind.LEASE_TAKEN, detail, request)
+        return self._told(Kind.LEASE_TAKEN, detail, name, self._token)
 
-    def _ask(self, request: LeaseRequest) -> tuple[list[Effect], LeaseAnswer]:
+    def _ask(self, request: LeaseRequest) -> Decision:
         if self.holder is None:
-            return self._rejected(Reason.NO_LEASE, "nobody holds the lease; acquire it")
+            return [], Answer(Reason.NO_LEASE, "nobody holds the lease; acquire it")
         if self.state is LeaseState.HANDED_OVER:
-            return self._rejected(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
+            return [], Answer(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
         name = request.source or ""
         self._askers.pop(name, None)
         if len(self._askers) == MOST_ASKERS:
             del self._askers[next(iter(self._askers))]
         self._askers[name] = request.verified
-        return self._told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", request)
+        return self._told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
 
-    def _renew(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+    def _renew(self, request: LeaseRequest, now_ns: int) -> Decision:
         if not self._holds(request.token):
-            return self._rejected(Reason.NOT_HOLDER, _ENDED)
+            return [], Answer(Reason.NOT_HOLDER, _ENDED)
         self.due_ns = now_ns + self._rules.lease_ttl_ns
-        return [], self._accepted(request)
+        return [], Answer()
 
-    def _release(self, request: LeaseRequest, now_ns: int) -> tuple[list[Effect], LeaseAnswer]:
+    def _release(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, to = self.holder, request.to
         if not self._holds(request.token):
-            return self._rejected(Reason.NOT_HOLDER, _ENDED)
+            return [], Answer(Reason.NOT_HOLDER, _ENDED)
         if to is None:
             self.end()
-            return self._told(Kind.LEASE_RELEASED, f"{name} has released the lease", request, name)
+            return self._told(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
         if to not in self._askers:
-            return self._rejected(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
+            return [], Answer(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
         self._give(to, None, now_ns, verified=self._askers[to])
-        return self._told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", request, name)
+        return self._told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
 
     # ----
 
@@ -195,19 +196,9 @@ class Lease:
         self._askers = {}
         self.guards = holder is not None or self._rules.lease_required
 
-    def _told(
-        self, kind: Kind, detail: str, request: LeaseRequest, source: str | None = None
-    ) -> tuple[list[Effect], LeaseAnswer]:
+    def _told(self, kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
         self.changes[kind] += 1
-        return [Announce(kind, detail, source or request.source, keys.LEASE)], self._accepted(request)
-
-    def _accepted(self, request: LeaseRequest) -> LeaseAnswer:
-        gives = request.do in (Do.ACQUIRE, Do.TAKE)
-        token = self._token if gives else None
-        return LeaseAnswer(None, None, self.holder, token, verified=self.verified)
-
-    def _rejected(self, reason: Reason, detail: str) -> tuple[list[Effect], LeaseAnswer]:
-        return [], LeaseAnswer(reason, detail, self.holder, verified=self.verified)
+        return [Announce(kind, detail, source, keys.LEASE)], Answer(token=token)
 
 
 _ENDED: Final = "this is not the token of the lease as it is now"

@@ -45,9 +45,9 @@ from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
     Announce,
+    Answer,
     BusFailed,
     BusOpened,
-    ButtonAnswer,
     ButtonRequest,
     Calibrate,
     Command,
@@ -56,7 +56,6 @@ from gateway.robot.core.events import (
     EmergencyStop,
     Event,
     Kept,
-    LeaseAnswer,
     LeaseRequest,
     Rejected,
     Reset,
@@ -325,20 +324,20 @@ class Supervisor:
 
     def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
         if self._ended:
-            return [LeaseAnswer(Reason.STOPPING, _STOPPING)]
+            return [Answer(Reason.STOPPING, _STOPPING)]
         before: list[Effect] = []
         if self.lease.is_takeover(request):
             before = self._stop_all(Cause.COMMAND, now_ns, Reason.NOT_HOLDER, f"{request.source} has taken the lease")
         published, answer = self.lease.grant(request, now_ns)
         if answer.token is not None:
             # What others had waiting would move under the new holder.
-            detail = f"{answer.holder} has acquired the lease"
+            detail = f"{self.lease.holder} has acquired the lease"
             before += self.legs.drop(self.legs.servos.values(), Reason.NOT_HOLDER, detail)
         return [*before, *published, answer]
 
     def _button_request(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         if self._ended:
-            return [ButtonAnswer(Reason.STOPPING, _STOPPING)]
+            return [Answer(Reason.STOPPING, _STOPPING)]
         published, answer = self.buttons.grant(request, now_ns, self._without_buttons())
         return [*(self._stop_unwatched(now_ns) if self.buttons.closed else ()), *published, answer]
 

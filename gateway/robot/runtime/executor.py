@@ -6,7 +6,7 @@ from typing import Final, assert_never
 
 from gateway.errors import SpiError
 from gateway.robot.blackbox.recorder import Heard, Recorder, Written
-from gateway.robot.core.events import Announce, ButtonAnswer, Completed, Effect, Keep, LeaseAnswer, Rejected, Transmit
+from gateway.robot.core.events import Announce, Answer, Completed, Effect, Keep, Rejected, Transmit
 from gateway.robot.runtime.answers import Answers
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
@@ -25,10 +25,8 @@ class Outcome:
     """Why not all frames were written; commands that were completed are rejected for it."""
     rejected: list[int] = field(default_factory=list)
     """The numbers of commands that the supervisor rejected."""
-    lease: LeaseAnswer | None = None
+    answer: Answer | None = None
     """To be sent to whoever asked."""
-    button: ButtonAnswer | None = None
-    """The same."""
     keep: Keep | None = None
     """To be written to the disk by whoever asked."""
 
@@ -81,10 +79,8 @@ class Executor:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been published
                 case Announce():
                     self._events.announce(effect)
-                case LeaseAnswer():
-                    outcome.lease = effect
-                case ButtonAnswer():
-                    outcome.button = effect
+                case Answer():
+                    outcome.answer = effect
                 case Keep():
                     outcome.keep = effect
                 case _:

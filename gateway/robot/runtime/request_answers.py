@@ -152,14 +152,15 @@ class LeaseAnswers(RequestAnswers):
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
         """Have the supervisor decide, and answer after the frames."""
-        answer = self._conductor.ask(request).lease
+        answer = self._conductor.ask(request).answer
         if answer is None:  # the service has ended
             return
+        lease = self._conductor.supervisor.lease
         if answer.reason is not None:
-            self.reject(request.source, answer.reason, answer.detail or "", reply, holder=answer.holder)
+            self.reject(request.source, answer.reason, answer.detail, reply, holder=lease.holder)
             return
-        verified = None if answer.holder is None else answer.verified
-        reply(self.accepted(lease=answer.token, holder=answer.holder, ttl_ms=self._ttl_ms, verified=verified))
+        verified = None if lease.holder is None else lease.verified
+        reply(self.accepted(lease=answer.token, holder=lease.holder, ttl_ms=self._ttl_ms, verified=verified))
 
 
 class ButtonAnswers(RequestAnswers):
@@ -211,16 +212,12 @@ class ButtonAnswers(RequestAnswers):
 
     def ask(self, request: ButtonRequest, reply: Reply) -> None:
         """Have the supervisor decide, and answer after the frames."""
-        answer = self._conductor.ask(request).button
+        answer = self._conductor.ask(request).answer
         if answer is None:  # the service has ended
             return
         if answer.reason is not None:
-            self.reject(request.source, answer.reason, answer.detail or "", reply)
+            self.reject(request.source, answer.reason, answer.detail, reply)
             return
-        ack = self.accepted(
-            button=answer.token,
-            timeout_ms=self._settings.timeout_ms,
-            alive=answer.alive,
-            required=self._settings.required,
-        )
-        reply(ack)
+        timeout_ms, required = self._settings.timeout_ms, self._settings.required
+        alive = self._conductor.supervisor.buttons.alive
+        reply(self.accepted(button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))

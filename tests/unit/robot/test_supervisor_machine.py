@@ -139,15 +139,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         )
         demand(self.supervisor.due_ns == self.nameless.due_ns, "who commands changes no time")
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
-        self.oracle.judge(
-            event,
-            self.now_ns,
-            effects,
-            mode=self.supervisor.mode,
-            due_ns=self.supervisor.due_ns,
-            estops=self.supervisor.estops,
-            instant_ns=self.instant_ns,
-        )
+        self.oracle.judge(event, self.now_ns, effects, self.supervisor, self.instant_ns)
         fault: SpiError | None = None
         for effect in effects:
             if isinstance(effect, Transmit) and (fault is None or effect.frame.is_stop):

@@ -136,6 +136,6 @@ def test_under_a_new_holder_of_the_lease_nothing_goes_on_to_where_somebody_else_
     steps = Steps(Rules(repeats=0, max_speed_cdeg_s={11: 100_00}))
     steps.command(10, servo_to(11, "start 0"))
     assert steps.command(100, servo_to(11, "set 90")) == ["command 11 set 2", "completed 2"]
-    assert steps.lease(101, "acquire anna", fresh="a" * 32) == ["announce lease_acquired", "lease granted"]
+    assert steps.lease(101, "acquire anna", fresh="a" * 32) == ["announce lease_acquired", "granted"]
     assert steps.time(249) == []
     assert steps.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
