@@ -1,11 +1,10 @@
-"""Reads the bytes of a CalibrationCommand: what it changes, or a Rejection with its reason. Pure."""
+"""Reads the bytes of a CalibrationCommand, or returns a Rejection with its reason; says what it changes. Pure."""
 
 from typing import Final
 
 from pydantic import ValidationError
 
 from gateway.robot.core.calibration import Change, ServoChange
-from gateway.robot.core.events import value
 from gateway.robot.core.intake import Rejection, explain, given_twice, name_given_twice, too_many_fields
 from gateway.robot.protocol.frames import centidegrees
 from schemas.calibration import CalibrationCommand
@@ -16,27 +15,7 @@ _MAX_COLONS: Final = 7 + len(SERVO_IDS) * (1 + 4 + 1) + 64
 source that is nothing but colons. What has more is rejected before pydantic lists every wrong field of it."""
 
 
-@value
-class CalibrationIntent:
-    """What a valid command asks for; nothing of it has been compared with the calibration in force."""
-
-    change: Change
-    revision: int | None
-    accept_default: bool
-    source: str | None
-    sent_ms: float | None
-    lease: str | None
-
-    @property
-    def only_stops(self) -> bool:
-        """As of an Intent: it stops nothing."""
-        return False
-
-    def __repr__(self) -> str:
-        return f"CalibrationIntent({self.change}, source={self.source!r})"  # the token is a secret
-
-
-def read(payload: bytes) -> CalibrationIntent | Rejection:
+def read(payload: bytes) -> CalibrationCommand | Rejection:
     """Read a payload. Never raises: one that is wrong returns a Rejection."""
     if payload.count(b":") > _MAX_COLONS:
         return too_many_fields(payload)
@@ -45,21 +24,16 @@ def read(payload: bytes) -> CalibrationIntent | Rejection:
     except ValidationError as error:
         return explain(error)
     twice = name_given_twice(payload)
-    if twice is not None:
-        return given_twice(twice)
+    return command if twice is None else given_twice(twice)
+
+
+def change_of(command: CalibrationCommand) -> Change:
+    """What it changes; nothing of it has been compared with the calibration in force."""
     servos = {
         int(name): ServoChange(_cdeg(servo.trim_deg), servo.inverted, _cdeg(servo.min_deg), _cdeg(servo.max_deg))
         for name, servo in command.servos.items()
     }
-    landing = {int(name): _cdeg(angle_deg) for name, angle_deg in command.landing.items()}
-    return CalibrationIntent(
-        Change(servos, landing),
-        command.revision,
-        command.accept_default is not None,
-        command.source,
-        command.sent_ms,
-        command.lease,
-    )
+    return Change(servos, {int(name): _cdeg(angle_deg) for name, angle_deg in command.landing.items()})
 
 
 def _cdeg(angle_deg: float | None) -> int | None:

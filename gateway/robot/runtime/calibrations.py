@@ -7,8 +7,7 @@ from functools import partial
 from typing import Final
 
 from gateway.robot.core import calibration_intake
-from gateway.robot.core.calibration import Calibration, report_of
-from gateway.robot.core.calibration_intake import CalibrationIntent
+from gateway.robot.core.calibration import Calibration, Change, report_of
 from gateway.robot.core.events import Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
@@ -18,6 +17,7 @@ from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from schemas import keys
+from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason
 
 WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
@@ -66,22 +66,23 @@ class Calibrations(RequestAnswers):
         reply(self._written)
 
     def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
-        intent = calibration_intake.read(payload)
-        if isinstance(intent, Rejection):
-            return partial(self.reject, source, intent.reason, intent.detail, reply)
-        return partial(self.change, intent, intent.source or source, reply)
+        command = calibration_intake.read(payload)
+        if isinstance(command, Rejection):
+            return partial(self.reject, source, command.reason, command.detail, reply)
+        return partial(self.change, command, calibration_intake.change_of(command), command.source or source, reply)
 
-    def change(self, intent: CalibrationIntent, source: str | None, reply: Reply) -> None:
+    def change(self, command: CalibrationCommand, change: Change, source: str | None, reply: Reply) -> None:
         """Decide about a change, and answer once it is on the disk, or rejected."""
         conductor, answers = self._conductor, self._conductor.answers
         now_ns = conductor.turned()
-        servos = (*intent.change.servos.items(), *intent.change.landing_cdeg.items())
-        too_old = conductor.too_old(intent, source, now_ns, now_ns)
+        servos = (*change.servos.items(), *change.landing_cdeg.items())
+        too_old = conductor.too_old(source, command.sent_ms, now_ns, now_ns)
         if too_old is not None:
             answers.reject(self.key, source, reply, Reason.STALE, too_old, servos=servos)
             return
         number = answers.expect(self.key, source, reply, servos)
-        event = Calibrate(number, intent.change, intent.revision, intent.accept_default, source, self.key, intent.lease)
+        accept_default = command.accept_default is not None
+        event = Calibrate(number, change, command.revision, accept_default, source, self.key, command.lease)
         keep = conductor.ask(event).keep
         if keep is not None:
             self._hand_on(keep)

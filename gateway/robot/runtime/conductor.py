@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from gateway import __version__
 from gateway.errors import SpiError
 from gateway.robot.blackbox.recorder import NO_RECORDER, Heard, Recorder
-from gateway.robot.core.calibration_intake import CalibrationIntent
 from gateway.robot.core.events import (
     Announce,
     BusFailed,
@@ -36,7 +35,6 @@ from gateway.robot.core.losses import DETAIL, Losses
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
 from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.core.targets import Intent
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.runtime.answers import Answers, legs_of
 from gateway.robot.runtime.event_publisher import EventPublisher
@@ -194,15 +192,9 @@ class Conductor:
         self._arm()
         return outcome
 
-    def too_old(
-        self, intent: Intent | CalibrationIntent, source: str | None, now_ns: int, instant_ns: int
-    ) -> str | None:
+    def too_old(self, source: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
         """Why a command was, or may have been, delayed for too long; None: it was not."""
-        if self._staleness is None:
-            return None
-        too_old = self._staleness.too_old(source, intent.sent_ms, now_ns, instant_ns)
-        # A Stop is taken however old it is: to stop once too often harms nobody.
-        return None if too_old is None or intent.only_stops else too_old
+        return None if self._staleness is None else self._staleness.too_old(source, sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
         """Learn of `stop-servos` on the same device, and of its end."""
@@ -233,7 +225,9 @@ class Conductor:
             return
         key, source, targets = received.key, intent.source or received.source, intent.targets
         now_ns = self._clock()
-        too_old = self.too_old(intent, source, now_ns, instant_ns)
+        too_old = self.too_old(source, intent.sent_ms, now_ns, instant_ns)
+        if too_old is not None and intent.only_stops:
+            too_old = None  # a Stop is taken however old it is: to stop once too often harms nobody
         number = 0 if too_old is not None else self.answers.expect(key, source, received.reply, targets)
         heard = Heard(received.received_ns, number, received.verb, key, source, intent.sent_ms, targets)
         if too_old is not None:

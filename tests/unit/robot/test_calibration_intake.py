@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.robot.core.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
-from gateway.robot.core.calibration_intake import CalibrationIntent, read
+from gateway.robot.core.calibration_intake import change_of, read
 from gateway.robot.core.intake import Rejection
 from schemas import calibration as wire
+from schemas.calibration import CalibrationCommand
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
@@ -19,16 +20,16 @@ from tests.unit.robot.test_calibration import calibrations
 TOKEN = "0123456789abcdef" * 2
 
 
-def read_whole(payload: object) -> CalibrationIntent:
-    intent = read(json.dumps(payload).encode())
-    assert isinstance(intent, CalibrationIntent), intent
-    return intent
+def read_whole(payload: object) -> CalibrationCommand:
+    command = read(json.dumps(payload).encode())
+    assert isinstance(command, CalibrationCommand), command
+    return command
 
 
 def test_a_part_of_it_names_only_what_changes() -> None:
-    intent = read_whole({"servos": {"32": {"trim_deg": -7.25, "inverted": True}}, "landing": {"11": 90, "12": None}})
-    assert intent.change == Change({32: ServoChange(-7_25, inverted=True)}, {11: 9000, 12: None})
-    assert (intent.revision, intent.accept_default, intent.source, intent.lease) == (None, False, None, None)
+    command = read_whole({"servos": {"32": {"trim_deg": -7.25, "inverted": True}}, "landing": {"11": 90, "12": None}})
+    assert change_of(command) == Change({32: ServoChange(-7_25, inverted=True)}, {11: 9000, 12: None})
+    assert (command.revision, command.accept_default, command.source, command.lease) == (None, None, None, None)
 
 
 def test_all_that_it_may_say() -> None:
@@ -43,10 +44,10 @@ def test_all_that_it_may_say() -> None:
         "lease": TOKEN,
     }
     assert len(json.dumps(payload)) < MAX_PAYLOAD_BYTES
-    intent = read_whole(payload)
-    assert len(intent.change.servos) == len(intent.change.landing_cdeg) == 18
-    assert (intent.accept_default, intent.revision, intent.lease) == (True, 2**53, TOKEN)
-    assert TOKEN not in repr(intent)
+    command = read_whole(payload)
+    assert len(change_of(command).servos) == len(change_of(command).landing_cdeg) == 18
+    assert (command.accept_default, command.revision, command.lease) == (True, 2**53, TOKEN)
+    assert TOKEN not in repr(command)
 
 
 BAD: list[tuple[object, Reason, str]] = [
@@ -105,15 +106,15 @@ def test_what_is_none_is_rejected_with_the_field_and_its_limit(payload: object, 
     ).map(lambda made: json.dumps(made).encode())
 )
 def test_whatever_comes_is_read_or_rejected_and_never_raises(payload: bytes) -> None:
-    assert isinstance(read(payload), CalibrationIntent | Rejection)
+    assert isinstance(read(payload), CalibrationCommand | Rejection)
 
 
 @given(calibrations)
 def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: Calibration) -> None:
     out: dict[str, Any] = json.loads(report_of(calibration).model_dump_json())
-    intent = read_whole(out)
-    assert intent.revision == calibration.revision
-    assert intent.change.applied_to(Calibration()).servos == calibration.servos
+    command = read_whole(out)
+    assert command.revision == calibration.revision
+    assert change_of(command).applied_to(Calibration()).servos == calibration.servos
     assert calibration_of(report_of(calibration)) == calibration
 
 
