@@ -18,13 +18,12 @@ from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
-from gateway.robot.spi import Batch
+from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, Bus, Report
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from tests.deaf.minute import Message
 from tests.deaf.watcher import Watcher
-from tests.support.unshared import UnsharedDevice
 
 MS = 1_000_000
 BEGIN_NS = 10_000 * MS
@@ -120,7 +119,7 @@ class Waiting(deque[Received]):
             yield self.popleft()
 
 
-class Scene(UnsharedDevice):
+class Scene(SpiDevice):
     """A gateway, its controller, and a watcher of both; messages come at their times."""
 
     def __init__(self, messages: Sequence[Message], *, resync_ms: float = 1000, tick_phase_ns: int = 0) -> None:

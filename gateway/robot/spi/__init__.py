@@ -1,5 +1,6 @@
 """What the service needs from an SPI device, real or simulated."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -10,11 +11,12 @@ Batch = Sequence[Transfer]
 
 
 class SpiDevice(Protocol):
-    """An opened SPI device, whose unit is the batch."""
+    """An opened SPI device, whose unit is the batch. No other program reaches it, unless a device says so."""
 
-    most_transfers: int
+    most_transfers: int = 32
     """The longest batch that it takes."""
 
+    @abstractmethod
     def transfer(self, batch: Batch) -> None:
         """Write the batch, in one call that also takes its pauses.
 
@@ -24,9 +26,24 @@ class SpiDevice(Protocol):
 
     def fileno(self) -> int | None:
         """The file by whose record locks programs share the bus; None where no other program can reach the device."""
+        return None
 
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
+        return False
 
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""
+        return  # without it, mypy takes the method for an abstract one
+
+
+class ByteDevice(SpiDevice):
+    """One that takes a batch transfer by transfer, without its pauses."""
+
+    def transfer(self, batch: Batch) -> None:
+        for data, _ in batch:
+            self.take(data)
+
+    @abstractmethod
+    def take(self, data: bytes) -> None:
+        """One transfer of a batch. Raises SpiError: then the rest of the batch does not come."""

@@ -10,7 +10,7 @@ from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.robot.host.descriptors import Spare, ran_out
-from gateway.robot.spi import Batch
+from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.outside import Listener
 
 MOST_TRANSFERS: Final = 32
@@ -33,7 +33,7 @@ _WRITE_MODE: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 1
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
-class KernelDevice:
+class KernelDevice(SpiDevice):
     """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus."""
 
     def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:

@@ -26,7 +26,7 @@ from typing import Final
 
 from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.spi import Batch
+from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.servo_page import ServoPage
 from schemas.robot import SERVO_IDS
 
@@ -59,8 +59,8 @@ class ServoState:
         return None if self.pulse_us is None else min((self.pulse_us - 544) * 180 / (2550 - 544), 180.0)
 
 
-class SimulatedController:
-    """An SpiDevice with a controller and its servos behind it."""
+class SimulatedController(ByteDevice):
+    """A device with a controller and its servos behind it; to close it releases nothing, and stops no servo."""
 
     def __init__(
         self,
@@ -95,27 +95,12 @@ class SimulatedController:
 
     most_transfers = 64
 
-    def transfer(self, batch: Batch) -> None:
-        """Take the transfers one after the other."""
-        for data, _ in batch:
-            self.take(data)
-
     def take(self, data: bytes) -> None:
         """Take the bytes of one transfer."""
         now_ns = self._clock()
         self.transfers.append((now_ns, data))
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
-
-    def fileno(self) -> None:
-        """No other program can reach this controller."""
-
-    def stop_servos_at_work(self) -> bool:
-        """No other program can reach this controller."""
-        return False
-
-    def close(self) -> None:
-        """Releases nothing: the controller and its servos stay as they are, and may be opened again."""
 
     # ---- what a person at the robot sees
 

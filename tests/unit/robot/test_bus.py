@@ -13,10 +13,10 @@ from gateway.errors import SpiError
 from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
+from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, Bus
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS
-from tests.support.unshared import UnsharedDevice
 
 PREFIXED = Framing.LENGTH_PREFIXED
 START_11 = OneServo(11, ServoOp(Op.START, 6_00))
@@ -26,7 +26,7 @@ START_ALL = [OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3) for leg in LEGS]
 STOP_ALL = [stop_leg(leg) for leg in LEGS]
 
 
-class FailingDevice(UnsharedDevice):
+class FailingDevice(ByteDevice):
     """Hands transfers on to a controller, and fails those whose number is told, counted from `begin`."""
 
     def __init__(self, controller: SimulatedController) -> None:
@@ -163,7 +163,7 @@ def test_a_stop_that_counts_as_received_was_received_though_transfers_fail_by_ch
 def test_stops_are_not_tried_for_ever(step_ns: int, calls: int) -> None:
     """Each call looks at the clock twice, and whoever wants the next one looks once: 200 ms later it is given up."""
 
-    class OnlyZeros(UnsharedDevice):
+    class OnlyZeros(ByteDevice):
         def take(self, data: bytes) -> None:
             if data != ZERO:
                 raise SpiError("told to fail")
@@ -186,7 +186,7 @@ ZEROS = list(PREFIXED.preamble)
 TRANSFER_NS = 50_000
 
 
-class Bed(UnsharedDevice):
+class Bed(ByteDevice):
     """A bus, a device whose transfers take 50 µs, and a clock that moves with them."""
 
     def __init__(self, framing: Framing = PREFIXED, *, resync_ms: int = 1000) -> None:

@@ -10,11 +10,10 @@ from gateway.errors import BatchRejectedError, SpiError
 from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
-from gateway.robot.spi import Batch
+from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from schemas.robot import LEGS
-from tests.support.unshared import UnsharedDevice
 
 PREFIXED = Framing.LENGTH_PREFIXED
 START = OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)
@@ -24,7 +23,7 @@ MOVES = [OneLeg(leg, (ServoOp(Op.SET, 90_00),) * 3) for leg in LEGS]
 SERVO_STOPS = [OneServo(10 * leg + joint, ServoOp(Op.STOP)) for leg in LEGS for joint in (1, 2)]
 
 
-class Devices(UnsharedDevice):
+class Devices(SpiDevice):
     """Opens devices that all write to one list; a call takes as long as the wire needs, and those in `failing` fail."""
 
     def __init__(self) -> None:

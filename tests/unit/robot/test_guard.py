@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from gateway.errors import SpiError
 from gateway.robot.protocol.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.robot.protocol.framing import Framing
-from gateway.robot.spi import Batch
+from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.faulty_controller import FaultyController
-from tests.support.unshared import UnsharedDevice
 from tests.unit.robot.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED
@@ -23,7 +22,7 @@ STOP_WITH_ANGLE = bytes.fromhex("06 02 20 02 5a 00")
 ZERO = b"\0"
 
 
-class Recorder(UnsharedDevice):
+class Recorder(SpiDevice):
     """An SPI device that keeps what it is given."""
 
     def __init__(self) -> None:

@@ -11,17 +11,16 @@ from gateway.robot.host import stop_note
 from gateway.robot.protocol.frames import stop_leg
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
-from gateway.robot.spi import stop_all
+from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
 from gateway.robot.spi.stop_all import stop_once, stop_servos
 from schemas.robot import LEGS
-from tests.support.unshared import UnsharedDevice
 
 MISTAKES = [SpiError("told to fail"), SystemError("returned NULL"), TypeError("a mistake of our own"), KeyError(3)]
 
 
-class Device(UnsharedDevice):
+class Device(ByteDevice):
     """Fails the transfers that carry one leg's Stop (and with it its whole batch), or each opening."""
 
     def __init__(self, mistake: Exception, leg: int | None) -> None:
@@ -133,7 +132,7 @@ class Rounds:
         return True
 
 
-class OfRounds(UnsharedDevice):
+class OfRounds(ByteDevice):
     """That device, opened."""
 
     def __init__(self, rounds: Rounds) -> None:
