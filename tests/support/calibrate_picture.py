@@ -37,7 +37,7 @@ def run(gateway: Gateway) -> str:
     """Press the keys, and draw what stands there then."""
     with gateway.client() as client:
         assert client.calibrate(DONE).accepted
-        screen = Screen(client, calibration_of(client.calibration()), 250, SHOWN)
+        screen = Screen(client, calibration_of(client.calibration()), client.state())
         session, guide = screen.session, screen.session.guide
 
         def press(key: str) -> bool:

@@ -1,7 +1,7 @@
 """The picture of `watch` in the README, from a real run: `python -m tests.support.watch_picture docs/watch.svg`.
 
 A gateway on the simulated controller, with certificates. Bert's program lets leg 2 fall silent. Then Anna's holds the
-lease and lets five legs step at 50 Hz, and Bert's gets rejections. And `watch`'s own link, model and view.
+lease and lets five legs step at 50 Hz, and Bert's gets rejections. And `watch`'s own screen.
 """
 
 import math
@@ -15,9 +15,7 @@ from pathlib import Path
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.people.tools.watch.link import Link
-from gateway.people.tools.watch.model import Model
-from gateway.people.tools.watch.view import picture
+from gateway.people.tools.watch.screen import Screen
 from schemas import keys
 from tests.support.secured import Secured
 from tests.support.terminal_picture import svg
@@ -48,9 +46,8 @@ def walk(client: Client, legs: Sequence[int], seconds: float) -> None:
 
 def run(secured: Secured) -> str:
     """Let the gateway be busy, and draw what `watch` knows of it then."""
-    model, lock = Model(), threading.Lock()
-    link = Link(partial(secured.client, "anna"), model, lock, lambda: None)
-    link.start()
+    watch = Screen(partial(secured.client, "anna"), SHOWN)
+    watch.begin()
     with secured.client("bert") as bert, secured.client("anna") as anna:
         bert.start_leg(2, 90, 45, 120)  # and then no more: the watchdog stops it
         time.sleep(SECONDS / 4)
@@ -62,11 +59,10 @@ def run(secured: Secured) -> str:
             anna.servo(21, "set", 100)
             anna.ask(keys.leg_command(3), {"servos": [{"op": "set", "angle_deg": 200}] * 3})
             time.sleep(SECONDS / 4)
-            with lock:
-                text = picture(model, time.monotonic_ns(), SHOWN, COLUMNS, ROWS)
-                walked = model.running_legs() == len(WALKING)
+            text = watch.picture(COLUMNS, ROWS)
+            walked = watch.model.running_legs() == len(WALKING)
             walking.join()
-    link.close()
+    watch.end()
     if not walked:
         sys.exit("this machine was so busy that the watchdog stopped the gait; try again")
     return svg(text, "watch", COLUMNS, ROWS)

@@ -6,12 +6,14 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from typing import Final
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from gateway.errors import GatewayError
 from gateway.people.terminal import hint
 from gateway.people.terminal.keyboard import Keyboard, keys_at_once, wake_on_signals
 
@@ -20,6 +22,8 @@ FRAME_S: Final = 0.1
 LEAST_FRAME_S: Final = 0.03
 """Shortest time between two pictures, however much happens: drawing must not load the robot's computer."""
 DRAWER_END_S: Final = 0.5
+NOT_STOPPED: Final = "The emergency stop was NOT confirmed: switch the servos' power off."
+"""Somebody pressed it, and has to know at the end that nobody answered."""
 _READ: Final = 4096
 """All that a terminal keeps: keys that were pressed while this program could not run count as one reading."""
 
@@ -30,8 +34,8 @@ class Screen(ABC):
     def __init__(self) -> None:
         self.changed = threading.Event()
         """Set by whoever wants it drawn soon."""
-        self.fault: Exception | None = None
-        """Why drawing failed. It ends then, since an old picture must not pass for the present state."""
+        self.failures: list[str] = []
+        """Sentences. Where drawing fails, it ends: an old picture must not pass for the present state."""
         self._ended = threading.Event()
         self._wake = -1
         # The terminal's own size: what a shell has exported of it is not that of a window that was made smaller since.
@@ -54,10 +58,14 @@ class Screen(ABC):
 
     @abstractmethod
     def end(self) -> None:
-        """It ends: make the robot safe, and let go of it. It is still drawn meanwhile."""
+        """It ends: make the robot safe, and let go of it. It is still drawn meanwhile. Raises GatewayError."""
 
-    def show(self) -> bool:
-        """Show it until its end; whether the terminal takes text again: one that is stuck does not."""
+    def last_words(self) -> list[str]:
+        """What a person is to know once the screen is gone."""
+        return []
+
+    def show(self) -> int:
+        """Show it until its end; the exit code."""
         terminal = sys.stdin.fileno()
         with keys_at_once(terminal), wake_on_signals() as (woken, self._wake):
             self.begin()
@@ -67,17 +75,17 @@ class Screen(ABC):
             finally:
                 try:
                     self.end()
+                except GatewayError as error:
+                    self.failures.append(str(error))
                 finally:
                     self._ended.set()
                     self.changed.set()
                     self._drawer.join(DRAWER_END_S)
-        return not self._drawer.is_alive()
-
-    def hint_at_fault(self) -> None:
-        """Say why it could not be drawn, where that ended it."""
-        if self.fault is not None:
-            why = f"this terminal cannot be drawn on ({self.fault}); it needs UTF-8, such as LC_ALL=C.UTF-8"
-            hint(f"hexapod-gateway: {why}")
+        if not self._drawer.is_alive():  # else the terminal is stuck, and a line would wait for it
+            with suppress(OSError):  # it is gone
+                for line in (*(f"hexapod-gateway: {failure}" for failure in self.failures), *self.last_words()):
+                    hint(line)
+        return 1 if self.failures else 0
 
     def _read_keys(self, terminal: int, woken: int) -> None:
         keyboard = Keyboard()
@@ -103,5 +111,6 @@ class Screen(ABC):
                     self._ended.wait(LEAST_FRAME_S)
                     self.changed.wait(FRAME_S - LEAST_FRAME_S)
         except Exception as error:
-            self.fault = error
+            why = f"this terminal cannot be drawn on ({error}); it needs UTF-8, such as LC_ALL=C.UTF-8"
+            self.failures.append(why)
             os.write(self._wake, b".")

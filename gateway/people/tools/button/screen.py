@@ -5,12 +5,11 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.live import reports, subscribed
 from gateway.people.client.stops import UntilConfirmed
-from gateway.people.terminal import check_terminal, hint, screen, visible
+from gateway.people.terminal import check_terminal, screen, visible
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection
 from schemas import keys as wire
@@ -40,20 +39,15 @@ class Screen(screen.Screen):
     def run(self) -> int:
         """Returns the exit code."""
         with subscribed(self._client.session, {wire.STATE: reports(GatewayState, self._take)}):
-            self.show()
-        self.hint_at_fault()
-        if self._check_ins.refused:
-            hint(f"hexapod-gateway: {self._check_ins.refused}")
-        return 1 if self._check_ins.refused or self.fault is not None else 0
+            return self.show()
 
     def begin(self) -> None:
         self._check_ins.start()
 
     def end(self) -> None:
-        try:
-            self._check_ins.end()
-        except GatewayError as error:
-            hint(f"hexapod-gateway: {error}")
+        if self._check_ins.refused:
+            self.failures.append(self._check_ins.refused)
+        self._check_ins.end()
 
     def press(self, keys: list[str]) -> bool:
         if keys == ["ctrl-c"] or self._check_ins.refused:

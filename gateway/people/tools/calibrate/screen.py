@@ -1,14 +1,13 @@
 """The screen of `calibrate`. Neither its keys nor what it draws wait for the gateway."""
 
 import os
-from contextlib import suppress
 from typing import Final
 
 from rich.text import Text
 
 from gateway.errors import LeaseError, LeaseLostError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import check_terminal, hint, say, screen, visible
+from gateway.people.terminal import check_terminal, say, screen, visible
 from gateway.people.tools import driving
 from gateway.people.tools.calibrate import once
 from gateway.people.tools.calibrate.guide import Guide
@@ -28,33 +27,39 @@ STOP_S: Final = 2.5
 class Screen(screen.Screen):
     """One walk through the guide; shown until somebody leaves."""
 
-    def __init__(
-        self,
-        client: Client,
-        calibration: Calibration,
-        timeout_ms: float,
-        where: str,
-        avoid_cdeg: tuple[int, int] | None = None,
-    ) -> None:
-        """`timeout_ms` is the gateway's `watchdog.timeout_ms`; `where` is what the title names of the robot.
-
-        `avoid_cdeg`: angles that the gateway never sends; keys move over them.
-        """
+    def __init__(self, client: Client, calibration: Calibration, state: GatewayState) -> None:
+        """`calibration` is in force, in a gateway that is in this state."""
         super().__init__()
-        self._where = where
-        self.held = HeldServo(client, timeout_ms)
+        self._where = visible(" ".join(client.robot[1:]))
+        self._began_from = calibration.revision
+        self._unkept = once.unkept(state.calibration)
+        self.held = HeldServo(client, state.watchdog.timeout_ms)
         self.robot = Robot(client, self._lost)
-        self.session = Session(Guide(calibration, avoid_cdeg), self.held, self.robot, self.changed.set)
-        self.stopped = True
-        """Whether the Stop at the end was confirmed, if one was needed."""
+        guide = Guide(calibration, avoided_by(state.spi.framing))
+        self.session = Session(guide, self.held, self.robot, self.changed.set)
+        if landing_ms := state.watchdog.landing_ms:
+            lands = f"A servo that falls silent goes to its landing angle, in {landing_ms:g} ms, and is stopped there. "
+            self.session.message = lands
+        self.session.message += self._unkept
 
     def begin(self) -> None:
         """Nothing: the robot is driven already."""
 
     def end(self) -> None:
         """The servo is stopped first."""
-        self.stopped = self.held.close(STOP_S)
+        if not self.held.close(STOP_S):
+            self.failures.append("NOBODY HAS CONFIRMED THE STOP: if the servo holds, switch the servos' power off.")
         self.robot.release()
+
+    def last_words(self) -> list[str]:
+        """What is not written, or what is in force now."""
+        guide = self.session.guide
+        if guide.changed:
+            rows = (f"  servo {servo_id}: {once.row(guide.draft[servo_id])}" for servo_id in guide.changed)
+            return ["not written:", *rows]
+        if guide.in_force.revision != self._began_from:
+            return [f"revision {guide.in_force.revision} is in force. {self._unkept}".rstrip()]
+        return []
 
     def _lost(self, error: LeaseLostError) -> None:
         self.session.lost(error)
@@ -92,36 +97,12 @@ def run(connect: Connection) -> int:
         except ValueError as error:
             say(f"what the gateway says is no calibration: {error}")
             return 1
-        where = visible(" ".join(client.robot[1:]))
-        screen = Screen(client, calibration, state.watchdog.timeout_ms, where, avoided_by(state.spi.framing))
+        screen = Screen(client, calibration, state)
         try:
             screen.robot.drive()
         except LeaseError as error:
             return driving.not_acquired(client, error)
-        screen.session.message = _remarks(state)
-        if screen.show():
-            with suppress(OSError):  # the terminal is gone
-                if not screen.stopped:
-                    hint("NOBODY HAS CONFIRMED THE STOP: if the servo holds, switch the servos' power off.")
-                screen.hint_at_fault()
-                _last_words(screen.session.guide, calibration.revision, once.unkept(state.calibration))
+        code = screen.show()
         # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
         # frozen gateway), or for ever in a stuck terminal. The servo is stopped, and the lease released.
-        os._exit(0 if screen.stopped and screen.fault is None else 1)
-
-
-def _remarks(state: GatewayState) -> str:
-    """What a person wants to know before anything moves."""
-    landing_ms = state.watchdog.landing_ms
-    lands = f"A servo that falls silent goes to its landing angle, in {landing_ms:g} ms, and is stopped there. "
-    return lands * bool(landing_ms) + once.unkept(state.calibration)
-
-
-def _last_words(guide: Guide, began_from: int, unkept: str) -> None:
-    if guide.changed:
-        say("not written:")
-        for servo_id in guide.changed:
-            servo = guide.draft[servo_id]
-            say(f"  servo {servo_id}: {once.row(servo)}")
-    elif guide.in_force.revision != began_from:
-        say(f"revision {guide.in_force.revision} is in force. {unkept}".rstrip())
+        os._exit(code)

@@ -14,7 +14,7 @@ from gateway.errors import GatewayError, LeaseError
 from gateway.people.client.blocking import Client
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import check_terminal, hint, screen, visible
+from gateway.people.terminal import check_terminal, screen, visible
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
@@ -63,16 +63,7 @@ class Screen(screen.Screen):
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
-        try:
-            self.show()
-        except GatewayError as error:
-            hint(f"hexapod-gateway: {error}")
-            return 1
-        finally:
-            if self._stop_wanted:
-                hint("The emergency stop was NOT confirmed: switch the servos' power off.")
-        self.hint_at_fault()
-        return 0 if self.fault is None else 1
+        return self.show()
 
     def begin(self) -> None:
         threading.Thread(target=self._drive, name="drive", daemon=True).start()
@@ -80,6 +71,9 @@ class Screen(screen.Screen):
     def end(self) -> None:
         self._driven.set()
         self._walk.close(sits=self._sits)
+
+    def last_words(self) -> list[str]:
+        return [screen.NOT_STOPPED] if self._stop_wanted else []
 
     # ---- keys
 

@@ -12,9 +12,9 @@ from typing import Final, NoReturn
 from gateway.errors import ConfigError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import check_terminal, hint
+from gateway.people.terminal import check_terminal
 from gateway.people.tools import why
-from gateway.people.tools.watch.screen import Watch
+from gateway.people.tools.watch.screen import Screen
 from gateway.zenoh_config import client_config, connect_endpoints
 
 _OTHERWISE: Final = "; a program reads hexapod/state and hexapod/event instead"
@@ -35,16 +35,13 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
         timeout_s=timeout_s,
         explain=False,  # it tries again several times a second, and looks for the reason once in three seconds
     )
-    view = Watch(
+    view = Screen(
         client,
         ", ".join(connect_endpoints(config)),
         partial(why.unreached, connect, zenoh_config),
         diagnosis.own_expiry(config),
     )
-    view.show()
-    if view.unconfirmed_stop:
-        hint("The emergency stop was NOT confirmed: switch the servos' power off.")
-    view.hint_at_fault()
+    code = view.show()
     # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
     # frozen gateway), or for ever in a stuck terminal. What had to be let go of has been.
-    os._exit(0 if view.fault is None else 1)
+    os._exit(code)

@@ -19,7 +19,7 @@ NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
 
 SILENT_AFTER_NS: Final = 2_000_000_000
-"""Long enough for a gateway that publishes no state, which is asked for it, and for one lost answer (link.py: 0.4 s,
+"""Long enough for a gateway that publishes no state, which is asked for it, and for one lost answer (live.py: 0.4 s,
 0.6 s, 0.4 s). The end of its process is noticed at once, by its liveliness token."""
 RATE_WINDOW_S: Final = 2.0
 """Rates are means over this time: at 10 states a second, steady to the eye and still quick to follow."""

@@ -1,51 +1,79 @@
-"""What `watch` does with each key, and what it draws."""
+"""What `watch` does with each key, what it receives, and what it draws.
+
+No key waits: a Stop, a reset and what is asked about the lease are requested on threads of their own.
+"""
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from typing import Final
 
 from rich.text import Text
 
-from gateway.people.client.blocking import Client
-from gateway.people.terminal.screen import Screen
-from gateway.people.tools.watch.link import Link
-from gateway.people.tools.watch.model import Model, Question
+from gateway.errors import LeaseLostError, RejectedError, ZenohError
+from gateway.people.client.blocking import Client, several_answer
+from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
+from gateway.people.client.stops import UntilConfirmed
+from gateway.people.terminal import screen, visible
+from gateway.people.tools import kept_lease
+from gateway.people.tools.watch.model import Model, Presence, Question, Tone
 from gateway.people.tools.watch.view import picture
+from schemas import keys as wire
+from schemas.telemetry import Ack, Event, GatewayState
 
 STOP_KEYS: Final = frozenset(" eE")
+OTHERS_S: Final = 0.2
+"""How long others that answer besides the gateway are waited for."""
 _NO_KEYS: Final = frozenset({"escape", "up", "down", "left", "right"})
 
 
-class Watch(Screen):
-    """One view; shown until q."""
+class Screen(screen.Screen, Receiver):
+    """One view; shown until q. While it holds the lease, `send` of the same user drives under it."""
 
     def __init__(
-        self, connect: Callable[[], Client], where: str, why: Callable[[], list[str]], own_expiry: str | None
+        self,
+        connect: Callable[[], Client],
+        where: str,
+        why: Callable[[], list[str]] = list,
+        own_expiry: str | None = None,
     ) -> None:
+        """`why` returns a line for each host, why no connection comes about; it may take a second."""
         super().__init__()
-        self._model = Model(own_expiry=own_expiry)
+        self.model = Model(own_expiry=own_expiry)
         self._lock = threading.Lock()
+        """Of the model."""
         self._where = where
-        self._link = Link(connect, self._model, self._lock, self.changed.set, why)
-
-    @property
-    def unconfirmed_stop(self) -> bool:
-        """Whether somebody pressed the emergency stop and nobody has confirmed it."""
-        return self._model.stop_wanted_ns is not None
+        # A link that is there has a gateway at its end that is frozen, or nobody behind a router.
+        self._link = Live(connect, self, lambda client: [] if client is not None and client.connected else why())
+        self._stops = UntilConfirmed(lambda: self._client().estop(), self._stop_answered)
+        self._noted = threading.Event()
+        """Whether the model knows of the newest press."""
+        self._lease = ExitStack()
 
     def begin(self) -> None:
         self._link.start()
 
     def end(self) -> None:
-        """The robot goes on: nothing here moves it."""
+        """Let go of the lease, and close the session; gives up after a second where the gateway is frozen.
+
+        The robot goes on: nothing here moves it.
+        """
+        closer = threading.Thread(target=self._lease.close, name="close", daemon=True)
+        closer.start()
+        closer.join(CLOSE_S)
         self._link.close()
+
+    def last_words(self) -> list[str]:
+        return [screen.NOT_STOPPED] if self.model.stop_wanted_ns is not None else []
+
+    # ---- keys
 
     def press(self, keys: list[str]) -> bool:
         """A stop among them comes first, whatever else there is."""
         if STOP_KEYS & set(keys):
-            self._link.stop()
+            self._stop()
             return True
         for key in keys:
             if key in ("q", "Q", "ctrl-c"):
@@ -57,25 +85,164 @@ class Watch(Screen):
     def _press(self, key: str) -> None:
         now_ns = time.monotonic_ns()
         with self._lock:
-            asking, drives = self._model.asking(now_ns), self._model.drives
-            if asking is not None and key != "y":
-                self._model.declined(now_ns)
-            elif key == "r":
-                self._model.ask(Question.RESET, now_ns)
-            elif key == "t" and not drives:
-                self._model.ask(Question.TAKE, now_ns)
-        match asking, key:
-            case Question.RESET, "y":
-                self._link.reset()
-            case Question.TAKE, "y":
-                self._link.lease.take()
-            case None, "a":
-                self._link.lease.ask()
-            case None, "t" if drives:
-                self._link.lease.release()
+            model = self.model
+            asking, holder = model.asking(now_ns), model.holder
+            estop = model.estop  # the one that the user has seen, not one that somebody requests from now on
+            match asking, key:
+                case Question.RESET, "y":
+                    model.reset_confirmed(now_ns)
+                    self._on_thread(self._reset, estop)
+                case Question.TAKE, "y":
+                    model.take_confirmed(now_ns)
+                    self._on_thread(self._lease_key, self._take, holder)
+                case Question(), _:
+                    model.declined(now_ns)
+                case None, "r":
+                    model.ask(Question.RESET, now_ns)
+                case None, "t" if model.drives:
+                    self._on_thread(self._lease_key, self._release, holder)
+                case None, "t":
+                    model.ask(Question.TAKE, now_ns)
+                case None, "a":
+                    self._on_thread(self._lease_key, self._ask, holder)
+
+    def _on_thread(self, do: Callable[..., None], *arguments: object) -> None:
+        threading.Thread(target=do, args=arguments, name="key", daemon=True).start()
+
+    # ---- the emergency stop and the reset
+
+    def _stop(self) -> None:
+        """Request the emergency stop, at once and without waiting, and again until it is confirmed."""
+        self._noted.clear()
+        self._stops.press()  # first: not even the model's lock stands between the key and the wire
+        with self._changes():
+            self.model.stop_pressed(time.monotonic_ns())
+        self._noted.set()
+
+    def _stop_answered(self, ack: Ack | None, began_ns: int) -> bool:
+        """What came of a request; whether the stop is still wanted."""
+        self._noted.wait()
+        with self._changes():
+            if ack is None:
+                self.model.stop_unanswered()
+            else:
+                self.model.stop_answered(ack, began_ns, time.monotonic_ns())
+            wanted = self.model.stop_wanted_ns is not None
+        if ack is not None and (client := self._link.client) is not None:
+            with suppress(*ERRORS):
+                self._note_others(client, wire.ESTOP)
+        return wanted
+
+    def _reset(self, estop: int | None) -> None:
+        ack = None
+        with suppress(*ERRORS):
+            ack = self._client().reset(estop)
+        with self._changes():
+            self.model.reset_answered(ack, time.monotonic_ns())
+
+    def _client(self) -> Client:
+        if self._link.client is None:
+            raise ZenohError("there is no connection")
+        return self._link.client
+
+    # ---- the lease
+
+    def _ask(self, client: Client, holder: str | None) -> str:
+        """Tell the holder that we would like to drive."""
+        if holder is None:
+            return "nobody drives, so there is nobody to ask"
+        ack = client.ask_for_lease(kept_lease.me())
+        if not ack.accepted:
+            raise RejectedError(ack.reason or "", ack.detail or "")
+        return f"{holder} is asked, and may hand over"
+
+    def _take(self, client: Client, holder: str | None) -> str:
+        """Take it, by force where somebody else drives."""
+        with ExitStack() as held:
+            held.callback(self._drives, False)
+            lease = held.enter_context(kept_lease.acquired(client, take=holder is not None, on_lost=self._lost))
+            self._lease = held.pop_all()
+        self._drives(True)
+        return f"{lease.holder} drives: `send` of this user counts, until t is pressed again"
+
+    def _release(self, _client: Client, _holder: str | None) -> str:
+        self._lease.close()
+        return "released: commands are taken from anyone again"
+
+    def _lost(self, error: LeaseLostError) -> None:
+        self._lease.close()
+        self._remark(Tone.BAD, f"LOST: {error.detail}")
+
+    def _lease_key(self, do: Callable[[Client, str | None], str], holder: str | None) -> None:
+        """Do it, and show what came of it."""
+        tone, text = Tone.BAD, "NOT DONE: there is no connection"
+        try:
+            if self._link.client is not None:
+                tone, text = Tone.GOOD, do(self._link.client, holder)
+        except RejectedError as error:
+            text = f"NOT DONE: {error.reason}: {error.detail}"
+        except ERRORS:
+            text = "NOT DONE: nobody answered (an observer's certificate may not drive)"
+        self._remark(tone, text)
+
+    def _remark(self, tone: Tone, text: str) -> None:
+        with self._changes():
+            self.model.lease_answered(tone, text, time.monotonic_ns())
+
+    def _drives(self, drives: bool) -> None:
+        with self._lock:
+            self.model.drives = drives
+
+    # ---- what is received
+
+    def not_opened(self, error: Exception) -> None:
+        with self._changes():
+            self.model.trouble = self.model.trouble or visible(str(error))
+
+    def received_state(self, state: GatewayState, received_ns: int) -> None:
+        with self._lock:
+            mode = None if self.model.state is None else self.model.state.mode
+            self.model.received_state(state, received_ns, _wall())
+        if state.mode != mode:  # else the next picture is soon enough
+            self.changed.set()
+
+    def received_event(self, event: Event, left_out: int = 0) -> None:
+        del left_out  # none: the model takes them as they come
+        with self._changes():
+            self.model.received_event(event, time.monotonic_ns(), _wall())
+
+    def received_token(self, alive: bool) -> None:
+        with self._changes():
+            self.model.received_token(alive, time.monotonic_ns(), _wall())
+
+    def answered(self, client: Client) -> None:
+        self._note_others(client, wire.STATE)
+
+    def looked(self, reasons: list[str]) -> None:
+        with self._changes():
+            if self.model.presence(time.monotonic_ns()) is not Presence.LIVE:
+                self.model.trouble = "\n".join(visible(line) for line in reasons)
+
+    def _note_others(self, client: Client, key: str) -> None:
+        count = len(client.answerers(key, OTHERS_S))
+        if count > 1:
+            with self._changes():
+                self.model.note_others(several_answer(count, key), _wall())
+
+    @contextmanager
+    def _changes(self) -> Iterator[None]:
+        with self._lock:
+            yield
+        self.changed.set()
+
+    # ---- drawing
 
     def picture(self, columns: int, rows: int) -> Text:
         now_ns = time.monotonic_ns()
         with self._lock:
-            self._model.look(now_ns, datetime.now().astimezone())
-            return picture(self._model, now_ns, self._where, columns, rows)
+            self.model.look(now_ns, _wall())
+            return picture(self.model, now_ns, self._where, columns, rows)
+
+
+def _wall() -> datetime:
+    return datetime.now().astimezone()
