@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
+from gateway.errors import DisconnectedError
 from gateway.geometry import load
+from gateway.people.tools.walk.script import for_a_person
 from gateway.people.walking import STILL, Engine, Robot
 from gateway.robot.protocol.frames import Op, decode
 from schemas.robot import JOINTS, LEGS
@@ -56,6 +58,13 @@ def seat() -> dict[int, float]:
         for _ in range(500):
             engine.step(STILL, 0.02)
     return {10 * leg + joint: angle for leg in LEGS for joint, angle in zip(JOINTS, engine.pose[leg], strict=True)}
+
+
+@pytest.mark.parametrize("ends", ["; start_again() goes on", "; when it answers again, start_again() goes on"])
+def test_what_a_program_does_next_is_not_said_to_a_person(ends: str) -> None:
+    assert for_a_person(DisconnectedError(f"the link is lost: stop-servos stops; so be it{ends}")) == (
+        "the link is lost: stop-servos stops; so be it"
+    )
 
 
 def cut_short(gateway: Gateway, watcher: Client, *signals: signal.Signals) -> tuple[Child, list[FrameRecord]]:
@@ -148,7 +157,7 @@ def test_ctrl_c_stops_it_at_once(tmp_path: Path, gateway: Gateway, watcher: Clie
         assert terminal.wait_for_end(60) == 0
 
 
-def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed(
+def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_the_end_called_unconfirmed(
     tmp_path: Path, gateway: Gateway, watcher: Client
 ) -> None:
     need_tmux()
@@ -163,6 +172,12 @@ def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed(
         assert watcher.state().mode == Mode.ESTOPPED
         terminal.press("g")
         terminal.wait("It goes on with the next key.")
-        terminal.press("q")
-        assert terminal.wait_for_end(60) == 0
-    assert watcher.state().mode == Mode.IDLE
+        terminal.press("t")
+        once(watcher, lambda state: state.mode == Mode.ACTIVE)
+        gateway.child.send_signal(signal.SIGSTOP)
+        terminal.press("C-c")
+        assert terminal.wait_for_end(60) == 1
+        terminal.wait("Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off.")
+        gateway.child.send_signal(signal.SIGCONT)
+    assert watcher.stop().accepted
+    once(watcher, lambda state: state.lease.holder is None)

@@ -10,7 +10,7 @@ from typing import Final
 
 from rich.text import Text
 
-from gateway.errors import GatewayError, LeaseError
+from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.walk import Walk
@@ -37,6 +37,7 @@ _KEYS: Final = """
 
   SPACE or x   EMERGENCY STOP          g       go on after a stop (a person's word)
 """
+_UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
 
 
 class Screen(screen.Screen):
@@ -58,6 +59,8 @@ class Screen(screen.Screen):
         """It is over: no key moves it any more."""
         self._message = "Nothing moves before you press a key."
         self._sits = False
+        self._legs_stopped = True
+        """Whether somebody has confirmed the Stops at the end, or none was needed."""
 
     def run(self) -> int:
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
@@ -70,10 +73,16 @@ class Screen(screen.Screen):
 
     def end(self) -> None:
         self._driven.set()
-        self._walk.close(sits=self._sits)
+        try:
+            self._walk.close(sits=self._sits)
+        except ZenohError:
+            self._legs_stopped = False
+            raise
 
     def last_words(self) -> list[str]:
-        return [screen.NOT_STOPPED] if self._stop_wanted else []
+        if self._stop_wanted:
+            return [screen.NOT_STOPPED]
+        return [] if self._legs_stopped else [_UNCONFIRMED]
 
     # ---- keys
 
