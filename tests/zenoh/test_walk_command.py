@@ -60,7 +60,7 @@ def seat() -> dict[int, float]:
     return {10 * leg + joint: angle for leg in LEGS for joint, angle in zip(JOINTS, engine.pose[leg], strict=True)}
 
 
-@pytest.mark.parametrize("ends", ["; start_again() goes on", "; when it answers again, start_again() goes on"])
+@pytest.mark.parametrize("ends", ["; start_again() goes on", "; a reset leaves it, and then start_again() goes on"])
 def test_what_a_program_does_next_is_not_said_to_a_person(ends: str) -> None:
     assert for_a_person(DisconnectedError(f"the link is lost: stop-servos stops; so be it{ends}")) == (
         "the link is lost: stop-servos stops; so be it"

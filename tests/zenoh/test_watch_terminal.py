@@ -130,19 +130,25 @@ def test_the_reset_asks_first(gateway: Gateway, terminal: Terminal) -> None:
         assert "Drive?" not in shown
 
 
-def test_the_stop_key_works_when_the_terminal_takes_no_more(gateway: Gateway) -> None:
+@pytest.mark.parametrize("answers", [True, False], ids=["confirmed", "nobody is there"])
+def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
+    gateway: Gateway, answers: bool
+) -> None:
     """A terminal that nobody reads: drawing blocks in the middle of a picture, and the key still stops the robot."""
+    endpoint = gateway.endpoint if answers else f"tcp/127.0.0.1:{free_port()}"
     master, slave = pty.openpty()
     os.set_blocking(master, True)
     with gateway.client() as client:
-        watch = subprocess.Popen([*COMMAND, "watch", "--connect", gateway.endpoint], stdin=slave, stdout=slave)
+        command = [*COMMAND, "watch", "--connect", endpoint]
+        watch = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
         try:
             os.close(slave)
             # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
             assert os.read(master, 1)
             wait_for_stuck_writer(watch.pid)
             os.write(master, b" ")
-            wait_for_state(client, lambda state: state.mode is Mode.ESTOPPED)
+            if answers:
+                wait_for_state(client, lambda state: state.mode is Mode.ESTOPPED)
             os.write(master, b"q")
             assert watch.wait(LATE_S) == 0
         finally:

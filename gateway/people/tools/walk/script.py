@@ -113,4 +113,4 @@ def went(state: WalkState) -> str:
 
 def for_a_person(error: GatewayError) -> str:
     """Its sentence, without what a program may do next."""
-    return re.sub(r"; ([^;]*, )?start_again\(\) goes on.*", "", str(error))
+    return re.sub(r"; [^;]*start_again\(\) goes on.*", "", str(error))
