@@ -2,7 +2,8 @@
 
 import os
 from copy import deepcopy
-from functools import reduce
+from functools import cache, reduce
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,9 +17,9 @@ from gateway.robot.protocol.frames import decode
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord
-from tests.falls.__main__ import LANDING, MOST_SPEED_M_S, MOST_TILT_DEG, WORLDS, most_speed_m_s
+from tests.falls.__main__ import LANDING, MOST_SPEED_M_S, MOST_TILT_DEG, USUAL, WORLDS, most_speed_m_s
 from tests.falls.fall import AFTER_S, Fall, fall, looked_at
-from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, Angles, moments, run
+from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, STAND, Angles, Moment, moments, run
 from tests.falls.ways import SLACK, WAYS, landed
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
@@ -26,14 +27,27 @@ from tests.support.heard import frames
 from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, drive, sent_by
 
 
+@cache
+def six_moments(stance: str, assumed: Assumed) -> list[Moment]:
+    """Whoever goes on with one takes a copy."""
+    return moments(stance, assumed, phases=6)
+
+
 def worst(stance: str, name: str, assumed: Assumed, settings: Settings = SETTINGS) -> Fall:
     way = next(way for way in WAYS if way.name == name)
-    return reduce(Fall.worse, (fall(moment, way, settings) for moment in moments(stance, assumed, phases=6)))
+    return reduce(Fall.worse, (fall(moment, way, settings) for moment in six_moments(stance, assumed)))
 
 
-@pytest.mark.parametrize("stance", STANCES)
-@pytest.mark.parametrize("world", WORLDS)
-def test_a_landing_from_any_phase_is_gentle(stance: str, world: str) -> None:
+WEAK: Final = "servos of 1.4 N·m"
+HARDEST: Final = (STAND, "tripod")
+"""The fewest feet carry a tripod; the gaits with more of them in all worlds are for `make falls`."""
+
+
+@pytest.mark.parametrize(
+    ("world", "stance"),
+    [pair for pair in product(WORLDS, STANCES) if pair[1] in HARDEST or pair[0] in (USUAL, WEAK)],
+)
+def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
     found = worst(stance, LANDING, WORLDS[world])
     assert found.speed_m_s < most_speed_m_s(world, stance)
     assert found.tilt_deg < MOST_TILT_DEG
@@ -56,8 +70,8 @@ def test_another_pose_or_less_time_is_not(change: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("gait", GAITS)
 def test_a_stop_in_any_phase_of_a_stride_lets_it_sink_and_never_topple(gait: str) -> None:
-    """All servos slack, as after an emergency stop, at eight times within a stride: faster down than by a landing."""
-    for moment in moments(gait, Assumed(), phases=8):
+    """All servos slack, as after an emergency stop, at six times within a stride: faster down than by a landing."""
+    for moment in six_moments(gait, Assumed()):
         world = deepcopy(moment.world)
         fallen = looked_at(world, [(0.0, SLACK)])
         assert fallen.speed_m_s > MOST_SPEED_M_S

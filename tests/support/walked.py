@@ -1,6 +1,8 @@
 """A walking engine under test: after each of its ticks, what must hold on every one is checked."""
 
 import math
+from copy import copy
+from functools import cache
 from itertools import pairwise
 from typing import Final
 
@@ -58,11 +60,11 @@ class Walked:
             self.tick(velocity)
         raise AssertionError(f"after {at_most_s} s it is {self.engine.posture}, {self.engine.limit}")
 
-    def stands(self) -> "Walked":
-        """From lying."""
-        self.engine.stand()
-        self.until(Posture.STANDING, 6.0)
-        return self
+    def copy(self) -> "Walked":
+        """Another one that goes on by itself from here."""
+        new = copy(self)
+        new.engine = self.engine.copy()
+        return new
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
         """Where a foot is on a floor that does not move with the robot."""
@@ -106,3 +108,16 @@ class Walked:
         margin = margin_m((x, y), [engine.feet[leg][:2] for leg in engine.standing])
         self.margin_m = min(self.margin_m, margin)
         assert margin >= MARGIN_M
+
+
+def standing(robot: Robot, gait: str = "tripod") -> Walked:
+    """It has stood up from lying."""
+    return _stood_up(robot, gait).copy()
+
+
+@cache
+def _stood_up(robot: Robot, gait: str) -> Walked:
+    walked = Walked(Engine(robot, gait))
+    walked.engine.stand()
+    walked.until(Posture.STANDING, 6.0)
+    return walked

@@ -20,9 +20,9 @@ LIES_M: Final = 0.07
 def course(gait: str) -> list[Leg]:
     speed, turn = SPEEDS_M_S[gait], TURNS_RAD_S[gait]
     return [
-        Leg("forward", Velocity(speed), 6.0),
-        Leg("left", Velocity(0, speed), 5.0),
-        Leg("turn", Velocity(0, 0, turn), 4.0),
+        Leg("forward", Velocity(speed), 4.0),
+        Leg("left", Velocity(0, speed), 3.5),
+        Leg("turn", Velocity(0, 0, turn), 3.5),
     ]
 
 

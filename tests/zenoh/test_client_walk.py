@@ -164,7 +164,9 @@ def test_a_leg_that_somebody_stops_leaves_the_others_standing_until_a_person_say
         assert error.value.legs == (3,)
         written = frames(watcher)
         records = count(1)
-        states(watcher).wait(lambda _: next(records) > 6)  # more than two seconds of the walk: longer than putting the feet down
+        states(watcher).wait(
+            lambda _: next(records) > 6
+        )  # more than two seconds of the walk: longer than putting the feet down
         assert running(watcher) == [1, 2, 4, 5, 6]
         assert is_now(walk, Posture.HALTED)
         assert walk.state.lost == (3,)

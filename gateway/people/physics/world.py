@@ -178,11 +178,9 @@ class World:
 
     def _touching(self) -> set[int]:
         """The legs whose lower ends touch the ground: the box of a tibia that leans is lower than its tip."""
-        contacts = [self.data.contact[number] for number in range(self.data.ncon)]
-        tips_m = {leg: self.data.geom_xpos[geom] for geom, leg in self.feet.items()}
-        return {
-            leg for leg, at_m in tips_m.items() if any(np.linalg.norm(each.pos - at_m) < _END_M for each in contacts)
-        }
+        tips_m, contacts_m = self.data.geom_xpos[list(self.feet)], self.data.contact.pos
+        near = np.linalg.norm(tips_m[:, np.newaxis] - contacts_m, axis=2) < _END_M
+        return {leg for leg, touches in zip(self.feet.values(), near.any(axis=1), strict=True) if touches}
 
     def _depths(self) -> Iterator["_Depth"]:
         """How deep which part is in another one, or in the ground; parts of one leg may be."""
