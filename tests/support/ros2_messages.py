@@ -50,10 +50,9 @@ _HEAD: Final = '''"""ROS 2's message types, written by `python -m tests.support.
 They are the same in all of `DISTRIBUTIONS` (rosbags keeps their definitions). Fields are documented where ROS 2 is.
 """
 
-from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from gateway.people.ros2.cdr import Message, byte, float32, float64, int32, uint8, uint32
+from gateway.people.ros2.cdr import Message, byte, float32, float64, int32, ros_msg, uint8, uint32
 
 DISTRIBUTIONS: Final = ({distributions})
 
@@ -150,14 +149,14 @@ def _class(store: Typestore, name: str) -> str:
     lines = [
         "",
         "",
-        "@dataclass(frozen=True, slots=True)",
+        f'@ros_msg("{name}", "{store.hash_rihs01(name).removeprefix("RIHS01_")}")',
         f"class {_python(name)}(Message):",
-        f'    TYPE: ClassVar[str] = "{name}"',
-        f'    HASH: ClassVar[str] = "{store.hash_rihs01(name)}"',
         *(f"    {constant}: ClassVar[{type_name}] = {value}" for constant, type_name, value in constants),
     ]
-    if fields:
+    if constants:
         lines.append("")
+    if not fields:
+        lines.append('    """It has no fields."""')
     lines += [_attribute(field, description) for field, description in fields]
     return "\n".join(lines) + "\n"
 

@@ -18,8 +18,7 @@ import zenoh_ros2_sdk as sdk
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 from gateway.people.ros2 import messages
-from gateway.people.ros2.cdr import Message
-from gateway.people.ros2.definition import definition
+from gateway.people.ros2.cdr import Message, definition
 from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE, TriggerRequest, TriggerResponse
 from tests.support.child import Child
 

@@ -1,13 +1,14 @@
-"""ROS 2 messages as bytes (CDR, XCDR1), and back.
+"""ROS 2 messages: their fields, as bytes (CDR, XCDR1) and back, and their types as text (`ros2msg`).
 
 Every number is aligned to its own size, counted from the end of the four bytes of encapsulation. A string is its length
 with the final zero, UTF-8, and the zero; a sequence its count and its elements; an empty message one byte.
 """
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from inspect import get_annotations
-from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, dataclass_transform, get_args, get_origin
 
 byte = Annotated[int, "byte"]
 uint8 = Annotated[int, "uint8"]
@@ -33,25 +34,38 @@ class Field(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A ROS 2 message: a frozen dataclass whose annotations are its fields, in their order. Sequences are tuples."""
+    """A ROS 2 message, made by `ros_msg`: its annotations are its fields, in their order. Sequences are tuples."""
 
     TYPE: ClassVar[str]
     """As ROS 2 names it, such as `std_msgs/msg/String`."""
     HASH: ClassVar[str]
     """RIHS01 (REP-2016): the same in all distributions that have hashes."""
     FIELDS: ClassVar[tuple[Field, ...]]
-    CONSTANTS: ClassVar[tuple[tuple[str, str, int], ...]] = ()
+    CONSTANTS: ClassVar[tuple[tuple[str, str, int], ...]]
     """Type, name and value."""
 
-    def __init_subclass__(cls) -> None:
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass_transform(frozen_default=True)
+def ros_msg(type_name: str, sha256: str) -> Callable[[type[M]], type[M]]:
+    """Make a class a frozen dataclass, and this type of ROS 2's. `sha256` is what its hash has after `RIHS01_`."""
+
+    def declare(cls: type[M]) -> type[M]:
         annotations = get_annotations(cls)
-        cls.FIELDS = tuple(_field(name, each) for name, each in annotations.items() if not _is_a(ClassVar, each))
-        cls.CONSTANTS = tuple(
-            (_element(number), name, getattr(cls, name))
+        made = dataclass(frozen=True, slots=True)(cls)
+        made.TYPE, made.HASH = type_name, f"RIHS01_{sha256}"
+        made.FIELDS = tuple(_field(name, each) for name, each in annotations.items() if not _is_a(ClassVar, each))
+        made.CONSTANTS = tuple(
+            (_element(number), name, getattr(made, name))
             for name, each in annotations.items()
             for number in get_args(each)
-            if _is_a(ClassVar, each) and _is_a(Annotated, number)
+            if _is_a(ClassVar, each)
         )
+        return made
+
+    return declare
 
 
 def _field(name: str, annotation: Any) -> Field:
@@ -71,8 +85,6 @@ def _is_a(form: Any, annotation: Any) -> bool:
     return get_origin(annotation) is form
 
 
-M = TypeVar("M", bound=Message)
-
 NUMBERS: Final = {
     "bool": "?",
     "byte": "B",
@@ -89,6 +101,7 @@ HEADER: Final = b"\x00\x01\x00\x00"
 _ORDERS: Final = {b"\x00\x01": "<", b"\x00\x00": ">"}
 _MOST_PADDING: Final = 3
 """Some writers fill the last four bytes."""
+_BETWEEN: Final = "=" * 80 + "\n"
 
 
 def encode(message: Message) -> bytes:
@@ -114,6 +127,30 @@ def decode(kind: type[M], data: bytes) -> M:
     if reader.left > _MOST_PADDING:
         raise CdrError(f"{kind.TYPE}: {reader.left} bytes are left over")
     return message
+
+
+def definition(kind: type[Message]) -> str:
+    """The type's fields as text, and behind it those of every type that it has in it: any program can read with it
+    what is in a recording."""
+    inner: dict[str, type[Message]] = {}
+    text = _lines(kind, inner)
+    return text + "".join(f"{_BETWEEN}MSG: {_short(name)}\n{_lines(found, {})}" for name, found in inner.items())
+
+
+def _lines(kind: type[Message], inner: dict[str, type[Message]]) -> str:
+    lines = [f"{type_name} {name}={value}" for type_name, name, value in kind.CONSTANTS]
+    for name, element, many in kind.FIELDS:
+        shown = element if isinstance(element, str) else _short(element.TYPE)
+        lines.append(f"{shown}{'[]' if many else ''} {name}")
+        if not isinstance(element, str) and element.TYPE not in inner:
+            inner[element.TYPE] = element
+            _lines(element, inner)
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _short(name: str) -> str:
+    """`std_msgs/msg/Header` → `std_msgs/Header`."""
+    return name.replace("/msg/", "/")
 
 
 def _write(out: bytearray, message: Message) -> None:

@@ -15,8 +15,7 @@ from gateway.people.client.live import Order, ReportQueue, Starts
 from gateway.people.recordings.drawing import DESCRIPTION, DRAWN, LOG, Drawing, warning
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_ENCODING
-from gateway.people.ros2.cdr import Message, encode
-from gateway.people.ros2.definition import definition
+from gateway.people.ros2.cdr import Message, definition, encode
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
 from schemas.keys import STATE

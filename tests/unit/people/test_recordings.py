@@ -30,8 +30,7 @@ from gateway.people.recordings.drawing import (
 )
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import about
-from gateway.people.ros2.cdr import Message, decode
-from gateway.people.ros2.definition import definition
+from gateway.people.ros2.cdr import Message, decode, definition
 from gateway.people.ros2.messages import JointState, Marker, MarkerArray, String, TFMessage, TransformStamped
 from gateway.people.tools.record import repair_file
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg

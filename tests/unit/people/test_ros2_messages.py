@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.people.ros2 import messages
-from gateway.people.ros2.cdr import CdrError, Message, decode, encode
-from gateway.people.ros2.definition import definition
+from gateway.people.ros2.cdr import CdrError, Message, decode, definition, encode, ros_msg
 from gateway.people.ros2.messages import (
     TRIGGER_HASH,
     DiagnosticArray,
@@ -187,10 +186,10 @@ def test_a_count_that_lies_takes_no_memory() -> None:
     tracemalloc.stop()
 
 
+@ros_msg("test_msgs/msg/Empties", "")
 class Empties(Message):
     """No type here has such a sequence: each element is one byte, or none."""
 
-    TYPE = "test_msgs/msg/Empties"
     all: tuple[TriggerRequest, ...]
 
 
