@@ -71,8 +71,8 @@ def load_client_config(path: Path) -> zenoh.Config:
     return config
 
 
-def client_config(endpoint: str | None, file: Path | None = None, *, option: str = "--connect") -> zenoh.Config:
-    """A client's configuration: the file (certificates); `endpoint`, which `option` has named, overrides the file's.
+def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Config:
+    """A client's configuration: the file (certificates); `endpoint` overrides the file's.
 
     With neither it is this machine's gateway. Raises ConfigError.
     """
@@ -82,7 +82,10 @@ def client_config(endpoint: str | None, file: Path | None = None, *, option: str
     config.insert_json5("mode", '"client"')
     if endpoint is not None:
         endpoint = endpoint if "/" in endpoint else f"tcp/{endpoint}"
-        insert(config, "connect/endpoints", [endpoint], option)
+        try:
+            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+        except zenoh.ZError as error:
+            raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
     insert(config, "listen/endpoints", [], "listen")
     scouting_off(config)
     insert(config, "connect/retry", RETRY, "connect.retry")

@@ -5,6 +5,8 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from pydantic.fields import FieldInfo
 
+from schemas.keys import MAX_SOURCE
+
 MAX_PAYLOAD_BYTES: Final = 4096
 """A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is rejected unread."""
 
@@ -17,7 +19,7 @@ MAX_NUMBER: Final = 2**53
 AngleDeg = Annotated[
     float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="degrees, to the nearest hundredth")
 ]
-Source = Annotated[str, Field(min_length=1, max_length=64, description="who is commanding")]
+Source = Annotated[str, Field(min_length=1, max_length=MAX_SOURCE, description="who is commanding")]
 SentMs = Annotated[
     float,
     Field(

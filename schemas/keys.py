@@ -10,6 +10,8 @@ from typing import Final, NamedTuple
 from schemas.robot import LEGS, SERVO_IDS
 
 ROOT: Final = "hexapod"
+MAX_SOURCE: Final = 64
+"""Characters of the name by which somebody commands. A longer one is rejected, and all that carries it."""
 ALL_COMMANDS: Final = f"{ROOT}/**/cmd"
 LEGS_COMMAND: Final = f"{ROOT}/legs/cmd"
 ESTOP: Final = f"{ROOT}/estop/cmd"

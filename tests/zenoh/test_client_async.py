@@ -64,7 +64,7 @@ def public(kind: type) -> dict[str, list[str]]:
 
 
 STEPS = {
-    Client: {"carry", "carried_lease"},
+    Client: {"carry", "carried_lease", "check_open"},
     Stream: {"open", "close", "read", "check_open", "due_s", "must_ask", "send"},
     Lease: {"acquire", "release", "token", "elsewhere", "check", "confirm", "judge"},
     Walk: {"open", "close", "error"},

@@ -1,10 +1,12 @@
 """How a program's client finds its gateway, and lets go of it."""
 
+import math
 import os
 import re
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -56,6 +58,26 @@ def test_a_file_that_names_no_gateway_is_reported(tmp_path: Path) -> None:
         Client(zenoh_config=tmp_path / "empty.json5")
 
 
+@pytest.mark.parametrize(
+    ("endpoint", "options", "sentence"),
+    [
+        (None, {"source": ""}, "a source has 1 to 64 characters, and this one has 0"),
+        (None, {"source": "x" * 65}, "a source has 1 to 64 characters, and this one has 65"),
+        (None, {"timeout_s": 0}, "a timeout of 0 s will not do"),
+        (None, {"timeout_s": -1}, "a timeout of -1 s will not do"),
+        (None, {"timeout_s": math.nan}, "a timeout of nan s will not do"),
+        (None, {"timeout_s": math.inf}, "a timeout of inf s will not do"),
+        ("", {}, '"tcp/" is no endpoint, such as tcp/127.0.0.1:7447$'),
+    ],
+)
+def test_what_makes_no_client_is_one_sentence_before_anybody_is_dialled(
+    endpoint: str | None, options: dict[str, Any], sentence: str
+) -> None:
+    """A source that the gateway rejects would have every Stop rejected with it."""
+    with pytest.raises(ConfigError, match=f"^{sentence}"):
+        Client(endpoint, **options)
+
+
 def test_the_lines_in_a_bundle_work(tmp_path: Path) -> None:
     port = free_port()
     folder, laptop = tmp_path / "D", tmp_path / "laptop"
@@ -76,6 +98,9 @@ def test_the_lines_in_a_bundle_work(tmp_path: Path) -> None:
 
 def test_a_closed_client_says_so(gateway: Gateway) -> None:
     client = gateway.client()
+    stream = client.stream()
+    stream.open()
+    stream.set({3: (90, 45, 120)})
     client.close()
     client.close()
     for call in (
@@ -85,6 +110,7 @@ def test_a_closed_client_says_so(gateway: Gateway) -> None:
         lambda: client.start_leg(3, 1, 2, 3),
         lambda: client.publish(keys.leg_command(3), leg_payload("stop")),
         lambda: client.on_state(print),
+        lambda: stream.set({3: (90, 45, 120)}),
     ):
         with pytest.raises(ZenohError, match="this client is closed; make a new one"):
             call()

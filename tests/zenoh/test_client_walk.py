@@ -229,6 +229,8 @@ def test_what_it_cannot_do_is_reported_before_anything_moves(robot: Client, watc
     before = watcher.state().commands
     with pytest.raises(WalkError, match="there is no gait"):
         robot.walk(gait="gallop")
+    with pytest.raises(ValueError, match="0 Hz; a stream's rate"):
+        robot.walk(hz=0)
     with robot.walk() as walk:
         with pytest.raises(WalkError, match=r"it cannot stand 0\.5 m high: leg 1 does not reach"):
             walk.stand(height_m=0.5)

@@ -43,7 +43,7 @@ _log: Final = logging.getLogger(__name__)
 
 def open_router(endpoint: str) -> zenoh.Session:
     """A session to ROS 2's router, which comes back by itself. Raises ConfigError, ZenohError."""
-    config = client_config(endpoint, option="--router")
+    config = client_config(endpoint)
     config.insert_json5("timestamping/enabled", "true")  # the cache of a latched topic wants it; so has rmw_zenoh
     try:
         session = zenoh.open(config)

@@ -1,6 +1,7 @@
 """A connection to one gateway whose calls wait for their answers."""
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -82,6 +83,10 @@ class Client:
         take. Raises ConfigError, and ZenohError, which with `explain` has a line for each host: the step that fails,
         and what to do. To find that out takes up to a second more.
         """
+        if source is not None and not 1 <= len(source) <= keys.MAX_SOURCE:  # also a Stop would be rejected for it
+            raise ConfigError(f"a source has 1 to {keys.MAX_SOURCE} characters, and this one has {len(source)}")
+        if not 0 < timeout_s < math.inf:
+            raise ConfigError(f"a timeout of {timeout_s:g} s will not do; it is a time above 0")
         file = None if zenoh_config is None else Path(zenoh_config).expanduser()
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
@@ -343,6 +348,11 @@ class Client:
         take = reports(report, lambda found: None if self._closed else callback(found))
         with self._open_session() as session:
             return session.declare_subscriber(key, take)
+
+    def check_open(self) -> None:
+        """Raise what each call raises once this client is closed: ZenohError."""
+        with self._open_session():
+            pass
 
     @contextmanager
     def _open_session(self) -> Iterator[zenoh.Session]:

@@ -24,7 +24,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
-from gateway.zenoh_config import connect_endpoints, first_expiry, get
+from gateway.zenoh_config import DEFAULT_ENDPOINT, connect_endpoints, first_expiry, get
 
 TIMEOUT_S: Final = 1.0
 """What all looks together may take."""
@@ -128,7 +128,8 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
     """Go the way to `endpoint` until a step fails, at most until `end_s` (monotonic)."""
     parsed = _ENDPOINT.fullmatch(endpoint)
     if parsed is None:
-        yield Finding(Step.ENDPOINT, "only tcp/HOST:PORT and tls/HOST:PORT are looked at", "see whether it is right")
+        fix = f"dial it so, such as {DEFAULT_ENDPOINT}"
+        yield Finding(Step.ENDPOINT, "it is not tcp/HOST:PORT or tls/HOST:PORT", fix)
         return
     host, port, tls = parsed["host"].strip("[]"), int(parsed["port"]), parsed["link"] == "tls"
     if tls and _is_ipv6(host):

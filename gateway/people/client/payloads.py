@@ -59,6 +59,8 @@ def legs_payload(op: str, angles_deg: Mapping[int, Sequence[Angle]]) -> dict[str
 
     Raises as `leg_payload` and `leg_number`.
     """
+    if not isinstance(angles_deg, Mapping):
+        raise TypeError(f"legs and their angles are a dict, such as {{3: (90, 45, 120)}}, and not {angles_deg!r}")
     legs = {}
     for leg, angles in angles_deg.items():
         legs[str(leg_number(leg))] = leg_payload(op, angles)

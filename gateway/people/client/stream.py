@@ -144,10 +144,8 @@ class Stream:
 
     def __init__(self, client: "Client", hz: float) -> None:
         """Raises ValueError unless 0 < hz ≤ 1000."""
-        if not 0 < hz <= MAX_HZ:
-            raise ValueError(f"{hz:g} Hz; a stream's rate is above 0 and at most {MAX_HZ}")
         self._client = client
-        self._hz = hz
+        self._hz = checked_hz(hz)
         self._pace = Pace(hz)
         self._radians = Radians()
         self._started: frozenset[int] = frozenset()
@@ -396,6 +394,7 @@ class Stream:
 
     def _ask(self) -> GatewayState:
         """Raise unless the gateway reports that all that is started runs."""
+        self._client.check_open()
         if not self._client.connected:
             raise DisconnectedError(f"the link to the gateway is lost: {_UNHEARD}; {_AGAIN}")
         self._doubt = False
@@ -464,6 +463,13 @@ class Stream:
             ),
             None,
         )
+
+
+def checked_hz(hz: float) -> float:
+    """Raises ValueError for what is no rate of a stream."""
+    if not 0 < hz <= MAX_HZ:
+        raise ValueError(f"{hz:g} Hz; a stream's rate is above 0 and at most {MAX_HZ}")
+    return hz
 
 
 def _rejected(ack: Ack) -> RejectedError:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.people.client.stream import Stream
+from gateway.people.client.stream import Stream, checked_hz
 from gateway.people.walking import HOLD_S, REST_S, Body, Posture, Robot, Velocity, Walker, WalkState
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.robot import check_mirrored_once, ranges
@@ -53,14 +53,15 @@ class Walk:
     """
 
     def __init__(self, client: "Client", gait: str, geometry: Geometry | Path | str | None, hz: float) -> None:
-        """See `Client.walk`. Raises WalkError for a gait that there is not, ConfigError for a faulty geometry file."""
+        """See `Client.walk`. Raises WalkError for a gait that there is not, ConfigError for a faulty geometry file, and
+        ValueError for a rate that no stream has."""
         gait_named(gait)
         self._client = client
         self._gait = gait
         if not isinstance(geometry, Geometry):
             geometry = load(None if geometry is None else Path(geometry))
         self._geometry = geometry
-        self._hz = self._rate_hz = hz
+        self._hz = self._rate_hz = checked_hz(hz)
         self._revision = 0
         self._legs_found: frozenset[int] = frozenset()
         self._hold_s, self._rest_s = HOLD_S, REST_S

@@ -69,6 +69,12 @@ def test_what_has_no_order_of_joints_is_no_leg(wrong: Any) -> None:
         legs_payload("set", {3: wrong})
 
 
+@pytest.mark.parametrize("wrong", [[(90, 45, 120)], (90, 45, 120), None])
+def test_several_legs_are_a_dict(wrong: Any) -> None:
+    with pytest.raises(TypeError, match=r"legs and their angles are a dict, such as \{3: \(90, 45, 120\)\}, and not "):
+        legs_payload("start", wrong)
+
+
 @pytest.mark.parametrize("wrong", [[90, 45, 120], True, "90", None])
 def test_what_is_no_number_is_no_angle(wrong: Any) -> None:
     with pytest.raises(TypeError, match=rf"an angle is a number of degrees, and not {re.escape(repr(wrong))}"):
