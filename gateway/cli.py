@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
@@ -20,7 +20,20 @@ from gateway.people.tools import attended, certs, incidents, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 from gateway.robot import protocol
 
+
+class _Commands(TyperGroup):
+    """All commands, with Typer's words for a mistake in the arguments, but for those of pydantic beneath it."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
 app = typer.Typer(
+    cls=_Commands,
     rich_markup_mode="markdown",
     name="hexapod-gateway",
     help="Moves a six-legged robot: takes commands over Zenoh, writes HexapodProtocol frames to SPI, and stops the "

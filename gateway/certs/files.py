@@ -10,8 +10,10 @@ import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -20,6 +22,18 @@ from gateway.errors import ConfigError
 
 SECRET = 0o600
 PUBLIC = 0o644
+
+UNREADABLE: Final = (
+    ValueError,
+    TypeError,
+    UnsupportedAlgorithm,
+    x509.DuplicateExtension,
+    x509.ExtensionNotFound,
+    x509.InvalidVersion,
+    x509.UnsupportedGeneralNameType,
+)
+"""What `cryptography` raises for a certificate or a list that it cannot parse; for some parts only when they are read.
+"""
 
 
 def read_certificate(path: Path) -> x509.Certificate:
@@ -31,11 +45,14 @@ def read_certificates(path: Path) -> list[x509.Certificate]:
     """All certificates of a PEM file, at least one; ConfigError if it is missing, unreadable or none."""
     data = read_file(path, "certificate")
     try:
-        return x509.load_pem_x509_certificates(data)
-    except ValueError as error:
+        found = x509.load_pem_x509_certificates(data)
+        for each in found:
+            _ = each.subject, each.issuer, each.extensions  # which are parsed only now
+    except UNREADABLE as error:
         raise ConfigError(
             f"{path} holds no certificate in PEM form: restore it from a copy, or issue a new one"
         ) from error
+    return found
 
 
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:

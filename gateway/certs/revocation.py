@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from gateway.certs.authority import KeyPair
-from gateway.certs.files import read_file
+from gateway.certs.files import UNREADABLE, read_file
 from gateway.errors import ConfigError
 
 FILE_NAME: Final = "revoked.crl"
@@ -96,9 +95,10 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
         found = x509.load_pem_x509_crl(data)
         number = found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
         entries = tuple(map(_entry, found))
-    except (ValueError, TypeError, UnsupportedAlgorithm, x509.ExtensionNotFound, x509.DuplicateExtension) as error:
+        signed = any(_signed_by(found, ca) for ca in cas)
+    except UNREADABLE as error:
         raise ConfigError("this is no list of `hexapod-gateway certs revoke`, or it was cut off") from error
-    if not any(_signed_by(found, ca) for ca in cas):
+    if not signed:
         raise ForeignListError("the list is not signed by a CA of this robot: is it another robot's?")
     return RevocationList(number, entries, data)
 

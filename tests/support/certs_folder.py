@@ -1,8 +1,9 @@
 """What the tests of certificates share: a folder as `init` leaves it, and ways to look at one."""
 
+import base64
 import datetime as dt
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,13 @@ def fault(call: Callable[[], object]) -> str:
         call()
     assert "\n" not in str(caught.value)
     return str(caught.value)
+
+
+def with_one_bit_changed(pem: bytes) -> Iterator[bytes]:
+    """For each bit of what is in a PEM file, the file with this bit changed."""
+    head, *lines, tail = pem.splitlines(keepends=True)
+    der = base64.decodebytes(b"".join(lines))
+    for bit in range(len(der) * 8):
+        changed = bytearray(der)
+        changed[bit // 8] ^= 1 << bit % 8
+        yield head + base64.encodebytes(changed) + tail

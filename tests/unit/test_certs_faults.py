@@ -2,7 +2,9 @@
 
 import os
 import tempfile
+from contextlib import suppress
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,19 @@ from gateway import certs
 from gateway.certs import files as publishing
 from gateway.certs.authority import parse_host
 from gateway.certs.files import SECRET, Content, publish
+from gateway.errors import ConfigError
 from gateway.zenoh_config import load_client_config, load_config
-from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, names
+from tests.support.certs_folder import (
+    DAY,
+    HOSTS,
+    MADE_BY_INIT,
+    NOW,
+    contents,
+    fault,
+    make_folder,
+    names,
+    with_one_bit_changed,
+)
 
 __all__ = ["make_folder"]  # a fixture
 
@@ -209,6 +222,15 @@ def test_a_ca_that_is_not_whole(folder: Path, tmp_path: Path) -> None:
     assert "holds no certificate" in issue()
     assert "holds no certificate" in fault(lambda: certs.expiries(folder))
     assert names(folder) == MADE_BY_INIT
+
+
+@pytest.mark.filterwarnings("ignore:.*RFC 5280")
+def test_a_certificate_with_one_bit_changed_is_listed_or_a_sentence(folder: Path) -> None:
+    file = folder / "gateway.pem"
+    for changed in islice(with_one_bit_changed(file.read_bytes()), 0, None, 7):  # in each byte
+        file.write_bytes(changed)
+        with suppress(ConfigError):
+            certs.describe(file)
 
 
 def test_a_ca_that_expired(folder: Path) -> None:

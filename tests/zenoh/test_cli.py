@@ -136,6 +136,7 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
         (("stop-servos", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("send", "stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
         (("frobnicate",), "No such command"),
+        (("drill", "--only", "nosuch"), "Invalid value for '--only': 'nosuch' is not one of 'command',"),
     ],
 )
 def test_a_mistake_in_the_arguments_is_2_and_says_what_is_right(arguments: tuple[str, ...], said: str) -> None:

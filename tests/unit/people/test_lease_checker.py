@@ -12,8 +12,6 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
 from cryptography.x509.oid import NameOID
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.certs import authority
 from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose
@@ -27,6 +25,7 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.settings import ButtonSettings
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
+from tests.support.certs_folder import with_one_bit_changed
 
 NOW = dt.datetime(2026, 11, 22, tzinfo=dt.UTC)
 DAY = dt.timedelta(days=1)
@@ -236,14 +235,15 @@ def test_a_robot_whose_clock_is_plainly_wrong_says_so() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*RFC 5280")
-@given(st.binary(max_size=60), st.integers(0, 10_000))
-def test_a_damaged_certificate_is_never_taken(damage: bytes, place: int) -> None:
-    der = ANNA.certificate.public_bytes(serialization.Encoding.DER)
-    place %= len(der)
-    changed = der[:place] + damage + der[place + len(damage) :]
-    text = base64.encodebytes(changed).decode()
-    made = proof(certificate=f"-----BEGIN CERTIFICATE-----\n{text}-----END CERTIFICATE-----\n")
-    assert changed == der or CHECKER.fault(made, "acquire", "anna", NOW) is not None
+def test_of_a_certificate_with_one_bit_changed_only_what_the_ca_signed_is_taken() -> None:
+    """And no exception of a parser ends the service."""
+    made = proof()
+    for changed in with_one_bit_changed(pem(ANNA.certificate).encode()):
+        fault = CHECKER.fault(made.model_copy(update={"certificate": changed.decode()}), "acquire", "anna", NOW)
+        if fault is None:  # the bit has no meaning: how many bits of the signature's last byte are unused
+            assert (
+                x509.load_pem_x509_certificate(changed).tbs_certificate_bytes == ANNA.certificate.tbs_certificate_bytes
+            )
 
 
 # ---- nonces
