@@ -16,8 +16,10 @@ def main() -> None:
         code = stop.at_once(sys.argv[2:])
         if code is not None:
             sys.exit(code)
-    from gateway import cli
-
+    try:
+        from gateway import cli
+    except KeyboardInterrupt:  # on a Raspberry Pi it takes seconds, in which somebody may have changed their mind
+        sys.exit(130)
     cli.main()
 
 

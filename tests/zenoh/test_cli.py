@@ -1,5 +1,6 @@
 """The commands as a person types them: what they print, and their exit codes."""
 
+import os
 import re
 import subprocess
 import sys
@@ -96,16 +97,19 @@ def test_a_rejection_is_printed_with_its_reason_and_exit_code_1(
     assert said in end.stdout
 
 
-def test_estop_says_how_soon_and_reset_leaves_it(gateway: Gateway) -> None:
+def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: Gateway) -> None:
     end = gateway.run("estop")
     assert end.returncode == 0
     assert re.fullmatch(r"stopped: 6 Stop frames written within \d+ µs of the request\n", end.stdout)
     rejected = gateway.run("send", "leg", "3", "start", "1", "2", "3")
     assert (rejected.returncode, rejected.stdout.split(":")[1]) == (1, " estopped")
     with gateway.client() as client:
-        assert client.state().mode == Mode.ESTOPPED
-    end = gateway.run("reset")
+        state, heard = client.state(), events(client)
+        assert (state.mode, state.estop_source) == (Mode.ESTOPPED, f"{me()[:40]} (hexapod-gateway estop)")
+        end = gateway.run("reset")
+        reset = heard.wait(lambda event: event.kind == Kind.ESTOP_RESET)
     assert (end.returncode, end.stdout) == (0, "reset; nothing moves until it is started again\n")
+    assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
 
 
 @pytest.mark.parametrize(
@@ -166,19 +170,15 @@ def test_python_m_is_the_same_program() -> None:
     assert "Usage: hexapod-gateway " in end.stdout
 
 
+def test_ctrl_c_while_it_loads_is_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    end = subprocess.run([*COMMAND, "stop"], env=environment, capture_output=True, text=True, check=False, timeout=60)
+    assert (end.returncode, end.stdout, end.stderr) == (130, "", "")
+
+
 def test_the_version_is_that_of_the_protocol_too() -> None:
     assert re.fullmatch(r"hexapod-gateway \d+\.\d+\.\d+ \(HexapodProtocol 1\.0\.0\)\n", run_here("--version").stdout)
-
-
-def test_who_engages_and_leaves_the_emergency_stop_is_named(tmp_path: Path) -> None:
-    """The person, and not only the program."""
-    with Gateway(tmp_path) as gateway, gateway.client() as client:
-        heard = events(client)
-        assert gateway.run("estop").returncode == 0
-        assert client.state().estop_source == f"{me()[:40]} (hexapod-gateway estop)"
-        assert gateway.run("reset").returncode == 0
-        reset = heard.wait(lambda event: event.kind == Kind.ESTOP_RESET)
-    assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
 
 
 def test_with_a_certificate_it_is_the_certificates_person(tmp_path: Path) -> None:

@@ -9,8 +9,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-import pytest
-
 from gateway.client import Client
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -51,17 +49,21 @@ def test_the_copy_lines_of_certs_init_bring_what_the_installer_asks_for(tmp_path
     assert (robot / "robot-certs").stat().st_mode & 0o777 == 0o700
 
 
-@pytest.mark.parametrize("answer", ["echo False", "exit 127"], ids=["too old", "its Python has gone"])
-def test_an_unfit_virtual_environment_is_made_anew(tmp_path: Path, answer: str) -> None:
+def test_an_unfit_virtual_environment_is_made_anew(tmp_path: Path) -> None:
     (tmp_path / "Makefile").write_text((REPOSITORY / "Makefile").read_text())
     (tmp_path / "pyproject.toml").touch()
     unfit = tmp_path / ".venv" / "bin" / "python"
     unfit.parent.mkdir(parents=True)
-    script(unfit, f"#!/bin/sh\n{answer}\n")
     (tmp_path / ".venv" / "run").touch()
+    for answer in ("echo False", "exit 127"):  # too old; its Python has gone
+        script(unfit, f"#!/bin/sh\n{answer}\n")
+        planned = subprocess.run(["make", "-n", ".venv/run"], cwd=tmp_path, check=True, capture_output=True, text=True)
+        assert "-m venv --clear .venv" in planned.stdout
+        assert "pip install" in planned.stdout
     subprocess.run(["make", ".venv/bin/python"], cwd=tmp_path, check=True, capture_output=True)
     subprocess.run([unfit, "-c", "import sys; assert sys.version_info >= (3, 11)"], check=True)
     planned = subprocess.run(["make", "-n", ".venv/run"], cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert "venv --clear" not in planned.stdout
     assert "pip install" in planned.stdout
 
 

@@ -4,7 +4,8 @@ import json
 import os
 import re
 import signal
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,13 @@ def address_of(child: Child) -> str:
     return found[0]
 
 
+@contextmanager
+def viewing(child: Child) -> Iterator[ClientConnection]:
+    # The server answers no closing handshake while it sends, and nobody here waits for that.
+    with connect(address_of(child), subprotocols=[Subprotocol("foxglove.sdk.v1")], close_timeout=0.1) as viewer:
+        yield viewer
+
+
 def text(viewer: ClientConnection, op: str) -> dict[str, Any]:
     while True:
         message = viewer.recv(PATIENCE_S)
@@ -43,8 +51,7 @@ def text(viewer: ClientConnection, op: str) -> dict[str, Any]:
 def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> None:
     command = [*COMMAND, "foxglove", "--port", "0", "--connect", gateway.endpoint]
     with closing(Child(command, os.environ)) as child, gateway.client() as robot:
-        address = address_of(child)
-        with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
+        with viewing(child) as viewer:
             assert text(viewer, "serverInfo")["capabilities"] == []
             channels: dict[int, Any] = {}
             while len(channels) < len(REPORTS) + len(DRAWN):
@@ -80,7 +87,7 @@ def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> N
             assert robot.state().commands.rejected > 0
             assert robot.state().mode == "idle"
 
-        taken = gateway.run("foxglove", "--port", address.rpartition(":")[2])
+        taken = gateway.run("foxglove", "--port", address_of(child).rpartition(":")[2])
         assert taken.returncode == 5, str(taken)
         child.send_signal(signal.SIGINT)
         assert child.wait() == 0, str(child)
@@ -99,7 +106,7 @@ def test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log(tmp
     with Gateway(tmp_path) as first:
         command = [*COMMAND, "foxglove", "--port", "0", "--connect", first.endpoint]
         with closing(Child(command, os.environ)) as child:
-            with connect(address_of(child), subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
+            with viewing(child) as viewer:
                 known: dict[str, int] = {}
                 while not known.keys() >= {LOG, STATE}:
                     known |= {each["topic"]: each["id"] for each in text(viewer, "advertise")["channels"]}

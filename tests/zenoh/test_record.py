@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,8 +18,9 @@ from gateway.people.recordings import is_cut_off, read
 from gateway.people.recordings.drawing import FRAMES, JOINT_STATES, LOG
 from schemas.keys import EVENT, FRAME, STATE
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture
-from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, states
 from tests.support.mcap_file import checked
 
@@ -57,11 +58,10 @@ def walking(robot: Client) -> Iterator[None]:
 
 
 def test_that_there_will_be_no_frames_is_reported_at_the_start(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway, recording(gateway, tmp_path / "ride.mcap") as child:
-        said = child.stderr
-        child.send_signal(signal.SIGINT)
-        assert child.wait() == 0
-    assert "publishes no frames" in said.partition("recording into")[0]
+    with Gateway(tmp_path) as gateway:
+        ended = gateway.run("record", str(tmp_path / "ride.mcap"), "--for", "0.1")
+    assert ended.returncode == 0
+    assert "publishes no frames" in ended.stderr.partition("recording into")[0]
 
 
 @contextmanager
@@ -145,7 +145,7 @@ def test_a_killed_recorder_leaves_all_but_the_newest_and_the_next_one_repairs_it
 
 def test_without_a_gateway_no_file_is_made(tmp_path: Path) -> None:
     path = tmp_path / "ride.mcap"
-    nobody = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
-    with closing(Child([*COMMAND, "record", str(path), *nobody], os.environ)) as child:
-        assert child.wait() == 4, str(child)
+    assert (
+        run_here("record", str(path), "--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.1").returncode == 4
+    )
     assert not path.exists()

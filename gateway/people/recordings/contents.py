@@ -78,8 +78,8 @@ def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
     What holds for all of it (the robot's description, the calibration in force) is taken along. Returns the number of
     messages. Raises ConfigError, FileExistsError, OSError.
     """
-    begin_s = contents(path).begin_s
-    from_ns, to_ns = round((begin_s + from_s) * 1e9), round((begin_s + to_s) * 1e9)
+    whole = contents(path)
+    from_ns, to_ns = round((whole.begin_s + from_s) * 1e9), round((whole.begin_s + to_s) * 1e9)
     count = 0
     numbers: Counter[int] = Counter()
     standing: dict[str, Message] = {}
@@ -101,7 +101,7 @@ def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
         copy.finish()
     if not count:
         into.unlink()
-        raise ConfigError(f"{path}: has no message from {from_s:g} to {to_s:g} s")
+        raise ConfigError(f"{path}: lasts {whole.end_s - whole.begin_s:.1f} s, and has no message in that piece of it")
     return count
 
 

@@ -18,7 +18,7 @@ from gateway.robot.edge.session import service_config
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck
 
 UNIT: Final = "hexapod-gateway"
-_ANSWER_S: Final = 5.0
+ANSWER_S: Final = 5.0
 
 
 def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path | None, *, others_too: bool) -> int:
@@ -45,7 +45,7 @@ def _bring(directory: Path, host: str, config: Path) -> int:
     """To one robot. What another copy of the folder has revoked there is kept."""
     endpoint = host if "/" in host else zenoh_files.endpoint(host, folder.port_of(directory))
     try:
-        with Client(endpoint, zenoh_config=config, source=f"{UNIT} certs revoke", timeout_s=_ANSWER_S) as client:
+        with Client(endpoint, zenoh_config=config, source=f"{UNIT} certs revoke", timeout_s=ANSWER_S) as client:
             ack = _send(client, directory)
     except RejectedError as error:
         hint(f"{host}: {error}")
