@@ -39,7 +39,7 @@ def load_config(path: Path) -> zenoh.Config:
     Raises ConfigError, one line, for a typo, and a file it names that is missing or unreadable.
     """
     path = path.absolute()
-    certs.read_file(path, "Zenoh configuration")
+    certs.files.read_file(path, "Zenoh configuration")
     try:
         config = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
@@ -47,9 +47,9 @@ def load_config(path: Path) -> zenoh.Config:
     for setting, file in _named_files(config, path.parent).items():
         try:
             if setting in _CERTIFICATES:
-                certs.read_certificates(file)
+                certs.files.read_certificates(file)
             else:
-                certs.read_file(file, setting.rpartition("/")[2])
+                certs.files.read_file(file, setting.rpartition("/")[2])
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         config.insert_json5(setting, json.dumps(str(file)))
@@ -113,7 +113,7 @@ def first_expiry(config: zenoh.Config) -> Expiry | None:
     ca = get(config, _CA)
     found = []
     for file in certificate_files(config):
-        ends = [certificate.not_valid_after_utc for certificate in certs.read_certificates(file)]
+        ends = [certificate.not_valid_after_utc for certificate in certs.files.read_certificates(file)]
         found.append(Expiry(file, max(ends) if str(file) == ca else ends[0]))
     return min(found, key=lambda expiry: expiry.end, default=None)
 

@@ -1,7 +1,11 @@
-"""Certificates: who may reach the gateway, and as what. `init` once, `issue` for each laptop."""
+"""Certificates: who may reach the gateway, and as what. `folder.init` once, `folder.issue` for each laptop."""
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from types import ModuleType
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from gateway.certs import authority, files, folder, moving, proof, revocation
 
 OPERATOR: Final = "operator"
 OBSERVER: Final = "observer"
@@ -13,62 +17,11 @@ LEAF_DAYS: Final = 730
 CONSOLE_DAYS: Final = 459
 """Apple's browsers take a server's certificate of at most 825 days, and ours begin a year in the past."""
 
-if TYPE_CHECKING:
-    from gateway.certs import revocation
-    from gateway.certs.authority import first_number, is_issued
-    from gateway.certs.files import read_certificate, read_certificates, read_file
-    from gateway.certs.folder import Certificate, add_robots, console, describe, expiries, init, issue, renew
-    from gateway.certs.moving import drop_ca, reissue, replace_ca, revoke, set_pool, states
-    from gateway.certs.proof import ProofChecker
-
-_HOMES: Final = {
-    **dict.fromkeys(
-        ("Certificate", "add_robots", "console", "describe", "expiries", "init", "issue", "renew"),
-        "gateway.certs.folder",
-    ),
-    **dict.fromkeys(("drop_ca", "reissue", "replace_ca", "revoke", "set_pool", "states"), "gateway.certs.moving"),
-    **dict.fromkeys(("first_number", "is_issued"), "gateway.certs.authority"),
-    "ProofChecker": "gateway.certs.proof",
-    **dict.fromkeys(("read_certificate", "read_certificates", "read_file"), "gateway.certs.files"),
-}
+__all__ = ["authority", "files", "folder", "moving", "proof", "revocation"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> ModuleType:
     # Loaded when used: cryptography takes long to load, and no emergency stop should wait for it.
-    if name == "revocation":
-        return import_module("gateway.certs.revocation")
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
-
-
-__all__ = [
-    "BUTTON",
-    "CA_DAYS",
-    "CONSOLE_DAYS",
-    "LAPTOP_ROLES",
-    "LEAF_DAYS",
-    "OBSERVER",
-    "OPERATOR",
-    "Certificate",
-    "ProofChecker",
-    "add_robots",
-    "console",
-    "describe",
-    "drop_ca",
-    "expiries",
-    "first_number",
-    "init",
-    "is_issued",
-    "issue",
-    "read_certificate",
-    "read_certificates",
-    "read_file",
-    "reissue",
-    "renew",
-    "replace_ca",
-    "revocation",
-    "revoke",
-    "set_pool",
-    "states",
-]
+    return import_module(f"{__name__}.{name}")

@@ -58,7 +58,7 @@ from gateway.zenoh_config import open_session
 from schemas.keys import CALIBRATION, STATE
 
 if TYPE_CHECKING:
-    from gateway.certs import ProofChecker
+    from gateway.certs.proof import ProofChecker
 
 BEAT_S = 0.1
 """How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""

@@ -74,8 +74,8 @@ class DoorStand(Closing):
         with ExitStack() as stack:
             self.network = stack.enter_context(Network(laptops=2))
             hosts = [self.network.robot_address(laptop) for laptop in self.network.laptops]
-            certs.init(folder / "certs", hosts)
-            certs.console(folder / "certs", "web", hosts)
+            certs.folder.init(folder / "certs", hosts)
+            certs.folder.console(folder / "certs", "web", hosts)
             self.folder = folder
             self.gateway = stack.enter_context(
                 Gateway(folder, {"zenoh": {"listen": [GATEWAY]}}, prefix=self.network.robot)

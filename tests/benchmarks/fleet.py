@@ -59,11 +59,11 @@ def _measure(seconds: float) -> None:
 def _row(size: int, seconds: float) -> str:
     with tempfile.TemporaryDirectory() as name, ExitStack() as end:
         folder, port = Path(name) / "D", free_port()
-        certs.init(folder, [HOST], port=port)
-        certs.add_robots(folder, [_robot(number) for number in range(size)])
-        certs.issue(folder, "operator", "operator", robot=_robot(0))
+        certs.folder.init(folder, [HOST], port=port)
+        certs.folder.add_robots(folder, [_robot(number) for number in range(size)])
+        certs.folder.issue(folder, "operator", "operator", robot=_robot(0))
         for number in range(size):
-            certs.issue(folder, f"observer-{number}", "observer", robot=_robot(number))
+            certs.folder.issue(folder, f"observer-{number}", "observer", robot=_robot(number))
         router = _start(end, "router", str(folder / "router.json5"))
         alone_kb = rss_kb(router.pid)
         robots = _start(end, "robots", str(folder), str(size))

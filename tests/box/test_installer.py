@@ -248,9 +248,9 @@ SERVO_RUNS = "install.sh: a servo runs, and a restart would stop it: stop the ro
 def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine, tmp_path: Path) -> None:
     """Nor do other certificates, a way back or an uninstallation let it fall, where only certificates may ask."""
     machine, box = with_venv, with_venv.box
-    certs.init(tmp_path / "own-certs", ["127.0.0.1"])
-    certs.issue(tmp_path / "own-certs", "bob", "operator")
-    certs.init(tmp_path / "other-certs", ["127.0.0.1"])
+    certs.folder.init(tmp_path / "own-certs", ["127.0.0.1"])
+    certs.folder.issue(tmp_path / "own-certs", "bob", "operator")
+    certs.folder.init(tmp_path / "other-certs", ["127.0.0.1"])
     own, other = share(box, tmp_path / "own-certs"), share(box, tmp_path / "other-certs")
     machine.install("--certs", own)
     machine.simulate()
@@ -376,8 +376,8 @@ def test_the_exact_interpreter(installed_machine: Machine) -> None:
 def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
     """Brought with --certs or by hand, the service's user can read them, and the service takes only certificates."""
     machine, box = installed_machine, installed_machine.box
-    certs.init(tmp_path / "certs", ["127.0.0.1"])
-    certs.issue(tmp_path / "certs", "alice", "operator")
+    certs.folder.init(tmp_path / "certs", ["127.0.0.1"])
+    certs.folder.issue(tmp_path / "certs", "alice", "operator")
     folder = share(box, tmp_path / "certs")
     said = machine.install("--certs", folder)
     setting = f'config = "/etc/{NAME}/zenoh/gateway.json5"'

@@ -156,11 +156,11 @@ def with_certificates(
 ) -> Iterator[tuple[RobotHost, list["LaptopHost"]]]:
     """A robot, and for each of these operators a laptop with a certificate; `more` is RobotHost's. Started once."""
     certificates = folder / "D"
-    certs.init(certificates, [network.robot_address(number) for number in network.laptops], port=port)
+    certs.folder.init(certificates, [network.robot_address(number) for number in network.laptops], port=port)
     with ExitStack() as opened:
         laptops = []
         for number, name in enumerate(names):
-            certs.issue(certificates, name, "operator")
+            certs.folder.issue(certificates, name, "operator")
             file = certificates / f"{name}.json5"
             file.write_text(re.sub(r"lease: \d+", f"lease: {LEASE_MS}", file.read_text()))
             laptops.append(opened.enter_context(LaptopHost(network, number, zenoh_config=file)))

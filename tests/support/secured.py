@@ -34,9 +34,9 @@ class Secured(Closing):
         """It listens on `address`; its certificate names `hosts`."""
         self.folder = folder / "D"
         self.port = free_port()
-        certs.init(self.folder, hosts, port=self.port)
-        certs.issue(self.folder, "anna", "operator")
-        certs.issue(self.folder, "otto", "observer")
+        certs.folder.init(self.folder, hosts, port=self.port)
+        certs.folder.issue(self.folder, "anna", "operator")
+        certs.folder.issue(self.folder, "otto", "observer")
         listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}
         self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix, options=options)
 

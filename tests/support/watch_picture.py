@@ -71,7 +71,7 @@ def run(secured: Secured) -> str:
 def main() -> None:
     """Write the picture to the file named."""
     with tempfile.TemporaryDirectory() as folder, Secured(Path(folder)) as secured:
-        certs.issue(secured.folder, "bert", "operator")
+        certs.folder.issue(secured.folder, "bert", "operator")
         drawn = run(secured)
     Path(sys.argv[1]).write_text(drawn + "\n")
 

@@ -35,23 +35,23 @@ __all__ = ["make_folder"]  # a fixture
 
 def test_an_existing_ca_is_never_replaced(folder: Path) -> None:
     before = contents(folder)
-    assert "has a CA already" in fault(lambda: certs.init(folder, HOSTS))
+    assert "has a CA already" in fault(lambda: certs.folder.init(folder, HOSTS))
     assert contents(folder) == before
     (folder / "ca.key").unlink()  # kept elsewhere
-    assert "has a CA already" in fault(lambda: certs.init(folder, HOSTS))
+    assert "has a CA already" in fault(lambda: certs.folder.init(folder, HOSTS))
 
 
 def test_a_name_is_given_once(folder: Path) -> None:
-    certs.issue(folder, "alice", "operator")
+    certs.folder.issue(folder, "alice", "operator")
     before = contents(folder)
-    assert "taken" in fault(lambda: certs.issue(folder, "alice", "observer"))
+    assert "taken" in fault(lambda: certs.folder.issue(folder, "alice", "observer"))
     assert contents(folder) == before
 
 
 @pytest.mark.parametrize("there", ["gateway.key", "gateway.pem", "gateway.json5"])
 def test_init_takes_back_everything_when_one_file_is_in_the_way(tmp_path: Path, there: str) -> None:
     (tmp_path / there).write_text("mine")
-    assert "never overwritten" in fault(lambda: certs.init(tmp_path, HOSTS))
+    assert "never overwritten" in fault(lambda: certs.folder.init(tmp_path, HOSTS))
     assert contents(tmp_path) == {there: b"mine"}
 
 
@@ -59,7 +59,7 @@ def test_a_dangling_link_is_in_the_way_too(tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     (tmp_path / "D").mkdir()
     (tmp_path / "D" / "gateway.key").symlink_to(elsewhere)
-    assert "never overwritten" in fault(lambda: certs.init(tmp_path / "D", HOSTS))
+    assert "never overwritten" in fault(lambda: certs.folder.init(tmp_path / "D", HOSTS))
     assert names(tmp_path / "D") == {"gateway.key"}
     assert not elsewhere.exists()
 
@@ -69,7 +69,7 @@ def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path
     (tmp_path / "there.zip").write_text("mine")
     (tmp_path / "file").write_text("")
     for bundle in (tmp_path / "there.zip", tmp_path / "file" / "x.zip", folder / "alice.key"):
-        fault(partial(certs.issue, folder, "alice", "operator", bundle=bundle))
+        fault(partial(certs.folder.issue, folder, "alice", "operator", bundle=bundle))
         assert contents(folder) == before
     assert names(tmp_path) == {"D", "there.zip", "file"}
     assert (tmp_path / "there.zip").read_text() == "mine"
@@ -102,7 +102,7 @@ def test_a_disk_that_fills_up_leaves_no_trace(
         monkeypatch.setattr(os, "link", link)
     else:
         monkeypatch.setattr(os, "fsync", sync)
-    assert "No space left" in fault(lambda: certs.init(tmp_path / "new" / "D", HOSTS))
+    assert "No space left" in fault(lambda: certs.folder.init(tmp_path / "new" / "D", HOSTS))
     assert names(tmp_path) == set()
 
 
@@ -112,7 +112,7 @@ def test_an_interruption_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(os, "link", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        certs.init(tmp_path / "D", HOSTS)
+        certs.folder.init(tmp_path / "D", HOSTS)
     assert names(tmp_path) == set()
 
 
@@ -131,13 +131,13 @@ def test_a_file_system_without_modes_is_rejected(tmp_path: Path, monkeypatch: py
     ["", "ca", "CA", "gateway", "../x", "a/b", "a b", ".a", "-a", "a.b", "ä", "a\n", "x" * 64],
 )
 def test_names_that_cannot_be(folder: Path, name: str) -> None:
-    assert "cannot name a laptop" in fault(lambda: certs.issue(folder, name, "operator"))
+    assert "cannot name a laptop" in fault(lambda: certs.folder.issue(folder, name, "operator"))
     assert names(folder) == MADE_BY_INIT
 
 
 @pytest.mark.parametrize("role", ["", "Operator", "admin", "ca", "gateway"])
 def test_unknown_roles(folder: Path, role: str) -> None:
-    text = fault(lambda: certs.issue(folder, "alice", role))
+    text = fault(lambda: certs.folder.issue(folder, "alice", role))
     assert "operator" in text
     assert "observer" in text
     assert names(folder) == MADE_BY_INIT
@@ -164,13 +164,15 @@ def test_unknown_roles(folder: Path, role: str) -> None:
     ],
 )
 def test_hosts_that_cannot_be(tmp_path: Path, host: str) -> None:
-    assert "neither a host name nor an IP address" in fault(lambda: certs.init(tmp_path / "D", [host]))
+    assert "neither a host name nor an IP address" in fault(lambda: certs.folder.init(tmp_path / "D", [host]))
     assert names(tmp_path) == set()
 
 
 @pytest.mark.parametrize("host", ["::1", "[2001:DB8::7]"])
 def test_an_ipv6_address_that_no_laptop_could_dial(tmp_path: Path, host: str) -> None:
-    assert "Zenoh dials no IPv6 address over TLS" in fault(lambda: certs.init(tmp_path / "D", ["robot.local", host]))
+    assert "Zenoh dials no IPv6 address over TLS" in fault(
+        lambda: certs.folder.init(tmp_path / "D", ["robot.local", host])
+    )
     assert names(tmp_path) == set()
 
 
@@ -189,28 +191,28 @@ def test_hosts_are_brought_into_one_form(text: str, host: str) -> None:
 
 def test_other_numbers_out_of_range(folder: Path, tmp_path: Path) -> None:
     new = tmp_path / "new"
-    assert "--days 0" in fault(lambda: certs.init(new, HOSTS, days=0))
-    assert "--days 3651" in fault(lambda: certs.issue(folder, "alice", "operator", days=3651))
-    assert "port 65536" in fault(lambda: certs.init(new, HOSTS, port=65536))
-    assert "at least one host" in fault(lambda: certs.init(new, []))
+    assert "--days 0" in fault(lambda: certs.folder.init(new, HOSTS, days=0))
+    assert "--days 3651" in fault(lambda: certs.folder.issue(folder, "alice", "operator", days=3651))
+    assert "port 65536" in fault(lambda: certs.folder.init(new, HOSTS, port=65536))
+    assert "at least one host" in fault(lambda: certs.folder.init(new, []))
     assert not new.exists()
 
 
 def test_a_folder_without_a_ca(tmp_path: Path) -> None:
     for directory in (tmp_path, tmp_path / "missing"):
-        assert "has no ca.key" in fault(partial(certs.issue, directory, "a", "operator"))
-    assert "cannot read" in fault(lambda: certs.expiries(tmp_path / "missing"))
-    assert "has no certificates" in fault(lambda: certs.expiries(tmp_path))
+        assert "has no ca.key" in fault(partial(certs.folder.issue, directory, "a", "operator"))
+    assert "cannot read" in fault(lambda: certs.folder.expiries(tmp_path / "missing"))
+    assert "has no certificates" in fault(lambda: certs.folder.expiries(tmp_path))
 
 
 def test_a_ca_that_is_not_whole(folder: Path, tmp_path: Path) -> None:
     def issue() -> str:
-        return fault(lambda: certs.issue(folder, "alice", "operator"))
+        return fault(lambda: certs.folder.issue(folder, "alice", "operator"))
 
     key = (folder / "ca.key").read_bytes()
     (folder / "ca.key").write_bytes(b"nonsense")
     assert "holds no unencrypted key" in issue()
-    certs.init(tmp_path / "E", HOSTS)
+    certs.folder.init(tmp_path / "E", HOSTS)
     (folder / "ca.key").write_bytes((tmp_path / "E" / "ca.key").read_bytes())
     assert "do not belong together" in issue()
     (folder / "ca.key").unlink()
@@ -220,7 +222,7 @@ def test_a_ca_that_is_not_whole(folder: Path, tmp_path: Path) -> None:
     (folder / "ca.key").write_bytes(key)
     (folder / "ca.pem").write_bytes(b"nonsense")
     assert "holds no certificate" in issue()
-    assert "holds no certificate" in fault(lambda: certs.expiries(folder))
+    assert "holds no certificate" in fault(lambda: certs.folder.expiries(folder))
     assert names(folder) == MADE_BY_INIT
 
 
@@ -230,27 +232,29 @@ def test_a_certificate_with_one_bit_changed_is_listed_or_a_sentence(folder: Path
     for changed in islice(with_one_bit_changed(file.read_bytes()), 0, None, 7):  # in each byte
         file.write_bytes(changed)
         with suppress(ConfigError):
-            certs.describe(file)
+            certs.folder.describe(file)
 
 
 def test_a_ca_that_expired(folder: Path) -> None:
     later = NOW + 3651 * DAY
-    assert "expired" in fault(lambda: certs.issue(folder, "alice", "operator", now=later))
-    assert "expired" in fault(lambda: certs.renew(folder, "gateway", now=later))
+    assert "expired" in fault(lambda: certs.folder.issue(folder, "alice", "operator", now=later))
+    assert "expired" in fault(lambda: certs.folder.renew(folder, "gateway", now=later))
 
 
 def test_renewing_what_is_not_there_or_anothers(folder: Path, tmp_path: Path) -> None:
-    assert "cannot read the certificate" in fault(lambda: certs.renew(folder, "nobody"))
-    assert "cannot name a laptop" in fault(lambda: certs.renew(folder, "ca"))
-    certs.init(tmp_path / "E", HOSTS)
-    certs.issue(tmp_path / "E", "eve", "operator")
+    assert "cannot read the certificate" in fault(lambda: certs.folder.renew(folder, "nobody"))
+    assert "cannot name a laptop" in fault(lambda: certs.folder.renew(folder, "ca"))
+    certs.folder.init(tmp_path / "E", HOSTS)
+    certs.folder.issue(tmp_path / "E", "eve", "operator")
     (folder / "eve.pem").write_bytes((tmp_path / "E" / "eve.pem").read_bytes())
-    assert "was not issued by the CA" in fault(lambda: certs.renew(folder, "eve"))
+    assert "was not issued by the CA" in fault(lambda: certs.folder.renew(folder, "eve"))
 
 
 @pytest.mark.parametrize("namespace", ["a/b", "*", "-x", "x" * 64, 'a"'])
 def test_a_namespace_is_one_plain_name(tmp_path: Path, namespace: str) -> None:
-    assert "cannot be a namespace" in fault(lambda: certs.init(tmp_path / "D", ["robot.local"], namespace=namespace))
+    assert "cannot be a namespace" in fault(
+        lambda: certs.folder.init(tmp_path / "D", ["robot.local"], namespace=namespace)
+    )
     assert not (tmp_path / "D").exists()
 
 
@@ -258,14 +262,14 @@ def test_a_gateway_file_that_is_broken(folder: Path) -> None:
     config = folder / "gateway.json5"
     good = config.read_text()
     config.write_text("{ nonsense")
-    assert "gateway.json5" in fault(lambda: certs.issue(folder, "alice", "operator"))
+    assert "gateway.json5" in fault(lambda: certs.folder.issue(folder, "alice", "operator"))
     config.write_text(good.replace("tls/[::]:7447", "tcp/[::]:7447"))
-    assert "listens on no tls endpoint" in fault(lambda: certs.issue(folder, "alice", "operator"))
+    assert "listens on no tls endpoint" in fault(lambda: certs.folder.issue(folder, "alice", "operator"))
 
 
 def test_zenoh_files_with_faults(folder: Path) -> None:
-    certs.issue(folder, "alice", "operator")
-    certs.issue(folder, "old", "operator", days=1, now=NOW - 10 * DAY)
+    certs.folder.issue(folder, "alice", "operator")
+    certs.folder.issue(folder, "old", "operator", days=1, now=NOW - 10 * DAY)
     config = folder / "alice.json5"
     good = config.read_text()
     assert load_client_config(config)
@@ -286,15 +290,15 @@ def test_folders_that_one_may_not_write_or_read() -> None:
     with tempfile.TemporaryDirectory() as name:
         top = Path(name)
         top.chmod(0o711)
-        certs.init(top / "D", HOSTS)
+        certs.folder.init(top / "D", HOSTS)
         (top / "E").mkdir(mode=0o755)
         os.seteuid(65534)
         try:
             said = [
-                fault(lambda: certs.init(top / "E", HOSTS)),
-                fault(lambda: certs.init(top / "E" / "F", HOSTS)),
-                fault(lambda: certs.issue(top / "D", "alice", "operator")),
-                fault(lambda: certs.expiries(top / "D")),
+                fault(lambda: certs.folder.init(top / "E", HOSTS)),
+                fault(lambda: certs.folder.init(top / "E" / "F", HOSTS)),
+                fault(lambda: certs.folder.issue(top / "D", "alice", "operator")),
+                fault(lambda: certs.folder.expiries(top / "D")),
                 fault(lambda: load_config(top / "D" / "gateway.json5")),
             ]
         finally:

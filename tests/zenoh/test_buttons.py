@@ -121,7 +121,7 @@ def test_after_a_restart_all_register_anew_and_nothing_moves_before(tmp_path: Pa
 def test_with_a_ca_the_name_is_proved_and_the_role_button_moves_nothing(tmp_path: Path) -> None:
     with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 5000}}) as secured:
         for name in ("kitchen", "door"):
-            certs.issue(secured.folder, name, "button")
+            certs.folder.issue(secured.folder, name, "button")
         with secured.client("kitchen") as kitchen, secured.client("anna") as anna, secured.client("otto") as otto:
             with kitchen.button("whoever") as button, anna.button() as hers:
                 assert (button.name, hers.name) == ("kitchen", "anna"), "a certificate's person, whatever is asked for"

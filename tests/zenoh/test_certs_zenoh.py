@@ -53,15 +53,15 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredRobot]:
 @contextmanager
 def start(folder: Path, namespace: str = "", **overrides: object) -> Iterator[SecuredRobot]:
     port = free_port()
-    certs.init(folder, [HOST], port=port, namespace=namespace)
+    certs.folder.init(folder, [HOST], port=port, namespace=namespace)
     with Remote() as gateway:
         zid = gateway.open(str(folder / "gateway.json5"), overrides)
         gateway.serve()
         # Issued while the gateway runs: new laptops need no change on the robot.
-        certs.issue(folder, "alice", "operator")
-        certs.issue(folder, "bob", "operator")
-        certs.issue(folder, "carol", "observer")
-        certs.issue(folder, "kitchen", "button")
+        certs.folder.issue(folder, "alice", "operator")
+        certs.folder.issue(folder, "bob", "operator")
+        certs.folder.issue(folder, "carol", "observer")
+        certs.folder.issue(folder, "kitchen", "button")
         yield SecuredRobot(gateway, zid, folder, port)
 
 
@@ -281,8 +281,8 @@ def turned_away(robot: SecuredRobot, outsider: Remote, overrides: Mapping[str, o
 )
 def test_who_is_turned_away(robot: SecuredRobot, outsider: Remote, tmp_path: Path, how: str) -> None:
     """Even who trusts the gateway, and calls himself operator; and a laptop talks to no robot that it does not know."""
-    certs.init(tmp_path / "E", [HOST])
-    certs.issue(tmp_path / "E", "eve", "operator")
+    certs.folder.init(tmp_path / "E", [HOST])
+    certs.folder.issue(tmp_path / "E", "eve", "operator")
     overrides: dict[str, dict[str, object]] = {
         "no certificate": {
             f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None
@@ -297,7 +297,7 @@ def test_who_is_turned_away(robot: SecuredRobot, outsider: Remote, tmp_path: Pat
 
 
 def test_an_expired_certificate(robot: SecuredRobot, outsider: Remote) -> None:
-    certs.issue(robot.folder, "late", "operator", days=1, now=now() - dt.timedelta(days=10))
+    certs.folder.issue(robot.folder, "late", "operator", days=1, now=now() - dt.timedelta(days=10))
     turned_away(robot, outsider, {}, "late")
     with pytest.raises(ConfigError, match=r"late\.pem expired on"):  # what a person gets to read
         load_client_config(robot.folder / "late.json5")

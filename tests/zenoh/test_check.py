@@ -228,7 +228,7 @@ RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.
 )
 def test_the_expiry_of_certificates(tmp_path: Path, days_left: int, verdict: Verdict, sentence: str, fix: str) -> None:
     days = 90
-    certs.init(tmp_path / "D", ["127.0.0.1"], days=days, now=NOW)
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=days, now=NOW)
     settings = ZenohSettings(config=str(tmp_path / "D" / "gateway.json5"))
     ca, gateway = network.certificates(settings, NOW + (days - days_left) * DAY)
     assert ca.verdict is (FAILURE if days_left > days else OK), "it is good for longer"
@@ -239,7 +239,7 @@ def test_the_expiry_of_certificates(tmp_path: Path, days_left: int, verdict: Ver
 def test_certificates_that_are_missing_or_not_in_use(tmp_path: Path) -> None:
     (result,) = network.certificates(ZenohSettings(), NOW)
     assert result.verdict is OK
-    certs.init(tmp_path / "D", ["127.0.0.1"])
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
     (tmp_path / "D" / "gateway.pem").unlink()
     (result,) = network.certificates(ZenohSettings(config=str(tmp_path / "D" / "gateway.json5")), NOW)
     assert result.verdict is FAILURE
@@ -248,7 +248,7 @@ def test_certificates_that_are_missing_or_not_in_use(tmp_path: Path) -> None:
 
 def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
     """One that has expired is one failure."""
-    certs.init(tmp_path / "D", ["127.0.0.1"], days=10, now=NOW - 11 * DAY)
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=10, now=NOW - 11 * DAY)
     zenoh = {"config": str(tmp_path / "D" / "gateway.json5")}
     said = check(write_settings(tmp_path / "gateway.toml", {"zenoh": zenoh, **SPI}))
     assert said.returncode == 1
@@ -258,7 +258,7 @@ def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
 
 def test_a_listener_that_zenoh_does_not_open_is_tried(tmp_path: Path) -> None:
     """TCP beside a Zenoh file for TLS only: the port is free, and the service ends all the same."""
-    certs.init(tmp_path / "D", ["127.0.0.1"])
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
     listen = f"tcp/127.0.0.1:{free_port()}"
     zenoh = {"config": str(tmp_path / "D" / "gateway.json5"), "listen": [listen]}
     with Gateway(tmp_path, {"zenoh": zenoh}, wait=False) as gateway:

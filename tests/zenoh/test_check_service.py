@@ -39,7 +39,7 @@ class Machine:
             ("group", f"hexapod-gateway:x:{UID}:"),
         ):
             (folder / name).write_text(Path("/etc", name).read_text() + line + "\n")
-        certs.init(folder / "zenoh", ["127.0.0.1"], port=self.port)
+        certs.folder.init(folder / "zenoh", ["127.0.0.1"], port=self.port)
         zenoh = {"config": str(folder / "zenoh" / "gateway.json5")}
         self.config = write_settings(folder / "gateway.toml", {"zenoh": zenoh, "spi": {"framing": "plain"}})
 

@@ -182,7 +182,7 @@ def test_the_version_is_that_of_the_protocol_too() -> None:
 
 
 def test_with_a_certificate_it_is_the_certificates_person(tmp_path: Path) -> None:
-    certs.init(tmp_path / "D", ["127.0.0.1"])
-    certs.issue(tmp_path / "D", "anna", "operator")
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
+    certs.folder.issue(tmp_path / "D", "anna", "operator")
     assert person_of(None, tmp_path / "D" / "anna.json5") == "anna"
     assert person_of("tcp/127.0.0.1:7447", None) == me()

@@ -81,8 +81,8 @@ def test_what_makes_no_client_is_one_sentence_before_anybody_is_dialled(
 def test_the_lines_in_a_bundle_work(tmp_path: Path) -> None:
     port = free_port()
     folder, laptop = tmp_path / "D", tmp_path / "laptop"
-    certs.init(folder, ["127.0.0.1"], port=port)
-    certs.issue(folder, "anna", "operator", bundle=tmp_path / "anna.zip")
+    certs.folder.init(folder, ["127.0.0.1"], port=port)
+    certs.folder.issue(folder, "anna", "operator", bundle=tmp_path / "anna.zip")
     with zipfile.ZipFile(tmp_path / "anna.zip") as archive:
         archive.extractall(laptop)
     found = re.search(r"In Python:\n\n((?:  .*\n)+)", (laptop / "README.txt").read_text())

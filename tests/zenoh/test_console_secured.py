@@ -19,7 +19,7 @@ from tests.support.secured import Secured
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
     with Secured(tmp_path_factory.mktemp("secured")) as running:
-        certs.console(running.folder, "web", ["127.0.0.1"])
+        certs.folder.console(running.folder, "web", ["127.0.0.1"])
         yield running
 
 
@@ -67,8 +67,8 @@ def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
 
 def test_sessions_of_a_console_end_when_its_certificate_is_revoked(tmp_path: Path) -> None:
     with Secured(tmp_path) as running:
-        certs.console(running.folder, "web", ["127.0.0.1"])
-        certs.issue(running.folder, "bert", "operator")
+        certs.folder.console(running.folder, "web", ["127.0.0.1"])
+        certs.folder.issue(running.folder, "bert", "operator")
         child = console(running, tmp_path, "anna", port := free_port())
         try:
             child.wait_for_output(LINK)
@@ -83,7 +83,7 @@ def test_sessions_of_a_console_end_when_its_certificate_is_revoked(tmp_path: Pat
                         page.state()
                         assert browser.get(f"{url}/session", headers=session.headers).status_code == 200
                         bert.wait_ready()
-                        assert bert.revocation(certs.revoke(running.folder, name).pem.decode()).accepted
+                        assert bert.revocation(certs.moving.revoke(running.folder, name).pem.decode()).accepted
                         if name == "anna":
                             child.wait_for_output("(operator-00) is revoked: all its sessions end", 20)
                             with pytest.raises(ConnectionClosed):

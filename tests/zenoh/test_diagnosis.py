@@ -25,12 +25,12 @@ class Robot:
         self.port = free_port()
         self.folder = folder / "D"
         self.endpoint = f"tls/{HOST}:{self.port}"
-        certs.init(self.folder, [HOST], port=self.port)
+        certs.folder.init(self.folder, [HOST], port=self.port)
         self.settings = {"zenoh": {"config": str(self.folder / "gateway.json5"), "listen": [self.endpoint]}}
 
     def file(self, name: str, role: str = "operator", now: dt.datetime | None = None) -> str:
         """The Zenoh file of a new laptop."""
-        certs.issue(self.folder, name, role, now=now)
+        certs.folder.issue(self.folder, name, role, now=now)
         return str(self.folder / f"{name}.json5")
 
     def file_without_a_role(self) -> str:
@@ -124,8 +124,8 @@ def test_several_hosts_are_a_line_each(robot: Robot) -> None:
 
 
 def test_another_ca(robot: Robot, tmp_path: Path) -> None:
-    certs.init(tmp_path / "E", [HOST], port=robot.port)
-    certs.issue(tmp_path / "E", "eve", "operator")
+    certs.folder.init(tmp_path / "E", [HOST], port=robot.port)
+    certs.folder.issue(tmp_path / "E", "eve", "operator")
     (line,) = said("--zenoh-config", str(tmp_path / "E" / "eve.json5"))
     assert "certificate: the robot's certificate is of another CA than yours" in line
     # Whoever trusts the robot, but shows what it does not know.

@@ -45,11 +45,11 @@ class Fleet:
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "D"
         self.port = free_port()
-        certs.init(self.folder, [HOST], port=self.port)
-        certs.add_robots(self.folder, ROBOTS)
+        certs.folder.init(self.folder, [HOST], port=self.port)
+        certs.folder.add_robots(self.folder, ROBOTS)
         for name, role, robot in PEOPLE:
-            certs.issue(self.folder, name, role, robot=robot)
-        certs.issue(self.folder, "olga", "operator")  # as for a single robot: the router has no rule for her
+            certs.folder.issue(self.folder, name, role, robot=robot)
+        certs.folder.issue(self.folder, "olga", "operator")  # as for a single robot: the router has no rule for her
         self._end = ExitStack()
         self._router = self._end.enter_context(ExitStack())
         self.gateways = [self._gateway(folder, robot) for robot in ROBOTS]  # a robot may well be up first
@@ -288,28 +288,28 @@ def test_robots_and_people_come_back_after_the_router(fleet: Fleet, anna: Client
 
 
 def test_a_robot_that_is_not_there_has_no_people(fleet: Fleet) -> None:
-    said = fault(lambda: certs.issue(fleet.folder, "nina", "operator", robot="robot-9"))
+    said = fault(lambda: certs.folder.issue(fleet.folder, "nina", "operator", robot="robot-9"))
     assert said.endswith("has no robot 'robot-9': add it with `hexapod-gateway certs robot robot-9`")
 
 
 @pytest.mark.parametrize("name", ["robot-1", "anna", "gateway", "a/b", "*", "r" * 49])
 def test_a_robots_name_is_a_free_one(fleet: Fleet, name: str) -> None:
     before = contents(fleet.folder)
-    assert name in fault(lambda: certs.add_robots(fleet.folder, ["robot-4", name]))
+    assert name in fault(lambda: certs.folder.add_robots(fleet.folder, ["robot-4", name]))
     assert contents(fleet.folder) == before
 
 
 def test_the_files_in_deploy_are_those_that_certs_makes(tmp_path: Path) -> None:
-    certs.init(tmp_path, ["router.local"])
-    certs.add_robots(tmp_path, ROBOTS[:2])
-    certs.add_robots(tmp_path, ROBOTS[2:])
+    certs.folder.init(tmp_path, ["router.local"])
+    certs.folder.add_robots(tmp_path, ROBOTS[:2])
+    certs.folder.add_robots(tmp_path, ROBOTS[2:])
     assert (tmp_path / "router.json5").read_text() == (DEPLOY / "router.json5").read_text()
     assert (tmp_path / "robot-1.json5").read_text() == (DEPLOY / "gateway.json5").read_text()
 
 
 def test_a_routers_file_is_made_anew_without_a_new_robot(tmp_path: Path) -> None:
-    certs.init(tmp_path, ["router.local"])
-    certs.add_robots(tmp_path, ROBOTS)
+    certs.folder.init(tmp_path, ["router.local"])
+    certs.folder.add_robots(tmp_path, ROBOTS)
     (tmp_path / "router.json5").write_text("// of an older version\n")
     command = [sys.executable, "-m", "gateway", "certs", "robot", "--dir", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -152,7 +152,7 @@ def test_a_lease_from_hand_to_hand_and_its_token_in_nothing_that_goes_out(runnin
 
 def test_with_certificates_a_name_is_proved(tmp_path: Path) -> None:
     with Secured(tmp_path) as secured:
-        certs.issue(secured.folder, "bert", "operator")
+        certs.folder.issue(secured.folder, "bert", "operator")
 
         def claim(session: zenoh.Session, do: str, who: str, source: str | None = None) -> LeaseAck:
             nonce = ask(session, "challenge").nonce

@@ -61,8 +61,8 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
     rows = re.findall(r"^\| `((?:hexapod|process)_\w+)` \| (\w+) \| (.*?) \|", METRICS.read_text(), re.MULTILINE)
     documented = {(name, kind, frozenset(re.findall(r"`(\w+)`", labels))) for name, kind, labels in rows}
     zenoh = tmp_path / "D"
-    certs.init(zenoh, ["127.0.0.1"], port=free_port())
-    certs.issue(zenoh, "anna", "operator")
+    certs.folder.init(zenoh, ["127.0.0.1"], port=free_port())
+    certs.folder.issue(zenoh, "anna", "operator")
     listen = next(line for line in (zenoh / "anna.json5").read_text().splitlines() if "endpoints: [" in line)
     address = f"127.0.0.1:{free_port()}"
     settings: dict[str, dict[str, Any]] = {

@@ -89,9 +89,9 @@ def test_with_passwords(tmp_path: Path) -> None:
 def test_behind_a_router_and_a_namespace(tmp_path: Path) -> None:
     """As in a fleet: the robot dials the router, and so do its people."""
     folder, port = tmp_path / "D", free_port()
-    certs.init(folder, [HOST], port=port)
-    certs.add_robots(folder, ["robot-1"])
-    certs.issue(folder, "anna", "operator", robot="robot-1")
+    certs.folder.init(folder, [HOST], port=port)
+    certs.folder.add_robots(folder, ["robot-1"])
+    certs.folder.issue(folder, "anna", "operator", robot="robot-1")
     settings = {"zenoh": {"listen": [], "config": str(folder / "robot-1.json5")}}
     config = write_settings(tmp_path / "gateway.toml", settings)
     with ExitStack() as end:

@@ -61,9 +61,9 @@ class Robot:
         self.folder, self.own, self.state = folder / "D", folder / "robot", folder / "state"
         self.state.mkdir()
         self.port = free_port()
-        certs.init(self.folder, [HOST], port=self.port)
+        certs.folder.init(self.folder, [HOST], port=self.port)
         for name in ("anna", "bert"):
-            certs.issue(self.folder, name, "operator")
+            certs.folder.issue(self.folder, name, "operator")
         self.copy()
 
     def copy(self) -> None:
@@ -140,7 +140,7 @@ def in_1970(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_why(robot: Robot, in_1970: str) -> None:
     stolen = lost(robot)
-    certs.revoke(robot.folder, "anna")
+    certs.moving.revoke(robot.folder, "anna")
     with robot.start(LD_PRELOAD=in_1970) as gateway:
         shut_out(robot, robot.folder / "bert.json5")
         assert "this robot's clock is wrong: it says 1970-01-01" in gateway.child.stdout + gateway.child.stderr
@@ -157,7 +157,7 @@ def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_w
 
 
 def test_a_list_as_a_file_is_older_newer_or_of_another_ca(robot: Robot, tmp_path: Path) -> None:
-    first, second = certs.revoke(robot.folder, "anna"), certs.revoke(robot.folder, "operator-40")
+    first, second = certs.moving.revoke(robot.folder, "anna"), certs.moving.revoke(robot.folder, "operator-40")
     with robot.start() as gateway:
         for data, code, sentence in (
             (second.pem, 0, "list 2 shuts out operator-00, operator-40"),
@@ -170,9 +170,9 @@ def test_a_list_as_a_file_is_older_newer_or_of_another_ca(robot: Robot, tmp_path
             child = robot.keep(gateway)
             assert (child.returncode, sentence in child.stdout + child.stderr) == (code, True), str(child)
             assert "Traceback" not in child.stderr
-        certs.init(tmp_path / "other", [HOST])
-        certs.issue(tmp_path / "other", "carl", "operator")
-        certs.revoke(tmp_path / "other", "carl")
+        certs.folder.init(tmp_path / "other", [HOST])
+        certs.folder.issue(tmp_path / "other", "carl", "operator")
+        certs.moving.revoke(tmp_path / "other", "carl")
         shutil.copy(tmp_path / "other" / "revoked.crl", robot.folder / "revoked.crl")
         child = robot.keep(gateway)
         assert (child.returncode, "not signed by a CA of this robot" in child.stderr) == (2, True)
@@ -200,9 +200,9 @@ def since(state: GatewayState) -> dt.datetime:
 def test_two_lists_that_cross(robot: Robot) -> None:
     """Two people with copies of the folder each shut somebody out; both stay out, in whichever order it arrives."""
     theirs = robot.folder.with_name("theirs")
-    certs.issue(robot.folder, "carl", "operator")
+    certs.folder.issue(robot.folder, "carl", "operator")
     shutil.copytree(robot.folder, theirs)
-    first = certs.revoke(theirs, "anna").pem.decode()
+    first = certs.moving.revoke(theirs, "anna").pem.decode()
     with robot.start(), robot.laptop("bert") as bert:
         heard, begun = states(bert), since(bert.state())
         assert bert.revocation(first).accepted
@@ -218,8 +218,8 @@ def test_two_lists_that_cross(robot: Robot) -> None:
 
 
 def test_an_observer_may_not_bring_a_list_and_an_operator_may_not_bring_a_false_one(robot: Robot) -> None:
-    certs.issue(robot.folder, "otto", "observer")
-    made = certs.revoke(robot.folder, "anna").pem.decode()
+    certs.folder.issue(robot.folder, "otto", "observer")
+    made = certs.moving.revoke(robot.folder, "anna").pem.decode()
     with robot.start():
         with robot.laptop("otto") as otto, pytest.raises(ZenohError):
             otto.revocation(made)
@@ -241,7 +241,7 @@ def ask(session: zenoh.Session, request: Mapping[str, Any]) -> LeaseAck:
 def test_a_proof_of_somebody_who_is_revoked_is_rejected_even_where_the_link_is_anothers(robot: Robot) -> None:
     """As behind a router: the link is bert's, the proof anna's."""
     stolen = lost(robot)
-    certs.revoke(robot.folder, "anna")
+    certs.moving.revoke(robot.folder, "anna")
     shutil.copy(robot.folder / "revoked.crl", robot.state)
     identity = Identity(stolen.with_suffix(".pem"), stolen.with_suffix(".key"))
     with robot.start(), robot.laptop("bert") as bert:
@@ -262,8 +262,8 @@ def test_two_cas_for_a_while(robot: Robot) -> None:
     old_bert.mkdir()
     for name in ("ca.pem", "bert.pem", "bert.key", "bert.json5"):
         shutil.copy(robot.folder / name, old_bert)
-    certs.replace_ca(robot.folder)
-    certs.reissue(robot.folder, "anna")
+    certs.moving.replace_ca(robot.folder)
+    certs.moving.reissue(robot.folder, "anna")
     robot.copy()
     environment = {"RUNTIME_DIRECTORY": str(robot.state)}
     with robot.start(**environment), robot.client(old_bert / "bert.json5") as bert, robot.laptop("anna") as anna:
@@ -272,9 +272,9 @@ def test_two_cas_for_a_while(robot: Robot) -> None:
         assert (robot.state / "older-ca").read_text() == "operator-01\n"
         with anna.lease() as lease:
             assert lease.verified
-    certs.reissue(robot.folder, "bert")
-    certs.renew(robot.folder, "gateway", now=NOW)
-    certs.drop_ca(robot.folder)
+    certs.moving.reissue(robot.folder, "bert")
+    certs.folder.renew(robot.folder, "gateway", now=NOW)
+    certs.moving.drop_ca(robot.folder)
     robot.copy()
     with robot.start():
         with robot.laptop("bert") as bert, robot.laptop("anna") as anna:
@@ -288,7 +288,7 @@ def test_todays_files_go_on_with_todays_robot_and_with_one_that_has_a_pool(tmp_p
     robot = Robot(tmp_path)
     shutil.rmtree(robot.folder)
     shutil.copytree(Path(__file__).parents[1] / "data" / "certs" / "1.1", robot.folder)
-    certs.renew(robot.folder, "gateway", hosts=[HOST])
+    certs.folder.renew(robot.folder, "gateway", hosts=[HOST])
     laptop = robot.folder / "anna.json5"
     laptop.write_text(
         laptop.read_text().replace(
@@ -302,4 +302,4 @@ def test_todays_files_go_on_with_todays_robot_and_with_one_that_has_a_pool(tmp_p
             assert may_command(anna)
             with anna.lease() as lease:
                 assert lease.verified
-        certs.set_pool(robot.own)
+        certs.moving.set_pool(robot.own)

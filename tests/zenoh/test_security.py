@@ -54,8 +54,8 @@ def turned_away(config: zenoh.Config) -> None:
 
 
 def test_without_a_certificate_of_its_ca_nobody_comes_in(secured: Secured, tmp_path: Path) -> None:
-    certs.init(tmp_path / "E", [HOST])
-    certs.issue(tmp_path / "E", "eve", "operator")
+    certs.folder.init(tmp_path / "E", [HOST])
+    certs.folder.issue(tmp_path / "E", "eve", "operator")
     eve = str(tmp_path / "E" / "eve")
     for certificate, key in ((None, None), (f"{eve}.pem", f"{eve}.key")):
         shown = {f"{TLS}/connect_certificate": certificate, f"{TLS}/connect_private_key": key}

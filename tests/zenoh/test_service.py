@@ -44,7 +44,7 @@ def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_li
 def test_it_says_where_its_zenoh_file_makes_it_listen(tmp_path: Path) -> None:
     """And what works there: no command without a certificate."""
     port = free_port()
-    certs.init(tmp_path / "D", ["127.0.0.1"], port=port)
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"], port=port)
     config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": str(tmp_path / "D" / "gateway.json5")}})
     child = Child([*COMMAND, "run", "--sim", "--config", str(config)], os.environ)
     try:

@@ -66,8 +66,8 @@ def test_a_router_that_is_off_is_said_and_so_is_its_return(tmp_path: Path, syste
 def certificates(folder: Path, days_left: dt.timedelta) -> dict[str, str]:
     """Those of a robot whose own certificate expires in so many days."""
     made = dt.datetime.now(dt.UTC) + days_left - 100 * DAY
-    certs.init(folder, ["127.0.0.1"], days=100, now=made, port=free_port())
-    certs.issue(folder, "anna", "operator")
+    certs.folder.init(folder, ["127.0.0.1"], days=100, now=made, port=free_port())
+    certs.folder.issue(folder, "anna", "operator")
     return {"config": str(folder / "gateway.json5")}
 
 
@@ -100,7 +100,7 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
 def test_a_laptop_is_told_of_its_own_certificate(tmp_path: Path) -> None:
     folder = tmp_path / "D"
     certificates(folder, 100 * DAY)
-    certs.issue(folder, "bert", "operator", days=30)
+    certs.folder.issue(folder, "bert", "operator", days=30)
     soon = diagnosis.own_expiry(client_config(None, folder / "bert.json5"))
     assert soon is not None
     assert soon.startswith("bert.pem expires on ")
@@ -144,7 +144,7 @@ def test_a_robot_gets_one_more_address_without_a_new_ca(tmp_path: Path, systemd:
         for endpoint in (gateway.endpoint, other):
             with Client(endpoint, zenoh_config=anna, timeout_s=5) as client:
                 assert client.state().mode == "idle"
-    certs.issue(folder, "bert", "observer")
+    certs.folder.issue(folder, "bert", "observer")
     assert '"tls/192.0.2.9:' in (folder / "bert.json5").read_text()
     with pytest.raises(ConfigError, match="nobody dials it"):
-        certs.renew(folder, "anna", hosts=["robot.local"])
+        certs.folder.renew(folder, "anna", hosts=["robot.local"])

@@ -246,9 +246,9 @@ def test_it_waits_for_a_gateway_that_is_not_there_yet(tmp_path: Path) -> None:
 
 def test_over_tls_an_operator_stops_and_an_observer_is_informed_that_he_may_not(tmp_path: Path) -> None:
     folder, port = tmp_path / "D", free_port()
-    certs.init(folder, ["127.0.0.1"], port=port)
-    certs.issue(folder, "anna", "operator")
-    certs.issue(folder, "otto", "observer")
+    certs.folder.init(folder, ["127.0.0.1"], port=port)
+    certs.folder.issue(folder, "anna", "operator")
+    certs.folder.issue(folder, "otto", "observer")
     zenoh = {"config": str(folder / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}
     for name in ("anna", "otto"):
         (tmp_path / name).mkdir()

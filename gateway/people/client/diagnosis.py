@@ -159,7 +159,7 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
         if path is None:
             continue
         try:
-            certificate = certs.read_certificate(path)
+            certificate = certs.files.read_certificate(path)
         except ConfigError as error:
             yield Finding(Step.CERTIFICATE, str(error), "restore it from its bundle")
             continue
@@ -178,7 +178,7 @@ def own_expiry(config: zenoh.Config) -> str | None:
 def role(certificate: Path) -> str:
     """What its holder is to the robot: the common name; "" where that cannot be read."""
     try:
-        return certs.describe(certificate).role
+        return certs.folder.describe(certificate).role
     except ConfigError:
         return ""
 

@@ -71,7 +71,7 @@ class Identity:
         return {"nonce": nonce, "certificate": pem, "signature": base64.b64encode(signature).decode()}
 
     def _read(self) -> "x509.Certificate":
-        return certs.read_certificate(self.certificate)
+        return certs.files.read_certificate(self.certificate)
 
 
 def _sign(file: Path, data: bytes) -> bytes:
@@ -79,7 +79,7 @@ def _sign(file: Path, data: bytes) -> bytes:
     from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
     try:
-        key: Any = serialization.load_pem_private_key(certs.read_file(file, "key"), password=None)
+        key: Any = serialization.load_pem_private_key(certs.files.read_file(file, "key"), password=None)
     except (ValueError, TypeError) as error:  # TypeError: it is encrypted
         raise ConfigError(f"{file} holds no unencrypted key in PEM form: restore it from a copy") from error
     if isinstance(key, ec.EllipticCurvePrivateKey):

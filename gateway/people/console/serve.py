@@ -183,7 +183,7 @@ def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role
     config = client_config(connect, zenoh_config)
     certificate = get(config, "transport/link/tls/connect_certificate")
     if certificate:
-        holder = certs.describe(Path(certificate))
+        holder = certs.folder.describe(Path(certificate))
         role: Role = next((each for each in ROLES if each == holder.role.partition(".")[0]), "observer")
         return holder.name, role, holder.common_name
     with suppress(OSError, KeyError):

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
-from gateway.certs import read_certificate
 from gateway.certs.authority import hosts_of
+from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 
 DEFAULT_PORT: Final = 8080

@@ -77,7 +77,7 @@ def init(
 
     It never overwrites a file: a folder that has a CA already is an error, and then nothing is changed.
     """
-    certs.init(directory, host, days=days, port=port, namespace=namespace, size=size)
+    certs.folder.init(directory, host, days=days, port=port, namespace=namespace, size=size)
     typer.echo(f"Made a CA and the gateway's files in {directory}.")
     files = " ".join(str(directory / name) for name in ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem"))
     typer.echo("Leave ca.key here, and keep a copy of it somewhere safe.")
@@ -132,8 +132,8 @@ def issue(
 
     Lost: `certs revoke NAME`. Each laptop takes a common name of the pool that the robot's rules list, for good.
     """
-    certs.issue(directory, name, role, robot=robot, bundle=bundle, days=days, absolute=absolute)
-    made = certs.describe(directory / f"{name}.pem")
+    certs.folder.issue(directory, name, role, robot=robot, bundle=bundle, days=days, absolute=absolute)
+    made = certs.folder.describe(directory / f"{name}.pem")
     typer.echo(
         f"Made {name}, {role}{f' of {robot}' if robot else ''} ({made.common_name}), in {directory}: {name}.json5 "
         f"{name}.pem {name}.key"
@@ -164,7 +164,7 @@ def robot(
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Add robots to a fleet behind one Zenoh router, whose hosts `certs init` was given. Rewrites router.json5."""
-    certs.add_robots(directory, names or (), days=days)
+    certs.folder.add_robots(directory, names or (), days=days)
     if not names:
         typer.echo(f"Made {directory}/router.json5 anew. Copy it to the router, and restart that.")
         return
@@ -196,7 +196,7 @@ def console(
     Browsers trust it once NAME-ca.pem is among their authorities, which is good for these hosts and nothing else. Keep
     NAME-ca.key beside ca.key. On Zenoh neither is good for anything.
     """
-    certs.console(directory, name, host, days=days)
+    certs.folder.console(directory, name, host, days=days)
     typer.echo(f"Made {name}.pem and {name}.key in {directory}: copy both to the machine of the console, and there:")
     command = f"hexapod-gateway console --listen 0.0.0.0:8443 --cert {name}.pem --key {name}.key"
     typer.echo(f"  {command} --zenoh-config PERSON.json5")
@@ -224,8 +224,8 @@ def renew(
 
     Its key stays, so only NAME.pem has to be copied again.
     """
-    path = certs.renew(directory, name, hosts=host or (), days=days)
-    left = certs.describe(path)
+    path = certs.folder.renew(directory, name, hosts=host or (), days=days)
+    left = certs.folder.describe(path)
     typer.echo(f"{path} is good until {left.not_after:%Y-%m-%d}: copy it over the old one on {_where(name)}.")
     if host and name == "gateway":
         typer.echo(
@@ -256,7 +256,7 @@ def show(directory: Directory) -> None:
             found.common_name,
             state,
         )
-        for found, state in certs.states(directory, now)
+        for found, state in certs.moving.states(directory, now)
     ]
     console = Console()
     if not console.is_terminal:
@@ -340,8 +340,8 @@ def reissue(
     For laptops of the layout before (common name `operator`), which cannot be revoked one by one, and for another CA.
     What it has now goes on working until it expires or is revoked; its files move to the folder `earlier`.
     """
-    paths = certs.reissue(directory, name, bundle=bundle, days=days)
-    made = certs.describe(directory / f"{name}.pem")
+    paths = certs.moving.reissue(directory, name, bundle=bundle, days=days)
+    made = certs.folder.describe(directory / f"{name}.pem")
     typer.echo(f"{name} is {made.common_name} now: {' '.join(path.name for path in paths)} in {directory}.")
     typer.echo(f"Bring them to {name}'s machine, in place of the old ones; these still work.")
     typer.echo(f"Once they are gone: {this_command()} certs list --dir {directory} names what can be revoked.")
@@ -359,7 +359,7 @@ def set_pool(
     Once for a folder of the layout before, where all operators share one, and again when the pool is used up. In the
     folder with the CA, and in that on the robot; what else is written in the file stays.
     """
-    for path in certs.set_pool(directory, size):
+    for path in certs.moving.set_pool(directory, size):
         typer.echo(f"{path} lists at least {size} common names of each role.")
     typer.echo(
         "If this is the robot: sudo systemctl restart hexapod-gateway (all legs stop). A router: restart it, too."
@@ -369,7 +369,7 @@ def set_pool(
 @app.command("replace-ca", epilog="Example: hexapod-gateway certs replace-ca --dir ~/hexapod-certs")
 def replace_ca(directory: Directory) -> None:
     """Make a new CA beside the old one; both are good until `drop-ca`. Laptops move over one by one (`reissue`)."""
-    paths = certs.replace_ca(directory)
+    paths = certs.moving.replace_ca(directory)
     here = this_command()
     typer.echo("Made a new CA; the old one stays good. Keep a copy of ca.key somewhere safe. Then, in this order:")
     typer.echo(f"1. To the robot: {directory}/ca.pem, and there, with its size: sudo {here} certs pool --size N")
@@ -383,5 +383,5 @@ def replace_ca(directory: Directory) -> None:
 @app.command("drop-ca", epilog="Example: hexapod-gateway certs drop-ca --dir ~/hexapod-certs")
 def drop_ca(directory: Directory, others_too: OthersToo = False) -> None:
     """End the time of two CAs: ca.pem has only the new one, and certificates of the old one are good no more."""
-    path = certs.drop_ca(directory, others_too=others_too)
+    path = certs.moving.drop_ca(directory, others_too=others_too)
     typer.echo(f"{path} has the new CA only: bring it to the robot, and restart the service.")

@@ -5,9 +5,8 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from gateway import certs
 from gateway.certs import folder, moving, pool, zenoh_files
-from gateway.certs.files import read_file
+from gateway.certs.files import read_certificates, read_file
 from gateway.certs.revocation import RevocationList, parse, why_not_newer
 from gateway.errors import ConfigError, GatewayError, RejectedError, ZenohError
 from gateway.people.client.blocking import Client
@@ -26,7 +25,7 @@ def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path 
     if name is None and not to:
         raise ConfigError("say whom to shut out, or to which robot the list goes (--to): see --help")
     if name is not None:
-        found = certs.revoke(directory, name, others_too=others_too)
+        found = moving.revoke(directory, name, others_too=others_too)
         say(f"{directory / 'revoked.crl'}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
         if (directory / folder.ROUTER_FILE).exists():
             say(f"The router has to know, too: copy {directory / folder.ROUTER_FILE} to it, and restart it.")
@@ -60,7 +59,7 @@ def _bring(directory: Path, host: str, config: Path) -> int:
 
 
 def _send(client: Client, directory: Path) -> RevocationAck:
-    cas, there = certs.read_certificates(directory / "ca.pem"), client.revocation()
+    cas, there = read_certificates(directory / "ca.pem"), client.revocation()
     known_there = None if there.revoked is None else parse(there.revoked.encode(), cas)
     found = folder.revoked(directory)
     if known_there is not None and (found is None or found.pem != known_there.pem):

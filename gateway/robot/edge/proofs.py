@@ -18,8 +18,7 @@ from gateway.zenoh_config import get
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
-    from gateway.certs import ProofChecker
-    from gateway.certs.proof import Purpose
+    from gateway.certs.proof import ProofChecker, Purpose
     from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
@@ -82,7 +81,7 @@ def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) ->
     ca = _path(config, "root_ca_certificate")
     if ca is None:
         return None
-    return certs.ProofChecker.of(
+    return certs.proof.ProofChecker.of(
         ca, _path(config, "connect_certificate") or _path(config, "listen_certificate"), revoked
     )
 

@@ -44,7 +44,7 @@ class Kept(NamedTuple):
     @property
     def first_number(self) -> int | None:
         """Of two CAs, the first number of the newer one's common names; None while there is one."""
-        return max(map(certs.first_number, self.cas)) if len(self.cas) > 1 else None
+        return max(map(certs.authority.first_number, self.cas)) if len(self.cas) > 1 else None
 
 
 def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True) -> Kept | None:
@@ -56,7 +56,7 @@ def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: b
     ca = get(config, _CA)
     if not isinstance(ca, str) or not settings.config:
         return None
-    cas = tuple(certs.read_certificates(Path(ca)))
+    cas = tuple(certs.files.read_certificates(Path(ca)))
     beside = Path(settings.config).absolute().parent
     state = state_directory()
     if state is None and not started_by_systemd and SERVICE_STATE.is_dir():

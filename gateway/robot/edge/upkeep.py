@@ -133,7 +133,7 @@ class Upkeep:
             now_there = first_expiry(self._config)
             if now_there is not None and now_there.end > first.end:
                 return f"a newer one is there: {restart}, which then uses it"
-            found = certs.describe(first.file)
+            found = certs.folder.describe(first.file)
         except ConfigError as error:
             return str(error)
         return f"{expiry.remedy(first.file.name, found.role, found.name)}, and {restart}"

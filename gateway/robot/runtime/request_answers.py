@@ -29,7 +29,7 @@ from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Re
 from schemas.telemetry import Reason
 
 if TYPE_CHECKING:
-    from gateway.certs import ProofChecker
+    from gateway.certs.proof import ProofChecker
 
 PAUSE_S: Final = 0.05
 """Between two that change a file: twenty a second, each of which may take a millisecond. A person writes one."""

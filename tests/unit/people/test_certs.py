@@ -42,7 +42,7 @@ def test_modes_do_not_depend_on_the_umask(tmp_path: Path, mask: int) -> None:
     (tmp_path / "D").mkdir()
     before = os.umask(mask)
     try:
-        certs.init(tmp_path / "D", HOSTS)
+        certs.folder.init(tmp_path / "D", HOSTS)
     finally:
         os.umask(before)
     assert mode(tmp_path / "D" / "ca.key") == 0o600
@@ -50,7 +50,7 @@ def test_modes_do_not_depend_on_the_umask(tmp_path: Path, mask: int) -> None:
 
 
 def test_the_gateways_certificate_is_good_for_its_hosts_and_no_other(folder: Path) -> None:
-    ca, gateway = certs.read_certificate(folder / "ca.pem"), certs.read_certificate(folder / "gateway.pem")
+    ca, gateway = certs.files.read_certificate(folder / "ca.pem"), certs.files.read_certificate(folder / "gateway.pem")
     trust = PolicyBuilder().store(Store([ca]))
     policy = trust.time(NOW)
     for host in HOSTS:
@@ -63,8 +63,8 @@ def test_the_gateways_certificate_is_good_for_its_hosts_and_no_other(folder: Pat
 
 
 def test_a_laptops_certificate_carries_role_and_name_and_cannot_serve(folder: Path) -> None:
-    certs.issue(folder, "alice", "operator", now=NOW)
-    ca, alice = certs.read_certificate(folder / "ca.pem"), certs.read_certificate(folder / "alice.pem")
+    certs.folder.issue(folder, "alice", "operator", now=NOW)
+    ca, alice = certs.files.read_certificate(folder / "ca.pem"), certs.files.read_certificate(folder / "alice.pem")
     alice.verify_directly_issued_by(ca)
     # The first common name, the only one, is all that Zenoh looks at.
     assert [a.value for a in alice.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] == ["operator-00"]
@@ -77,21 +77,21 @@ def test_a_laptops_certificate_carries_role_and_name_and_cannot_serve(folder: Pa
 
 
 def test_how_long_they_live(folder: Path) -> None:
-    certs.issue(folder, "alice", "operator", now=NOW)
-    certs.issue(folder, "brief", "observer", days=7, now=NOW)
-    certs.issue(folder, "late", "observer", now=NOW + 3600 * DAY)
-    left = {found.name: found.days_left(NOW) for found in certs.expiries(folder) if found.role != "ca"}
+    certs.folder.issue(folder, "alice", "operator", now=NOW)
+    certs.folder.issue(folder, "brief", "observer", days=7, now=NOW)
+    certs.folder.issue(folder, "late", "observer", now=NOW + 3600 * DAY)
+    left = {found.name: found.days_left(NOW) for found in certs.folder.expiries(folder) if found.role != "ca"}
     # A leaf never outlives its CA of ten years.
     assert left == {"robot.local": 730, "alice": 730, "brief": 7, "late": 3650}
     # A robot without a clock may think that it is last year.
-    assert {found.not_before for found in certs.expiries(folder)} >= {NOW - 365 * DAY}
-    assert all(found.not_before <= NOW - 360 * DAY for found in certs.expiries(folder) if found.name != "late")
+    assert {found.not_before for found in certs.folder.expiries(folder)} >= {NOW - 365 * DAY}
+    assert all(found.not_before <= NOW - 360 * DAY for found in certs.folder.expiries(folder) if found.name != "late")
 
 
 def test_expiries_lists_the_ca_first_and_says_when_one_is_over(folder: Path) -> None:
-    certs.issue(folder, "zoe", "operator", days=1, now=NOW - 10 * DAY)
-    certs.issue(folder, "abe", "observer", now=NOW)
-    found = certs.expiries(folder)
+    certs.folder.issue(folder, "zoe", "operator", days=1, now=NOW - 10 * DAY)
+    certs.folder.issue(folder, "abe", "observer", now=NOW)
+    found = certs.folder.expiries(folder)
     assert [(each.role, each.name) for each in found][1:] == [
         ("gateway", "robot.local"),
         ("observer", "abe"),
@@ -99,12 +99,12 @@ def test_expiries_lists_the_ca_first_and_says_when_one_is_over(folder: Path) -> 
     ]
     assert found[0].role == "ca"
     assert found[3].days_left(NOW) == -9
-    assert found[3].serial == f"{certs.read_certificate(folder / 'zoe.pem').serial_number:x}"
+    assert found[3].serial == f"{certs.files.read_certificate(folder / 'zoe.pem').serial_number:x}"
 
 
 def test_issue_makes_three_files_and_touches_nothing_else(folder: Path) -> None:
     before = contents(folder)
-    made = certs.issue(folder, "alice", "operator")
+    made = certs.folder.issue(folder, "alice", "operator")
     assert {path.name for path in made} == {"alice.pem", "alice.key", "alice.json5"}
     assert names(folder) == MADE_BY_INIT | {"alice.pem", "alice.key", "alice.json5"}
     assert mode(folder / "alice.key") == 0o600
@@ -113,7 +113,7 @@ def test_issue_makes_three_files_and_touches_nothing_else(folder: Path) -> None:
 
 def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp_path: Path) -> None:
     bundle = tmp_path / "alice.zip"
-    certs.issue(folder, "alice", "operator", bundle=bundle)
+    certs.folder.issue(folder, "alice", "operator", bundle=bundle)
     assert mode(bundle) == 0o600
     with zipfile.ZipFile(bundle) as archive:
         assert set(archive.namelist()) == {"ca.pem", "alice.pem", "alice.key", "alice.json5", "README.txt"}
@@ -140,7 +140,7 @@ def test_a_bundles_readme_suggests_what_its_role_may(role: str, commands: list[s
 
 def test_full_paths_on_request_and_never_in_the_zip(folder: Path, tmp_path: Path) -> None:
     bundle = tmp_path / "anna.zip"
-    certs.issue(folder, "anna", "operator", bundle=bundle, absolute=True)
+    certs.folder.issue(folder, "anna", "operator", bundle=bundle, absolute=True)
     text = (folder / "anna.json5").read_text()
     for name in ("ca.pem", "anna.pem", "anna.key"):
         assert f'"{folder / name}"' in text
@@ -151,8 +151,8 @@ def test_full_paths_on_request_and_never_in_the_zip(folder: Path, tmp_path: Path
 
 
 def test_a_laptop_dials_every_host_at_the_gateways_port(tmp_path: Path) -> None:
-    certs.init(tmp_path / "D", HOSTS, port=7555)
-    certs.issue(tmp_path / "D", "alice", "observer")
+    certs.folder.init(tmp_path / "D", HOSTS, port=7555)
+    certs.folder.issue(tmp_path / "D", "alice", "observer")
     config = load_client_config(tmp_path / "D" / "alice.json5")
     assert json.loads(config.get_json("connect/endpoints")) == [
         "tls/robot.local:7555",
@@ -175,37 +175,39 @@ def test_the_gateways_zenoh_file_names_its_files_wherever_the_folder_is(
 
 def test_a_consoles_certificate_only_serves(folder: Path) -> None:
     """At most 825 days, or Apple's browsers reject it; no role on Zenoh; no client."""
-    made = certs.console(folder, "web", ["robot.local", "192.0.2.7", "robot.local", "2001:db8::7"], days=3000, now=NOW)
+    made = certs.folder.console(
+        folder, "web", ["robot.local", "192.0.2.7", "robot.local", "2001:db8::7"], days=3000, now=NOW
+    )
     assert {path.name for path in made} == {"web.pem", "web.key", "web-ca.pem", "web-ca.key"}
     assert mode(folder / "web.key") == mode(folder / "web-ca.key") == 0o600
     for days in (None, 3000):
         if days is not None:
-            certs.renew(folder, "web", days=days, now=NOW)
-        certificate = certs.read_certificate(folder / "web.pem")
+            certs.folder.renew(folder, "web", days=days, now=NOW)
+        certificate = certs.files.read_certificate(folder / "web.pem")
         assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= 825 * DAY
         assert authority.common_name_and_name(certificate) == ("console", "web")
         assert authority.hosts_of(certificate) == ["robot.local", "192.0.2.7", "2001:db8::7"]
         usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
-    assert "neither a host name" in fault(lambda: certs.console(folder, "other", ["192.0.2.999"]))
-    assert "is taken" in fault(lambda: certs.console(folder, "web", ["robot.local"]))
-    assert "cannot name" in fault(lambda: certs.console(folder, "gateway", ["robot.local"]))
+    assert "neither a host name" in fault(lambda: certs.folder.console(folder, "other", ["192.0.2.999"]))
+    assert "is taken" in fault(lambda: certs.folder.console(folder, "web", ["robot.local"]))
+    assert "cannot name" in fault(lambda: certs.folder.console(folder, "gateway", ["robot.local"]))
 
 
 def test_renew_keeps_key_and_holder(folder: Path) -> None:
-    certs.issue(folder, "alice", "operator", now=NOW - 700 * DAY)
+    certs.folder.issue(folder, "alice", "operator", now=NOW - 700 * DAY)
     for name in ("alice", "gateway"):
-        before, old = contents(folder), certs.read_certificate(folder / f"{name}.pem")
-        certs.renew(folder, name, days=100, now=NOW)
-        new = certs.read_certificate(folder / f"{name}.pem")
-        new.verify_directly_issued_by(certs.read_certificate(folder / "ca.pem"))
+        before, old = contents(folder), certs.files.read_certificate(folder / f"{name}.pem")
+        certs.folder.renew(folder, name, days=100, now=NOW)
+        new = certs.files.read_certificate(folder / f"{name}.pem")
+        new.verify_directly_issued_by(certs.files.read_certificate(folder / "ca.pem"))
         assert (new.subject, new.public_key()) == (old.subject, old.public_key())
         assert new.serial_number != old.serial_number
         assert new.not_valid_after_utc == NOW + 100 * DAY
         assert {item.oid for item in new.extensions} == {item.oid for item in old.extensions}
         assert {key: value for key, value in contents(folder).items() if before[key] != value}.keys() == {f"{name}.pem"}
-    policy = PolicyBuilder().store(Store([certs.read_certificate(folder / "ca.pem")])).time(NOW)
-    gateway = certs.read_certificate(folder / "gateway.pem")
+    policy = PolicyBuilder().store(Store([certs.files.read_certificate(folder / "ca.pem")])).time(NOW)
+    gateway = certs.files.read_certificate(folder / "gateway.pem")
     policy.build_server_verifier(x509.DNSName("robot.local")).verify(gateway, [])
 
 
@@ -263,8 +265,8 @@ def test_on_a_terminal_the_list_is_a_table_that_fits_80_columns(folder: Path, mo
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")
-    certs.issue(folder, "old", "operator", days=1, now=NOW - 10 * DAY)
-    certs.issue(folder, "annas-long-laptop-name", "operator")
+    certs.folder.issue(folder, "old", "operator", days=1, now=NOW - 10 * DAY)
+    certs.folder.issue(folder, "annas-long-laptop-name", "operator")
     code, shown = run("list", "--dir", str(folder))
     assert "\x1b[31m" in shown, "what has expired is red"
     lines = re.sub(r"\x1b\[[\d;]*m", "", shown).splitlines()

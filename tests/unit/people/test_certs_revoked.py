@@ -35,13 +35,13 @@ IN_1970 = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 
 
 def common_name(directory: Path, name: str) -> str:
-    return certs.describe(directory / f"{name}.pem").common_name
+    return certs.folder.describe(directory / f"{name}.pem").common_name
 
 
 def issue(directory: Path, *names: str, role: str = "operator") -> list[str]:
     """The common names that they get."""
     for name in names:
-        certs.issue(directory, name, role, now=NOW)
+        certs.folder.issue(directory, name, role, now=NOW)
     return [common_name(directory, name) for name in names]
 
 
@@ -51,7 +51,7 @@ def operators(directory: Path) -> list[str]:
 
 
 def states(directory: Path) -> dict[str, str]:
-    return {each.common_name: state for each, state in certs.states(directory, NOW)}
+    return {each.common_name: state for each, state in certs.moving.states(directory, NOW)}
 
 
 # ---- the pool
@@ -86,16 +86,16 @@ def test_each_laptop_has_a_common_name_that_the_rules_list(folder: Path) -> None
 
 
 def test_a_larger_pool_and_one_that_is_used_up(tmp_path: Path) -> None:
-    certs.init(tmp_path / "D", ["robot.local"], size=2, now=NOW)
+    certs.folder.init(tmp_path / "D", ["robot.local"], size=2, now=NOW)
     assert issue(tmp_path / "D", "anna", "bert") == ["operator-00", "operator-01"]
-    assert "certs pool --size 66" in fault(lambda: certs.issue(tmp_path / "D", "carl", "operator", now=NOW))
+    assert "certs pool --size 66" in fault(lambda: certs.folder.issue(tmp_path / "D", "carl", "operator", now=NOW))
     assert not (tmp_path / "D" / "carl.pem").exists()
-    certs.set_pool(tmp_path / "D", 200)
+    certs.moving.set_pool(tmp_path / "D", 200)
     assert issue(tmp_path / "D", "carl") == ["operator-02"]
     assert len(operators(tmp_path / "D")) == 201
-    certs.set_pool(tmp_path / "D", 3)
+    certs.moving.set_pool(tmp_path / "D", 3)
     assert len(operators(tmp_path / "D")) == 201
-    assert fault(lambda: certs.init(tmp_path / "E", ["robot.local"], size=0, now=NOW))
+    assert fault(lambda: certs.folder.init(tmp_path / "E", ["robot.local"], size=0, now=NOW))
 
 
 # ---- the list
@@ -103,9 +103,9 @@ def test_a_larger_pool_and_one_that_is_used_up(tmp_path: Path) -> None:
 
 def test_a_revoked_name_is_on_the_list_and_its_common_name_is_never_given_again(folder: Path) -> None:
     issue(folder, "anna", "bert")
-    made = certs.revoke(folder, "anna", now=NOW)
+    made = certs.moving.revoke(folder, "anna", now=NOW)
     assert (made.number, set(made.common_names)) == (1, {"operator-00"})
-    assert revocation.read(folder / "revoked.crl", certs.read_certificates(folder / "ca.pem")) == made
+    assert revocation.read(folder / "revoked.crl", certs.files.read_certificates(folder / "ca.pem")) == made
     assert issue(folder, "anna") == ["operator-02"]
     assert states(folder) == {
         "ca": "good", "gateway": "good", "operator-00": "revoked", "operator-01": "good", "operator-02": "good",
@@ -115,21 +115,21 @@ def test_a_revoked_name_is_on_the_list_and_its_common_name_is_never_given_again(
 
 def test_all_that_a_lost_laptop_ever_had_is_shut_out_and_one_common_name_alone_if_so_named(folder: Path) -> None:
     issue(folder, "anna")
-    certs.reissue(folder, "anna", now=NOW)
+    certs.moving.reissue(folder, "anna", now=NOW)
     assert states(folder)["operator-00"] == "replaced"
     copy = folder.with_name("copy")
     shutil.copytree(folder, copy)
-    assert certs.revoke(folder, "anna", now=NOW).common_names == {"operator-00", "operator-01"}
-    assert certs.revoke(copy, "operator-00", now=NOW).common_names == {"operator-00"}
+    assert certs.moving.revoke(folder, "anna", now=NOW).common_names == {"operator-00", "operator-01"}
+    assert certs.moving.revoke(copy, "operator-00", now=NOW).common_names == {"operator-00"}
     assert states(copy)["operator-01"] == "good"
-    assert certs.revoke(copy, "operator-40", now=NOW).common_names == {"operator-00", "operator-40"}
+    assert certs.moving.revoke(copy, "operator-40", now=NOW).common_names == {"operator-00", "operator-40"}
     assert states(copy)["operator-40"] == "revoked"
 
 
 def test_its_files_are_kept_with_their_modes(folder: Path) -> None:
     issue(folder, "anna")
     key = (folder / "anna.key").read_bytes()
-    certs.revoke(folder, "anna", now=NOW)
+    certs.moving.revoke(folder, "anna", now=NOW)
     (kept,) = (folder / "earlier").glob("anna-*.key")
     assert (kept.read_bytes(), mode(kept), mode(kept.parent)) == (key, 0o600, 0o700)
 
@@ -138,19 +138,19 @@ def test_who_cannot_be_revoked(folder: Path) -> None:
     issue(folder, "anna")
     before = contents(folder)
     for name in ("nobody", "gateway", "ca", ""):
-        assert "no laptop" in fault(partial(certs.revoke, folder, name, now=NOW))
+        assert "no laptop" in fault(partial(certs.moving.revoke, folder, name, now=NOW))
     assert contents(folder) == before
-    certs.revoke(folder, "anna", now=NOW)
-    assert "revoked already" in fault(lambda: certs.revoke(folder, "operator-00", now=NOW))
-    assert "no laptop" in fault(lambda: certs.revoke(folder, "anna2", now=NOW))
+    certs.moving.revoke(folder, "anna", now=NOW)
+    assert "revoked already" in fault(lambda: certs.moving.revoke(folder, "operator-00", now=NOW))
+    assert "no laptop" in fault(lambda: certs.moving.revoke(folder, "anna2", now=NOW))
 
 
 def test_a_revoked_certificate_is_not_renewed(folder: Path) -> None:
     issue(folder, "anna")
     (folder / "copy.pem").write_bytes((folder / "anna.pem").read_bytes())
-    certs.revoke(folder, "anna", others_too=True, now=NOW)
+    certs.moving.revoke(folder, "anna", others_too=True, now=NOW)
     (folder / "copy.pem").write_bytes(next((folder / "earlier").glob("anna-*.pem")).read_bytes())
-    assert "is revoked" in fault(lambda: certs.renew(folder, "copy", now=NOW))
+    assert "is revoked" in fault(lambda: certs.folder.renew(folder, "copy", now=NOW))
 
 
 def list_of(folder: Path, number: int, *names: str) -> RevocationList:
@@ -159,7 +159,7 @@ def list_of(folder: Path, number: int, *names: str) -> RevocationList:
 
 
 def test_a_list_comes_back_as_it_was_signed_and_a_changed_one_does_not(folder: Path) -> None:
-    cas = certs.read_certificates(folder / "ca.pem")
+    cas = certs.files.read_certificates(folder / "ca.pem")
     made = list_of(folder, 5, "operator-00", "operator-07.robot-1")
     assert revocation.parse(made.pem, cas) == made
     for text in (b"", b"no list", made.pem[:200], (folder / "ca.pem").read_bytes()):
@@ -173,7 +173,7 @@ def test_a_list_comes_back_as_it_was_signed_and_a_changed_one_does_not(folder: P
 @pytest.mark.filterwarnings("ignore:.*RFC 5280")
 def test_of_a_list_with_one_bit_changed_only_what_the_ca_signed_is_taken(folder: Path) -> None:
     """An operator sends it to the service, which no exception of a parser may end."""
-    cas, made = certs.read_certificates(folder / "ca.pem"), list_of(folder, 5, "operator-00")
+    cas, made = certs.files.read_certificates(folder / "ca.pem"), list_of(folder, 5, "operator-00")
     for changed in with_one_bit_changed(made.pem):
         with suppress(ConfigError):
             assert replace(revocation.parse(changed, cas), pem=made.pem) == made
@@ -192,7 +192,7 @@ def test_two_folders_that_each_revoked_somebody_are_merged(folder: Path) -> None
     issue(folder, "anna", "bert")
     copy = folder.with_name("copy")
     shutil.copytree(folder, copy)
-    theirs, ours = certs.revoke(copy, "bert", now=NOW), certs.revoke(folder, "anna", now=NOW)
+    theirs, ours = certs.moving.revoke(copy, "bert", now=NOW), certs.moving.revoke(folder, "anna", now=NOW)
     assert revocation.why_not_newer(ours, theirs) is not None
     both = moving.merge(folder, theirs, now=NOW)
     assert (both.number, set(both.common_names)) == (2, {"operator-00", "operator-01"})
@@ -208,7 +208,7 @@ def robot(directory: Path) -> ZenohSettings:
 
 def test_the_rules_list_nobody_who_is_revoked_and_a_role_without_anybody_stays_a_role(folder: Path) -> None:
     issue(folder, "anna")
-    certs.revoke(folder, "anna", now=NOW)
+    certs.moving.revoke(folder, "anna", now=NOW)
     config = load_config(folder / "gateway.json5")
     kept = revoked.kept(config, robot(folder))
     assert kept is not None
@@ -272,7 +272,7 @@ def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path
 def test_in_1970_a_list_is_judged_as_ever(folder: Path) -> None:
     """Of the list nothing is judged by the clock: it is signed by a CA that is not valid yet, and does not expire."""
     made = revocation.sign(load_ca(folder, NOW), 1, [Revoked("operator-00", "anna", 7, IN_1970)], IN_1970)
-    ca = certs.read_certificate(folder / "ca.pem")
+    ca = certs.files.read_certificate(folder / "ca.pem")
     assert revocation.parse(made.pem, [ca]).common_names == {"operator-00"}
 
 
@@ -287,43 +287,43 @@ def todays_folder(tmp_path: Path) -> Path:
 def test_files_of_the_layout_before_go_on_and_one_by_one_they_move(today: Path) -> None:
     assert [common_name(today, name) for name in ("anna", "otto")] == ["operator", "observer"]
     assert issue(today, "bert") == ["operator"]
-    assert "certs pool" in fault(lambda: certs.reissue(today, "anna", now=NOW))
-    assert "bert have the same common name" in fault(lambda: certs.revoke(today, "anna", now=NOW))
+    assert "certs pool" in fault(lambda: certs.moving.reissue(today, "anna", now=NOW))
+    assert "bert have the same common name" in fault(lambda: certs.moving.revoke(today, "anna", now=NOW))
     text = (today / "gateway.json5").read_text()
-    certs.set_pool(today)
+    certs.moving.set_pool(today)
     changed = (today / "gateway.json5").read_text()
     assert re.sub(r"\[[^\]]*\]", "", changed) == re.sub(r"\[[^\]]*\]", "", text)
     assert len(operators(today)) == 65
     assert operators(today)[0] == "operator"
-    certs.reissue(today, "anna", bundle=today / "anna.zip", now=NOW)
+    certs.moving.reissue(today, "anna", bundle=today / "anna.zip", now=NOW)
     assert common_name(today, "anna") == "operator-00"
     with zipfile.ZipFile(today / "anna.zip") as archive:
         assert sorted(archive.namelist()) == ["README.txt", "anna.json5", "anna.key", "anna.pem", "ca.pem"]
-    certs.reissue(today, "bert", now=NOW)
-    assert certs.revoke(today, "operator", now=NOW).common_names == {"operator"}
+    certs.moving.reissue(today, "bert", now=NOW)
+    assert certs.moving.revoke(today, "operator", now=NOW).common_names == {"operator"}
     assert states(today)["operator-01"] == "good"
 
 
 def test_a_folder_of_before_there_were_buttons_names_the_command_that_makes_its_rules_anew(today: Path) -> None:
-    named = fault(lambda: certs.issue(today, "kitchen", "button", now=NOW))
+    named = fault(lambda: certs.folder.issue(today, "kitchen", "button", now=NOW))
     assert f"certs init --dir $d --host $(hostname) --port 7447 && sudo cp $d/gateway.json5 {today}" in named
-    certs.init(today.parent / "new", ["robot"], port=7447, now=NOW)
+    certs.folder.init(today.parent / "new", ["robot"], port=7447, now=NOW)
     shutil.copy(today.parent / "new" / "gateway.json5", today)
-    certs.issue(today, "kitchen", "button", now=NOW)
+    certs.folder.issue(today, "kitchen", "button", now=NOW)
     assert common_name(today, "kitchen") == "button-00"
 
 
 def test_others_are_shut_out_too_where_that_is_asked_for(today: Path) -> None:
     issue(today, "bert")
-    assert certs.revoke(today, "anna", others_too=True, now=NOW).common_names == {"operator"}
+    assert certs.moving.revoke(today, "anna", others_too=True, now=NOW).common_names == {"operator"}
 
 
 def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
     directory = tmp_path / "fleet"
-    certs.init(directory, ["router.local"], size=3, now=NOW)
-    certs.add_robots(directory, ["robot-1", "robot-2"], now=NOW)
-    certs.issue(directory, "anna", "operator", robot="robot-1", now=NOW)
-    certs.issue(directory, "bert", "operator", robot="robot-2", now=NOW)
+    certs.folder.init(directory, ["router.local"], size=3, now=NOW)
+    certs.folder.add_robots(directory, ["robot-1", "robot-2"], now=NOW)
+    certs.folder.issue(directory, "anna", "operator", robot="robot-1", now=NOW)
+    certs.folder.issue(directory, "bert", "operator", robot="robot-2", now=NOW)
     assert common_name(directory, "anna") == "operator-00.robot-1"
     assert common_name(directory, "bert") == "operator-00.robot-2"
 
@@ -332,10 +332,10 @@ def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
         return {each["id"]: each["cert_common_names"] for each in subjects}
 
     assert listed()["operator.robot-1"] == ["operator.robot-1", *(f"operator-0{each}.robot-1" for each in range(3))]
-    certs.revoke(directory, "anna", now=NOW)
+    certs.moving.revoke(directory, "anna", now=NOW)
     assert "operator-00.robot-1" not in listed()["operator.robot-1"]
     assert "operator-00.robot-2" in listed()["operator.robot-2"]
-    certs.set_pool(directory, 5)
+    certs.moving.set_pool(directory, 5)
     assert len(listed()["observer.robot-2"]) == 6
 
 
@@ -344,23 +344,23 @@ def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
 
 def test_another_ca_takes_the_first_ones_place_laptop_by_laptop(folder: Path) -> None:
     issue(folder, "anna", "bert")
-    certs.revoke(folder, "bert", now=NOW)
-    old = certs.read_certificate(folder / "ca.pem")
-    certs.replace_ca(folder, now=NOW)
-    cas = certs.read_certificates(folder / "ca.pem")
+    certs.moving.revoke(folder, "bert", now=NOW)
+    old = certs.files.read_certificate(folder / "ca.pem")
+    certs.moving.replace_ca(folder, now=NOW)
+    cas = certs.files.read_certificates(folder / "ca.pem")
     assert cas[1] == old
     assert revocation.read(folder / "revoked.crl", cas[:1]) is not None, "the new CA has signed it"
     assert states(folder)["operator-00"] == states(folder)["gateway"] == "older CA"
     assert issue(folder, "carl") == ["operator-64"]
-    assert "certs reissue anna" in fault(lambda: certs.renew(folder, "anna", now=NOW))
-    assert "127.0.0.1" not in fault(lambda: certs.drop_ca(folder, now=NOW))
-    certs.reissue(folder, "anna", now=NOW)
+    assert "certs reissue anna" in fault(lambda: certs.folder.renew(folder, "anna", now=NOW))
+    assert "127.0.0.1" not in fault(lambda: certs.moving.drop_ca(folder, now=NOW))
+    certs.moving.reissue(folder, "anna", now=NOW)
     assert common_name(folder, "anna") == "operator-65"
-    certs.renew(folder, "gateway", now=NOW)
-    assert "two CAs already" in fault(lambda: certs.replace_ca(folder, now=NOW))
-    certs.drop_ca(folder, now=NOW)
-    assert certs.read_certificates(folder / "ca.pem") == cas[:1]
-    assert {state for _, state in certs.states(folder, NOW)} == {"good", "replaced", "revoked"}
+    certs.folder.renew(folder, "gateway", now=NOW)
+    assert "two CAs already" in fault(lambda: certs.moving.replace_ca(folder, now=NOW))
+    certs.moving.drop_ca(folder, now=NOW)
+    assert certs.files.read_certificates(folder / "ca.pem") == cas[:1]
+    assert {state for _, state in certs.moving.states(folder, NOW)} == {"good", "replaced", "revoked"}
     assert issue(folder, "dora") == ["operator-66"]
 
 
@@ -368,11 +368,13 @@ def test_a_ca_that_is_replaced_half_way_is_whole(folder: Path) -> None:
     """The new certificate is there, the new key is not: what is issued is the old CA's, and good."""
     (folder / "ca.pem").write_bytes(authority.make_ca(NOW, 64).certificate_pem() + (folder / "ca.pem").read_bytes())
     assert issue(folder, "anna") == ["operator-00"]
-    certs.read_certificate(folder / "anna.pem").verify_directly_issued_by(certs.read_certificates(folder / "ca.pem")[1])
+    certs.files.read_certificate(folder / "anna.pem").verify_directly_issued_by(
+        certs.files.read_certificates(folder / "ca.pem")[1]
+    )
 
 
 def test_a_bundle_has_both_cas_while_there_are_two(folder: Path) -> None:
-    certs.replace_ca(folder, now=NOW)
-    certs.issue(folder, "anna", "operator", bundle=folder / "anna.zip", now=NOW)
+    certs.moving.replace_ca(folder, now=NOW)
+    certs.folder.issue(folder, "anna", "operator", bundle=folder / "anna.zip", now=NOW)
     with zipfile.ZipFile(folder / "anna.zip") as archive:
         assert archive.read("ca.pem") == (folder / "ca.pem").read_bytes()

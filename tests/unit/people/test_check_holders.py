@@ -36,14 +36,14 @@ def test_the_layout_before_is_named_with_the_command_that_moves_it(tmp_path: Pat
     (own,) = laptop(today, "anna")
     assert "common name operator," in own.sentence
     assert "certs reissue anna" in own.fix
-    certs.set_pool(today)
+    certs.moving.set_pool(today)
     assert robot(today) == []
-    certs.reissue(today, "anna")
+    certs.moving.reissue(today, "anna")
     assert laptop(today, "anna") == []
 
 
 def test_a_new_folder_has_nothing_to_be_said_of(folder: Path) -> None:
-    certs.issue(folder, "anna", "operator", now=NOW)
+    certs.folder.issue(folder, "anna", "operator", now=NOW)
     assert robot(folder) == laptop(folder, "anna") == laptop(folder, "gateway") == []
 
 
@@ -51,9 +51,9 @@ def test_who_still_comes_with_the_older_ca_is_counted(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    certs.issue(folder, "anna", "operator", now=NOW)
-    certs.replace_ca(folder, now=NOW)
-    certs.issue(folder, "bert", "operator", now=NOW)
+    certs.folder.issue(folder, "anna", "operator", now=NOW)
+    certs.moving.replace_ca(folder, now=NOW)
+    certs.folder.issue(folder, "bert", "operator", now=NOW)
     (nobody_noted,) = robot(folder)
     assert "nobody has noted" in nobody_noted.sentence
     settings = ZenohSettings(config=str(folder / "gateway.json5"))

@@ -109,12 +109,12 @@ def test_a_certificate_without_its_key() -> None:
 
 
 def test_names_come_from_the_certificate(tmp_path: Path) -> None:
-    certs.init(tmp_path, ["robot.local", "192.0.2.7"])
+    certs.folder.init(tmp_path, ["robot.local", "192.0.2.7"])
     found = site("0.0.0.0:8443", tmp_path / "gateway.pem", tmp_path / "gateway.key")
     assert found.hosts == ("robot.local", "192.0.2.7")
     assert found.url == "https://robot.local:8443"
     with pytest.raises(ConfigError, match="cannot be used together"):
         site("0.0.0.0:8443", tmp_path / "gateway.pem", tmp_path / "ca.key")
-    certs.issue(tmp_path, "anna", "operator")
+    certs.folder.issue(tmp_path, "anna", "operator")
     with pytest.raises(ConfigError, match="names no host"):
         site("0.0.0.0:8443", tmp_path / "anna.pem", tmp_path / "anna.key")

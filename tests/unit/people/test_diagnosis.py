@@ -53,8 +53,8 @@ def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
 
 def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
     """As after two years in a cupboard; the service itself would not start with it, but one that runs goes on."""
-    certs.init(tmp_path, ["127.0.0.1"])
-    certs.issue(tmp_path, "anna", "operator")
+    certs.folder.init(tmp_path, ["127.0.0.1"])
+    certs.folder.issue(tmp_path, "anna", "operator")
     ca = authority.KeyPair(read_certificate(tmp_path / "ca.pem"), read_key(tmp_path / "ca.key"))
     old = authority.make_gateway(ca, ["127.0.0.1"], 1, dt.datetime.now(dt.UTC) - 2 * DAY)
     (tmp_path / "old.pem").write_bytes(old.certificate_pem())
@@ -76,8 +76,8 @@ def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
 
 def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path) -> None:
     """Of somebody who watches: the link ends with it, and this is why."""
-    certs.init(tmp_path, ["127.0.0.1"])
-    certs.issue(tmp_path, "dora", "operator", days=1, now=dt.datetime.now(dt.UTC) - 2 * DAY)
+    certs.folder.init(tmp_path, ["127.0.0.1"])
+    certs.folder.issue(tmp_path, "dora", "operator", days=1, now=dt.datetime.now(dt.UTC) - 2 * DAY)
     (line,) = why.unreached(None, tmp_path / "dora.json5")
     assert "dora.pem expired on" in line
     assert "get a new one from `hexapod-gateway certs renew`" in line

@@ -20,8 +20,8 @@ NONCE = "0123456789abcdef" * 2
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("certs") / "D"
-    certs.init(made, ["robot.local"])
-    certs.issue(made, "anna", "operator")
+    certs.folder.init(made, ["robot.local"])
+    certs.folder.issue(made, "anna", "operator")
     return made
 
 

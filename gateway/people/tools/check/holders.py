@@ -40,7 +40,7 @@ def at_the_robot(config: zenoh.Config, file: str) -> Iterator[Result]:
 def _of_two_cas(config: zenoh.Config) -> Iterator[Result]:
     ca = get(config, _CA)
     try:
-        if not isinstance(ca, str) or len(certs.read_certificates(Path(ca))) == 1:
+        if not isinstance(ca, str) or len(certs.files.read_certificates(Path(ca))) == 1:
             return
     except ConfigError:  # another line says it
         return
@@ -61,7 +61,7 @@ def on_the_laptop(identity: Identity) -> Iterator[Result]:
     if identity.certificate is None or identity.ca is None:
         return
     try:
-        own, cas = certs.describe(identity.certificate), certs.read_certificates(identity.ca)
+        own, cas = certs.folder.describe(identity.certificate), certs.files.read_certificates(identity.ca)
     except ConfigError:  # another line says it
         return
     fix = f"hexapod-gateway certs reissue {own.path.stem}, where ca.key is, and bring its files here"
@@ -71,5 +71,5 @@ def on_the_laptop(identity: Identity) -> Iterator[Result]:
             f"{own.path.name} has the common name {own.common_name}, as all others: it cannot be revoked alone",
             fix,
         )
-    elif len(cas) > 1 and not certs.is_issued(certs.read_certificate(own.path), cas[0]):
+    elif len(cas) > 1 and not certs.authority.is_issued(certs.files.read_certificate(own.path), cas[0]):
         yield warning(_NAME, f"{own.path.name} is of the older of two CAs, whose time ends", fix)

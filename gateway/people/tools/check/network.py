@@ -222,7 +222,7 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
     if not settings.config:
         return [ok(name, "none are in use")]
     try:
-        found = [certs.describe(path) for path in certificate_files(load_config(Path(settings.config)))]
+        found = [certs.folder.describe(path) for path in certificate_files(load_config(Path(settings.config)))]
     except ConfigError as error:
         fix = LET_READ if DENIED in str(error) else "until then nobody can connect, and the service does not start"
         return [failure(name, str(error), fix)]
@@ -231,7 +231,7 @@ def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
     return [_expiry(certificate, now) for certificate in found]
 
 
-def _expiry(certificate: certs.Certificate, now: dt.datetime) -> Result:
+def _expiry(certificate: certs.folder.Certificate, now: dt.datetime) -> Result:
     name, path = "certificates", certificate.path
     until = f"good until {certificate.not_after:%Y-%m-%d}"
     fix = expiry.remedy(path.name, certificate.role, certificate.name)
