@@ -73,10 +73,10 @@ def path_of(folder: Path, incident: Incident) -> Path:
     return folder / f"{incident.name}{SUFFIX}"
 
 
-def write(path: Path, incident: Incident, records: Records, *, overwrite: bool) -> str:
-    """Write an incident to a file; returns its headline. Raises OSError; FileExistsError unless `overwrite`."""
+def write(path: Path, incident: Incident, records: Records) -> str:
+    """Write an incident to a file; returns its headline. Raises OSError, FileExistsError."""
     begin_ns = incident.wall_ns(incident.begin_ns)
-    with Recording(path, overwrite=overwrite, time_ns=begin_ns, reports={EVENT: Event}) as recording:
+    with Recording(path, time_ns=begin_ns, reports={EVENT: Event}) as recording:
         if about := records.about_at(incident.zero_ns):
             recording.describe(about)
         return headline(_written(messages(incident, records), recording))
@@ -104,7 +104,7 @@ def keep(folder: Path, incident: Incident, records: Records, later: Sequence[str
     unfinished = path.with_suffix(_UNFINISHED)
     unfinished.unlink(missing_ok=True)
     try:
-        said = write(unfinished, incident, records, overwrite=False)
+        said = write(unfinished, incident, records)
         durable.sync(unfinished)
         unfinished.replace(path)
         _note(folder, incident.name, later, f"{_OVER if over else _OPEN} {said}"[:_MAX_LINE])

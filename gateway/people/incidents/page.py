@@ -7,9 +7,8 @@ from typing import Final
 
 from gateway.people.incidents.messages import incident_of
 from gateway.people.recordings import Message
-from gateway.people.recordings.user_angles import frame_of
+from gateway.people.recordings.user_angles import frames_in
 from gateway.robot.protocol.frames import Op
-from schemas.keys import FRAME
 from schemas.robot import LEGS
 
 _WIDTH: Final = 900
@@ -43,14 +42,13 @@ svg {{ width: 100%; font-size: 11px; }} pre {{ white-space: pre-wrap; }}
 def _plot(reported: Sequence[Message], zero_ns: int) -> str:
     ways: dict[int, list[tuple[float, float]]] = {}
     stops: dict[int, list[float]] = {}
-    frames = [((each.time_ns - zero_ns) / 1e9, each.content) for each in reported if each.topic == FRAME]
+    frames = [((message.time_ns - zero_ns) / 1e9, frame) for message, frame in frames_in(reported)]
     if not frames:
         return "<p>No frame was written.</p>"
     begin_s = min(time_s for time_s, _ in frames)
     end_s = max(begin_s + 0.001, *(time_s for time_s, _ in frames))
-    for time_s, record in frames:
-        frame = frame_of(record)
-        for servo_id, command in () if frame is None else frame.servos:
+    for time_s, frame in frames:
+        for servo_id, command in frame.servos:
             if command.op is Op.STOP:
                 stops.setdefault(servo_id // 10, []).append(time_s)
                 ways.setdefault(servo_id, []).append((time_s, math.nan))

@@ -1,6 +1,7 @@
 """An incident in plain sentences: who commanded what, what the gateway decided, what it wrote, with relative times."""
 
 from array import array
+from bisect import bisect
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
@@ -8,9 +9,9 @@ from typing import Any, Final, NamedTuple
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
 from gateway.people.recordings import Message
-from gateway.people.recordings.user_angles import UserAngles, frame_of
+from gateway.people.recordings.user_angles import FrameIn, frames_in
 from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
-from gateway.robot.protocol.frames import Frame, Op
+from gateway.robot.protocol.frames import Op
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
@@ -38,15 +39,8 @@ _EVENTS: Final[dict[object, str]] = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
     Kind.ESTOP_ENGAGED: "emergency stop",
     Kind.ESTOP_RESET: "emergency stop reset",
-    Kind.BUS_FAULT: "bus fault",
-    Kind.BUS_RECOVERED: "bus recovered",
-    Kind.BUS_UNBATCHED: "bus unbatched",
-    Kind.OVERFLOW: "overflow",
-    Kind.LEASE_TAKEN: "lease taken",
-    Kind.STOPPED_OUTSIDE: "stopped outside",
-    Kind.BUTTON_SILENT: "button silent",
-    Kind.BUTTON_LEFT: "button left",
 }
+"""Those that are not named as their kind is."""
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
 """Events that are reported after their Stops are written, though what they report came before."""
 _ENDINGS: Final[dict[str, str]] = {
@@ -83,15 +77,15 @@ def story(messages: list[Message]) -> list[str]:
     if zero is None:
         raise NoStoryError("it has no incident")
     name = str(zero.content.get("detail"))
-    reported = [each for each in messages if each is not zero]
-    lines = [*_commands(reported, zero.time_ns, name), *_rejections(reported, zero.time_ns)]
-    lines += [*_events(reported, zero.time_ns, name), *_frames(reported, zero.time_ns), *_notes(reported, zero.time_ns)]
-    lines += _landings(reported, zero.time_ns)
+    reported = [each._replace(time_ns=each.time_ns - zero.time_ns) for each in messages if each is not zero]
+    frames = list(frames_in(reported))
+    lines = [*_commands(reported, frames, name), *_rejections(reported), *_events(reported, name)]
+    lines += [*_stops(frames), *_notes(reported), *_landings(reported, frames)]
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
     timed = (f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)
-    return [_visible(line) for line in (head, *_summary(reported, zero.time_ns), *timed)]
+    return [_visible(line) for line in (head, *_summary(reported), *timed)]
 
 
 def headline(messages: Iterable[Message]) -> str:
@@ -119,7 +113,7 @@ def headline(messages: Iterable[Message]) -> str:
     if "landing" in happened:
         happened.pop("watchdog", None)  # its Stops are the landing's end
     worst = max(happened, key=lambda ending: _RANKS.get(ending, -1))
-    legs = sorted(_stopped_legs(reported, zero.time_ns))
+    legs = sorted(_stopped_legs(frames_in(reported), zero.time_ns))
     words = {ending: f"{_WHAT.get(ending, ending)}{by}" for ending, by in happened.items()}
     if legs and "watchdog" in words:
         words["watchdog"] += f": {_named(legs)}"
@@ -210,12 +204,12 @@ def _asked(message: Message, leg: int) -> str:
     return f"{_who(message.content.get('source'))}, {' '.join(parts)}{age}"
 
 
-def _summary(messages: list[Message], zero_ns: int) -> Iterator[str]:
+def _summary(messages: list[Message]) -> Iterator[str]:
     """One line for each source that commanded before the incident."""
     counts: Counter[str] = Counter()
     legs: dict[str, set[int]] = {}
     for message in messages:
-        if _is_command(message) and message.time_ns <= zero_ns and message.content["targets"]:
+        if _is_command(message) and message.time_ns <= 0 and message.content["targets"]:
             who = _who(message.content.get("source"))
             counts[who] += 1
             legs.setdefault(who, set()).update(_legs_of(message))
@@ -224,15 +218,16 @@ def _summary(messages: list[Message], zero_ns: int) -> Iterator[str]:
         yield f"Before it, {who} sent {commands} for {_named(sorted(legs[who]))}."
 
 
-def _commands(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line]:
+def _commands(messages: list[Message], frames: Sequence[FrameIn], name: str) -> Iterator[Line]:
     """The last command of each leg before the incident, and the first that moves one that it stopped."""
-    concerned = _stopped_legs(messages, zero_ns) if kind_of(name) == "watchdog" else set(LEGS)
-    stopped_ns = _stops_of_legs(messages, zero_ns)
+    concerned = _stopped_legs(frames) if kind_of(name) == "watchdog" else set(LEGS)
+    stops = ((frame.leg, message.time_ns) for message, frame in frames if message.time_ns >= 0 and frame.is_stop)
+    stopped_ns = dict(reversed(list(stops)))  # of each leg, its first Stop since the incident
     last: dict[int, Message] = {}
     first: dict[int, Message] = {}
     for message in messages:
         if _is_command(message) and _taken(message):
-            if message.time_ns <= zero_ns:
+            if message.time_ns <= 0:
                 last |= dict.fromkeys(_legs_of(message), message)
             elif _moves(message):
                 again = (leg for leg in _legs_of(message) if stopped_ns.get(leg, message.time_ns) < message.time_ns)
@@ -240,34 +235,22 @@ def _commands(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line
     for words, found in (("last command of", last), ("first command after it for", first)):
         for leg, message in found.items():
             if leg in concerned or words.startswith("first"):
-                yield Line(message.time_ns - zero_ns, f"{words} leg {leg} ({_asked(message, leg)})")
+                yield Line(message.time_ns, f"{words} leg {leg} ({_asked(message, leg)})")
     for message in messages:
         if _is_command(message) and message.topic in (keys.ESTOP, keys.RESET):
             request = "emergency stop" if message.topic == keys.ESTOP else "reset"
             by = _who(message.content.get("source"))
             verdict = "" if _taken(message) else f", rejected: {message.content['verdict']}"
-            yield Line(message.time_ns - zero_ns, f"{request} requested by {by}{verdict}")
+            yield Line(message.time_ns, f"{request} requested by {by}{verdict}")
 
 
-def _stops_of_legs(messages: Sequence[Message], zero_ns: int) -> dict[int, int]:
-    """When each leg had its first Stop since the incident."""
-    found: dict[int, int] = {}
-    for message in messages:
-        frame = frame_of(message.content) if message.topic == keys.FRAME and message.time_ns >= zero_ns else None
-        if frame is not None and frame.is_stop:
-            found.setdefault(frame.servos[0][0] // 10, message.time_ns)
-    return found
-
-
-def _stopped_legs(messages: Sequence[Message], zero_ns: int) -> set[int]:
+def _stopped_legs(frames: Iterable[FrameIn], zero_ns: int = 0) -> set[int]:
     """The legs that the watchdog stopped."""
-    legs = set()
-    for message in messages:
-        if message.topic == keys.FRAME and message.content.get("cause") == Cause.WATCHDOG:
-            frame = frame_of(message.content)
-            if frame is not None and message.time_ns >= zero_ns:
-                legs |= {servo_id // 10 for servo_id, _ in frame.servos}
-    return legs
+    return {frame.leg for message, frame in frames if _is_watchdogs(message) and message.time_ns >= zero_ns}
+
+
+def _is_watchdogs(frame: Message) -> bool:
+    return frame.content.get("cause") == Cause.WATCHDOG
 
 
 class _Run(NamedTuple):
@@ -278,7 +261,7 @@ class _Run(NamedTuple):
     commands: int
 
 
-def _rejections(messages: list[Message], zero_ns: int) -> Iterator[Line]:
+def _rejections(messages: list[Message]) -> Iterator[Line]:
     runs: dict[tuple[str, str, bool], _Run] = {}
     for message in messages:
         if _is_command(message) and not _taken(message):
@@ -287,89 +270,77 @@ def _rejections(messages: list[Message], zero_ns: int) -> Iterator[Line]:
             source, reason = message.content.get("source"), message.content.get("detail")
         else:
             continue
-        case = _who(source), str(reason), message.time_ns > zero_ns
+        case = _who(source), str(reason), message.time_ns > 0
         found = runs.get(case, _Run(message.time_ns, message.time_ns, 0))
         runs[case] = _Run(found.first_ns, message.time_ns, found.commands + 1)
     for (who, reason, _), run in runs.items():
         if run.commands == 1:
             text = f"a command of {who} is rejected: {reason}"
         else:
-            text = f"{run.commands} commands of {who} are rejected until {_at(run.last_ns - zero_ns)}: {reason}"
-        yield Line(run.first_ns - zero_ns, text)
+            text = f"{run.commands} commands of {who} are rejected until {_at(run.last_ns)}: {reason}"
+        yield Line(run.first_ns, text)
 
 
 # ---- what the gateway did
 
 
-def _events(messages: list[Message], zero_ns: int, name: str) -> Iterator[Line]:
+def _events(messages: list[Message], name: str) -> Iterator[Line]:
     for message in messages:
         kind = message.content.get("kind")
         if message.topic != keys.EVENT or kind == Kind.COMMAND_REJECTED:
             continue
-        at_ns = message.time_ns - zero_ns
+        at_ns = message.time_ns
         if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < TOGETHER_NS:
             at_ns = 0
         source = message.content.get("source")
         by = f" ({source})" if source else ""
-        said, detail = str(_EVENTS.get(kind, kind)), str(message.content.get("detail"))
+        said, detail = _EVENTS.get(kind, str(kind).replace("_", " ")), str(message.content.get("detail"))
         yield Line(at_ns, f"{detail if detail.startswith(said) else f'{said}: {detail}'}{by}")
 
 
-def _frames(messages: list[Message], zero_ns: int) -> Iterator[Line]:
+def _stops(frames: Iterable[FrameIn]) -> Iterator[Line]:
     """Stops: those of one cause that follow each other are one line. Frames that move are in the summary's commands."""
-    group: list[tuple[Message, Frame]] = []
-    for message in messages:
-        if message.topic != keys.FRAME:
-            continue
-        frame = frame_of(message.content)
-        if frame is None or not frame.is_stop:
+    group: list[FrameIn] = []
+    for message, frame in frames:
+        if not frame.is_stop:
             continue
         if group and (
             message.content.get("cause") != group[-1][0].content.get("cause")
             or message.time_ns - group[-1][0].time_ns > TOGETHER_NS
         ):
-            yield _stops(group, zero_ns)
+            yield _stops_in_one_line(group)
             group = []
         group.append((message, frame))
     if group:
-        yield _stops(group, zero_ns)
+        yield _stops_in_one_line(group)
 
 
-class _Way:
-    """One landing as its frames tell it."""
+def _stops_in_one_line(group: Sequence[FrameIn]) -> Line:
+    first, last = group[0][0], group[-1][0]
+    legs = sorted({frame.leg for _, frame in group})
+    cause = str(first.content.get("cause"))
+    written = "Stop repeated for" if cause == Cause.REPEAT else "Stop written to"
+    until = "" if len(group) == 1 else f", the last at {_at(last.time_ns)}"
+    late = first.content.get("late_us")
+    after = "" if late is None else f", {late:.0f} µs after the deadline"
+    why = "" if cause == Cause.REPEAT else f" ({cause})"
+    return Line(first.time_ns, f"{written} {_named(legs)}{why}{after}{until}")
 
-    def __init__(self, first: Message) -> None:
-        self.first = self.last = first
-        self.frames = 0
-        self.stands: dict[int, int | None] = {}
 
-
-def _landings(messages: list[Message], zero_ns: int) -> Iterator[Line]:
+def _landings(messages: Iterable[Message], frames: Iterable[FrameIn]) -> Iterator[Line]:
     """The first and the last frame of each way down, and where it left the legs: nobody commanded these frames."""
+    begun = [each.time_ns for each in messages if each.topic == keys.EVENT and each.content.get("kind") == Kind.LANDING]
     stands: dict[int, int | None] = {}  # of each servo that ever had a frame: its angle, None: stopped
-    way: _Way | None = None
-    angles = UserAngles()
-    for message in messages:
-        angles.take(message.topic, message.content)
-        if message.topic == keys.EVENT and message.content.get("kind") == Kind.LANDING:
-            yield from _reported(way, zero_ns)
-            way = None
-        frame = frame_of(message.content) if message.topic == keys.FRAME else None
-        if frame is None:
-            continue
-        frame = angles.frame(frame)
+    ways: dict[int, list[tuple[int, str]]] = {}  # of each landing: when its frames were written, and where legs were
+    for message, frame in frames:
         stands |= {servo_id: None if op.op is Op.STOP else op.angle_cdeg for servo_id, op in frame.servos}
-        if message.content.get("cause") == Cause.WATCHDOG and not frame.is_stop:
-            way = way or _Way(message)
-            way.last, way.frames, way.stands = message, way.frames + 1, dict(stands)
-    yield from _reported(way, zero_ns)
-
-
-def _reported(way: _Way | None, zero_ns: int) -> Iterator[Line]:
-    if way is not None:
-        yield Line(way.first.time_ns - zero_ns, "first frame of the way down")
-        count = f"{way.frames} frames" if way.frames > 1 else "one frame"
-        yield Line(way.last.time_ns - zero_ns, f"last frame of the way down, after {count}; {_standing(way.stands)}")
+        if _is_watchdogs(message) and not frame.is_stop:
+            ways.setdefault(bisect(begun, message.time_ns), []).append((message.time_ns, _standing(stands)))
+    for way in ways.values():
+        (first_ns, _), (last_ns, standing) = way[0], way[-1]
+        count = f"{len(way)} frames" if len(way) > 1 else "one frame"
+        yield Line(first_ns, "first frame of the way down")
+        yield Line(last_ns, f"last frame of the way down, after {count}; {standing}")
 
 
 def _standing(stands: dict[int, int | None]) -> str:
@@ -383,19 +354,7 @@ def _standing(stands: dict[int, int | None]) -> str:
     return "; ".join(f"{_named(numbers)} at {words}" for words, numbers in legs.items())
 
 
-def _stops(group: list[tuple[Message, Frame]], zero_ns: int) -> Line:
-    first, last = group[0][0], group[-1][0]
-    legs = sorted({servo_id // 10 for _, frame in group for servo_id, op in frame.servos if op.op is Op.STOP})
-    cause = str(first.content.get("cause"))
-    written = "Stop repeated for" if cause == Cause.REPEAT else "Stop written to"
-    until = "" if len(group) == 1 else f", the last at {_at(last.time_ns - zero_ns)}"
-    late = first.content.get("late_us")
-    after = "" if late is None else f", {late:.0f} µs after the deadline"
-    why = "" if cause == Cause.REPEAT else f" ({cause})"
-    return Line(first.time_ns - zero_ns, f"{written} {_named(legs)}{why}{after}{until}")
-
-
-def _notes(messages: list[Message], zero_ns: int) -> Iterator[Line]:
+def _notes(messages: list[Message]) -> Iterator[Line]:
     for message in messages:
         detail = message.content.get("detail")
         match message.content.get("what") if message.topic == RECORDER else None:
@@ -413,4 +372,4 @@ def _notes(messages: list[Message], zero_ns: int) -> Iterator[Line]:
                 text = f"the loop was {detail} late"
             case _:
                 continue
-        yield Line(message.time_ns - zero_ns, text)
+        yield Line(message.time_ns, text)

@@ -11,7 +11,7 @@ from mcap.records import Channel, Header, Message, Metadata
 from gateway.errors import ConfigError
 from gateway.people.recordings.pieces import Losses
 from gateway.people.recordings.reading import records
-from gateway.people.recordings.writing import METADATA, Copy
+from gateway.people.recordings.writing import METADATA, Copy, making
 
 
 class Contents(NamedTuple):
@@ -46,7 +46,11 @@ class Contents(NamedTuple):
             *(f"{count:>9}  {topic}" for topic, count in sorted(self.messages.items())),
             *(f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in self.about.items()),
         ]
-        return [*found, str(self.losses)] if self.losses else found
+        if self.losses:
+            found.append(str(self.losses))
+        if self.losses.cut_off:
+            found.append("It ends in the middle: `record --repair` makes it whole, unless it is being written just now")
+        return found
 
 
 def contents(path: Path) -> Contents:
@@ -68,7 +72,8 @@ def contents(path: Path) -> Contents:
         elif isinstance(record, Metadata) and record.name == METADATA:
             about = {name: _value(text) for name, text in record.metadata.items()}
     if not messages:
-        raise ConfigError(f"{path}: no message in it can be read")
+        damaged = losses or losses.cut_off
+        raise ConfigError(f"{path}: {'no message in it can be read' if damaged else 'has no message'}")
     return Contents(library, begin_ns / 1e9, end_ns / 1e9, messages, about, losses)
 
 
@@ -76,14 +81,14 @@ def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
     """Write what was recorded from one second to another (counted from its first message) to a file of its own.
 
     What holds for all of it (the robot's description, the calibration in force) is taken along. Returns the number of
-    messages. Raises ConfigError, FileExistsError, OSError.
+    messages. Raises ConfigError.
     """
     whole = contents(path)
     from_ns, to_ns = round((whole.begin_s + from_s) * 1e9), round((whole.begin_s + to_s) * 1e9)
     count = 0
     numbers: Counter[int] = Counter()
     standing: dict[str, Message] = {}
-    with into.open("xb") as file:
+    with making(into), into.open("xb") as file:
         copy = Copy(file)
         for record in records(path):
             message = copy.take(record)
@@ -99,9 +104,9 @@ def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
                 standing.clear()
                 count += 1
         copy.finish()
-    if not count:
-        into.unlink()
-        raise ConfigError(f"{path}: lasts {whole.end_s - whole.begin_s:.1f} s, and has no message in that piece of it")
+        if not count:
+            lasts_s = whole.end_s - whole.begin_s
+            raise ConfigError(f"{path}: lasts {lasts_s:.1f} s, and has no message in that piece of it")
     return count
 
 

@@ -96,7 +96,7 @@ def survey(records: Iterable[Mapping[str, Any]], show: Callable[[Plan], object])
         if frame is None:
             plan.left_out += 1
             continue
-        plan.legs.add(frame.servos[0][0] // 10)
+        plan.legs.add(frame.leg)
         legs.follow(frame, at_ns)
     return plan
 
@@ -119,7 +119,7 @@ def steps_of(
         if frame is None:
             continue
         frame = legs.follow(frame, at_ns)
-        leg = frame.servos[0][0] // 10
+        leg = frame.leg
         commanded = cause not in own
         if commanded:
             if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
@@ -211,7 +211,7 @@ class _Legs:
     def follow(self, frame: Frame, at_ns: int) -> Frame:
         """The frame, with a Start in place of a Set for a servo that does not run."""
         ops = [self._op(servo_id, command, at_ns) for servo_id, command in frame.servos]
-        leg = frame.servos[0][0] // 10
+        leg = frame.leg
         if not frame.is_stop:
             self._moved_ns[leg] = at_ns
         if self._running.issuperset(servo_ids_of(leg)):

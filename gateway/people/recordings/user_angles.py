@@ -50,13 +50,6 @@ class UserAngles:
                 self.consistent = False
         self._contradicted |= not self.consistent
 
-    def frame(self, frame: Frame) -> Frame:
-        """A frame in users' angles, as far as known; as it is where no user could have meant it."""
-        try:
-            return self._calibration.user_frame(frame)
-        except FrameError:
-            return frame
-
     def record(self, record: Mapping[str, Any]) -> Mapping[str, Any]:
         """A FrameRecord in users' angles, as far as known."""
         if not self._calibration.servos:
@@ -67,6 +60,20 @@ class UserAngles:
         except (KeyError, TypeError, ValueError):  # no frame; whoever reads it looks for himself
             return record
         return {**record, "bytes": user_bytes(self._calibration, data).hex()}
+
+
+FrameIn = tuple[Message, Frame]
+"""A frame of a recording, and the message that has it."""
+
+
+def frames_in(messages: Iterable[Message]) -> Iterator[FrameIn]:
+    """Their frames in users' angles, as far as known."""
+    angles = UserAngles()
+    for message in messages:
+        angles.take(message.topic, message.content)
+        frame = frame_of(angles.record(message.content)) if message.topic == FRAME else None
+        if frame is not None:
+            yield message, frame
 
 
 def frame_of(record: Mapping[str, Any]) -> Frame | None:

@@ -7,8 +7,8 @@ import json
 import os
 import sys
 import zlib
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from io import BufferedWriter, FileIO
 from pathlib import Path
@@ -266,6 +266,23 @@ def in_use(fd: int) -> bool:
             return True
         fcntl.flock(fd, fcntl.LOCK_UN)
     return False
+
+
+@contextmanager
+def making(path: Path) -> Iterator[None]:
+    """While a file is made that is not there yet: nothing is left of it where that fails. Raises ConfigError."""
+    try:
+        if os.path.lexists(path):
+            raise FileExistsError
+        yield
+    except FileExistsError as error:
+        raise ConfigError(f"{path} exists; name another file") from error
+    except BaseException as error:
+        with suppress(OSError):  # half of it is of no use, and its name would be taken
+            path.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
+        raise
 
 
 class Copy:

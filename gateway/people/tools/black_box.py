@@ -2,11 +2,9 @@
 
 import json
 import logging
-import os
 import signal
 import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -15,11 +13,12 @@ import typer
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find, is_id, time_of
-from gateway.people.incidents.messages import messages
+from gateway.people.incidents.messages import RECORDER, incident_of, messages
 from gateway.people.incidents.page import as_page
 from gateway.people.incidents.story import NoStoryError, headline, story, what
 from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
+from gateway.people.recordings.writing import making
 from gateway.people.terminal import hint, say, this_command, visible
 from gateway.robot.blackbox import place
 from gateway.robot.settings import Settings
@@ -31,7 +30,10 @@ class _Found(NamedTuple):
     """An incident: its file, or what is in the ring (which may have more of it)."""
 
     name: str
-    path: Path | None
+    path: Path
+    """Where its file is, or would be."""
+    size: int | None = None
+    """Of the file, in bytes."""
     ring: tuple[Incident, ring_reader.Records] | None = None
 
 
@@ -43,7 +45,7 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
         {
             "id": each.name,
             "time": time_of(each.name).isoformat(),
-            "bytes": None if each.path is None else each.path.stat().st_size,
+            "bytes": each.size,
             "what": _headline(each, said),
         }
         for each in reversed(found)
@@ -85,13 +87,8 @@ def report(settings: Settings, name: str, file: Path) -> int:
     """Write one page with the story, the joints and the Stops."""
     found = _one(settings, name)
     reported, lines = _told(found)
-    try:
-        with file.open("x", encoding="utf-8") as page:
-            page.write(as_page(found.name, reported, lines))
-    except FileExistsError as error:
-        raise ConfigError(f"{file} exists; name another file") from error
-    except OSError as error:
-        raise ConfigError(f"{file}: {error.strerror}") from error
+    with making(file), file.open("x", encoding="utf-8") as page:
+        page.write(as_page(found.name, reported, lines))
     say(f"{found.name} is in {file}")
     return 0
 
@@ -99,40 +96,37 @@ def report(settings: Settings, name: str, file: Path) -> int:
 def _told(found: _Found) -> tuple[list[Message], list[str]]:
     """What is in it, and its story."""
     losses = Losses()
+    if found.ring is not None:
+        reported = list(messages(*found.ring))
+    elif incident_of(read(found.path, losses, (RECORDER,))) is None:  # it may be a ride of hours
+        raise ConfigError(f"{found.path}: has no incident in it{_lost(losses)}; `recordings info` shows what it has")
+    else:
+        losses = Losses()
+        reported = list(read(found.path, losses))
     try:
-        reported = _messages(found, losses)
         lines = story(reported)
     except (NoStoryError, KeyError, TypeError, AttributeError) as error:  # of a later version, or changed by hand
-        lost = f" ({losses})" if losses else ""
-        raise ConfigError(f"{found.path or found.name}: is no incident that this version can tell{lost}") from error
+        raise ConfigError(f"{found.path}: is no incident that this version can tell{_lost(losses)}") from error
     if losses:
         hint(f"{found.path}: {losses}; the story lacks them")
     return reported, lines
 
 
+def _lost(losses: Losses) -> str:
+    return f" ({losses})" if losses else ""
+
+
 def export(settings: Settings, name: str, file: Path) -> int:
     """Write an incident's MCAP file."""
     found = _one(settings, name)
-    try:
-        if os.path.lexists(file):
-            raise FileExistsError
-        _export(found, file)
-    except FileExistsError as error:
-        raise ConfigError(f"{file} exists; name another file") from error
-    except OSError as error:
-        with suppress(OSError):  # half of it is of no use, and its name would be taken
-            file.unlink(missing_ok=True)
-        raise ConfigError(f"{file}: {error.strerror}") from error
+    with making(file):
+        if found.ring is not None:
+            archive.write(file, *found.ring)
+        else:
+            with file.open("xb") as copy:
+                copy.write(found.path.read_bytes())
     say(f"{found.name} is in {file}")
     return 0
-
-
-def _export(found: _Found, file: Path) -> None:
-    if found.ring is not None:
-        archive.write(file, *found.ring, overwrite=False)
-    elif found.path is not None:
-        with file.open("xb") as copy:
-            copy.write(found.path.read_bytes())
 
 
 def keep(settings: Settings, *, once: bool) -> int:
@@ -164,7 +158,7 @@ def _folder(settings: Settings) -> Path:
 
 def _find(folder: Path) -> list[_Found]:
     """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
-    found = {each.name: _Found(each.name, each.path) for each in archive.kept(folder / place.INCIDENTS)}
+    found = {each.name: _Found(*each) for each in archive.kept(folder / place.INCIDENTS)}
     try:
         content = ring_reader.read(folder / place.RING)
     except ring_reader.NoRingError as error:
@@ -176,8 +170,8 @@ def _find(folder: Path) -> list[_Found]:
     for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
         before = found.pop(incident.name, None)  # what is in the ring is newer than what is there no more
         if before is None or not archive.is_kept(folder / place.INCIDENTS, incident):
-            path = None if before is None else before.path
-            before = _Found(incident.name, path, (incident, content.records))
+            path, size = archive.path_of(folder / place.INCIDENTS, incident), None if before is None else before.size
+            before = _Found(incident.name, path, size, (incident, content.records))
         found[incident.name] = before
     return list(found.values())
 
@@ -185,8 +179,7 @@ def _find(folder: Path) -> list[_Found]:
 def _one(settings: Settings, name: str) -> _Found:
     """The incident of that id, or the one in a file that somebody was sent."""
     if name.endswith(archive.SUFFIX):
-        path = Path(name)
-        return _Found(path.stem, path)
+        return _Found(Path(name).stem, Path(name))
     folder = _folder(settings)
     found = _find(folder)
     if name == LAST and found:
@@ -196,16 +189,11 @@ def _one(settings: Settings, name: str) -> _Found:
             return each
     if name != LAST and not is_id(name):
         raise NoIncidentError(
-            f"{name!r} is no id of an incident; `incidents list` shows them, and `last` is the newest"
+            f"{name!r} is no id of an incident, and no file's name, which ends in .mcap; `incidents list` shows them, "
+            "and `last` is the newest"
         )
     raise NoIncidentError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")
 
 
 class NoIncidentError(GatewayError):
     """There is no such incident."""
-
-
-def _messages(found: _Found, losses: Losses) -> list[Message]:
-    if found.ring is not None:
-        return list(messages(*found.ring))
-    return [] if found.path is None else list(read(found.path, losses))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
+from gateway.people.terminal import say
 from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
@@ -67,7 +68,11 @@ def info(
     from gateway.people.recordings.contents import contents
 
     found = contents(file)
-    typer.echo(json.dumps(found.as_json(), indent=1, ensure_ascii=False) if as_json else "\n".join(found.lines()))
+    if as_json:
+        typer.echo(json.dumps(found.as_json(), indent=1))
+        return
+    for line in found.lines():
+        say(line)
 
 
 @files.command()
@@ -83,13 +88,8 @@ def cut(
     """
     from gateway.people.recordings.contents import cut
 
-    try:
-        count = cut(file, into, from_s=from_s, to_s=to_s)
-    except FileExistsError as error:
-        raise ConfigError(f"{into} exists; name another file") from error
-    except OSError as error:
-        raise ConfigError(f"{into}: cannot be written ({error.strerror})") from error
-    typer.echo(f"{into}: {count} messages")
+    count = cut(file, into, from_s=from_s, to_s=to_s)
+    say(f"{into}: {count} messages")
 
 
 @app.command()

@@ -12,12 +12,14 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.people.incidents.watcher import IncidentWatcher
+from gateway.people.recordings.contents import cut
 from gateway.people.tools import black_box
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.settings import Settings
 from tests.support.robot import WALL_NS
+from tests.unit.people.test_recordings import recorded
 
 NAME = "20260921-141320-123-watchdog"
 
@@ -98,3 +100,25 @@ def test_a_disk_that_gets_full_is_left_without_half_an_export(tmp_path: Path, mo
     with pytest.raises(ConfigError, match="exists"):
         black_box.export(settings(tmp_path), NAME, copy)
     assert copy.read_text() == "mine"
+
+
+def test_a_disk_that_gets_full_is_left_without_half_a_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ride, into = tmp_path / "ride.mcap", tmp_path / "new"
+    recorded(ride).close()
+
+    def full(*_: object) -> None:
+        assert into.exists(), "it was begun"
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("gateway.people.recordings.writing.Copy.finish", full)
+    with pytest.raises(ConfigError, match=r"new: cannot be written \(No space left on device\)"):
+        cut(ride, into, from_s=0, to_s=1)
+    assert not into.exists()
+
+
+def test_a_ride_is_no_incident_and_where_to_look_instead_is_named(tmp_path: Path) -> None:
+    recorded(tmp_path / "ride.mcap").close()
+    for call in (black_box.show, lambda found, name: black_box.report(found, name, tmp_path / "page.html")):
+        with pytest.raises(ConfigError, match="has no incident in it; `recordings info` shows what it has"):
+            call(settings(tmp_path), str(tmp_path / "ride.mcap"))
+    assert not (tmp_path / "page.html").exists()

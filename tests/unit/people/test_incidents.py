@@ -1,6 +1,7 @@
 """Incidents: found in the ring, kept as files, and told as a story."""
 
 import asyncio
+import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from gateway.geometry import load
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
+from gateway.people.incidents.page import as_page
 from gateway.people.incidents.story import story, what
 from gateway.people.recordings import read
 from gateway.people.recordings.contents import contents
@@ -227,6 +229,8 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     assert joints["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
     revisions = [each.content["revision"] for each in told if each.topic == keys.CALIBRATION]
     assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
+    heights = re.findall(r'points="[\d.]+,([\d.]+)', as_page("", told, []))
+    assert heights == ["180.0", "195.0", "170.0"], "leg 3's row is at 210, and 3 degrees are a pixel"
 
 
 async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Path) -> None:

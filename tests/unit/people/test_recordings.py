@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from pydantic import BaseModel, TypeAdapter
 
 from gateway.errors import ConfigError
@@ -33,6 +34,7 @@ from gateway.people.recordings.writing import about
 from gateway.people.ros2.cdr import Message, decode, definition
 from gateway.people.ros2.messages import JointState, Marker, MarkerArray, String, TFMessage, TransformStamped
 from gateway.people.tools.record import repair_file
+from gateway.people.tools.recordings import info
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
@@ -289,6 +291,24 @@ def test_its_contents_are_said_for_people_and_programs(path: Path) -> None:
     assert found.about["watchdog"]["timeout_ms"] > 0
     assert found.as_json()["messages"] == found.messages
     assert any("hexapod/frame" in line for line in found.lines())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert contents(path).lines()[-1].startswith("It ends in the middle: `record --repair` makes it whole")
+
+
+def test_a_strangers_names_do_not_control_the_terminal_and_what_is_empty_is_not_damaged(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Recording(path, time_ns=START_NS, reports={}) as recording:
+        recording.declare("\x1b[2J", "X", {"type": "object"})
+        recording.add("\x1b[2J", {}, START_NS)
+    info(path)
+    assert "1  \ufffd[2J" in capsys.readouterr().out
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.finish()
+    with pytest.raises(ConfigError, match=r"has no message$"):
+        contents(path)
 
 
 def test_a_piece_has_its_seconds_and_what_holds_for_all_of_it(path: Path) -> None:
@@ -300,8 +320,9 @@ def test_a_piece_has_its_seconds_and_what_holds_for_all_of_it(path: Path) -> Non
     assert found.begin_s == pytest.approx(whole.begin_s + 2.0, abs=1e-3)
     assert found.end_s == pytest.approx(whole.begin_s + 3.0, abs=0.01)
     assert drawn_in(piece, DESCRIPTION) == [String(urdf(load()))]
-    with pytest.raises(FileExistsError):
+    with pytest.raises(ConfigError, match="exists; name another file"):
         cut(path, piece, from_s=0, to_s=1)
+    assert contents(piece) == found
     with pytest.raises(ConfigError, match="has no message in that piece of it"):
         cut(path, path.with_name("none.mcap"), from_s=100, to_s=200)
     assert not path.with_name("none.mcap").exists()

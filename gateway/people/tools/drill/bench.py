@@ -55,7 +55,7 @@ class Seen(NamedTuple):
     @property
     def leg(self) -> int:
         """Whose servos it is for."""
-        return self.frame.servos[0][0] // 10
+        return self.frame.leg
 
     @property
     def moves(self) -> bool:
