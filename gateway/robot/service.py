@@ -16,8 +16,7 @@ import zenoh
 
 from gateway import __version__
 from gateway.robot.blackbox.format import STOP_FACTS
-from gateway.robot.blackbox.place import folder_of
-from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder, RingRecorder
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
@@ -132,9 +131,7 @@ def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
 
 
 def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
-    """The black box, if it has a folder."""
-    if folder_of(settings) is None:
-        return NO_RECORDER
+    """The black box, which keeps nothing without a folder."""
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
@@ -144,7 +141,7 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
     stops = stop_note.take()
     if stops is not None:
         facts |= dict(zip(STOP_FACTS, stops, strict=True))
-    return RingRecorder(settings, facts, time.monotonic_ns, time.time_ns)
+    return Recorder(settings, facts, time.monotonic_ns, time.time_ns)
 
 
 def run(

@@ -23,7 +23,7 @@ from statistics import median
 from types import FrameType
 from typing import Any
 
-from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder, RingRecorder
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.outbox import ZenohOutbox
@@ -147,10 +147,8 @@ async def _beat(conductor: Conductor) -> None:
 def main() -> None:
     """Print both as JSON."""
     run_s = float(sys.argv[1]) if len(sys.argv) > 1 else RUN_S
-    recorder = NO_RECORDER
-    for folder in sys.argv[2:]:
-        settings = _settings({"recorder": {"path": folder}})
-        recorder = RingRecorder(settings, {}, time.monotonic_ns, time.time_ns)
+    settings = _settings({"recorder": {"path": "".join(sys.argv[2:])}})
+    recorder = Recorder(settings, {}, time.monotonic_ns, time.time_ns)
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
         calls_each, bytes_each = runner.run(_measure(run_s, recorder))
     print(json.dumps({"calls": calls_each, "bytes": bytes_each}), flush=True)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel
 
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import Frame
@@ -145,6 +146,7 @@ class Scene(SpiDevice):
             self,
             cast(asyncio.AbstractEventLoop, self.loop),
             clock=self.loop.now_ns,
+            recorder=Recorder(self.settings, {}, self.loop.now_ns, self.loop.now_ns),
             simulated=True,
         )
         self.conductor.connect(self._waiting)

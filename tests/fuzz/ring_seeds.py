@@ -14,7 +14,6 @@ import async_solipsism
 from gateway.errors import SpiError
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import header, place
-from gateway.robot.blackbox.recorder import RingRecorder
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.protocol.frames import stop_leg
 from schemas import keys
@@ -72,7 +71,7 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
     """What a gateway records while this happens, as its ring has it."""
 
     async def run(folder: str) -> None:
-        robot = Robot({"recorder": {"path": folder, "seconds": 10}}, RingRecorder)
+        robot = Robot({"recorder": {"path": folder, "seconds": 10}})
         robot.conductor.start()
         robot.conductor.recorder.open()
         robot.conductor.announce_start()

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.robot.blackbox.recorder import ACCEPTED, Heard, RingRecorder
+from gateway.robot.blackbox.recorder import ACCEPTED, Heard, Recorder
 from gateway.robot.core.events import Transmit
 from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
 from gateway.robot.settings import Settings
@@ -15,9 +15,8 @@ from schemas.telemetry import Cause
 
 def writers(folder: Path) -> dict[str, Callable[[], None]]:
     """What writes a record each time that it is called, by the record's name."""
-    recorder = RingRecorder(
-        Settings.model_validate({"recorder": {"path": str(folder)}}), {}, time.monotonic_ns, time.time_ns
-    )
+    settings = Settings.model_validate({"recorder": {"path": str(folder)}})
+    recorder = Recorder(settings, {}, time.monotonic_ns, time.time_ns)
     recorder.open()
     key, target = leg_command(3), ServoOp(Op.SET, 90_00)
     heard = Heard(5_000_000, 1, "put", key, "anna", 12.0, tuple((31 + joint, target) for joint in range(3)))

@@ -7,12 +7,12 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 import asyncio
 import itertools
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
-from gateway.robot.blackbox.recorder import NO_RECORDER, Recorder
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import Frame, decode
@@ -39,13 +39,9 @@ class Robot:
     def __init__(
         self,
         sections: Mapping[str, Mapping[str, Any]] | None = None,
-        record: Callable[..., Recorder] | None = None,
         keep: WriteAndThen | None = None,
     ) -> None:
-        """`record`: makes its black box of the settings and its clock; without it, it has none.
-
-        `keep`: keeps its calibration; without it, it is in memory only.
-        """
+        """`keep`: keeps its calibration; without it, it is in memory only."""
         spi = {"frame_gap_us": 0}  # see _pause
         merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
         self.settings = Settings.model_validate(merged)
@@ -66,7 +62,7 @@ class Robot:
             self.loop,
             clock=self.now_ns,
             simulated=True,
-            recorder=NO_RECORDER if record is None else record(self.settings, {}, self.now_ns, lambda: WALL_NS),
+            recorder=Recorder(self.settings, {}, self.now_ns, lambda: WALL_NS),
             calibration_kept=keep is not None,
         )
         self.conductor.connect(self)

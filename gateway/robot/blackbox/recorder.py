@@ -1,4 +1,4 @@
-"""What the gateway tells its black box. `NO_RECORDER` takes it all and keeps nothing.
+"""What the gateway tells its black box.
 
 Nothing here is on the way of a Stop: it is told of a step once all frames of it are written, and before anybody is
 answered. A command that is carried out at once is one record with its frame.
@@ -82,12 +82,31 @@ class Heard:
 
 
 class Recorder:
-    """The black box, and what it is told. This one keeps nothing."""
+    """The black box, and what it is told. It keeps nothing without a folder, or once that could not be used."""
 
-    incident: str | None = None
-    """The id of the latest incident of this run."""
-    incidents = 0
-    """How many this run has begun."""
+    def __init__(
+        self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
+    ) -> None:
+        """`facts` of the start, for whoever reads it."""
+        self.incident: str | None = None
+        """The id of the latest incident of this run."""
+        self.incidents = 0
+        """How many this run has begun."""
+        self._settings = settings
+        self._clock = clock
+        self._wall_ns = wall_ns
+        self._ring: Ring | None = None
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._append: Callable[[int, int, bytes], None] = self._wait
+        self._clock_ns = 0  # when the time that people read was recorded last
+        self._about_ns = -ABOUT_NS
+        self._first_ns = self._until_ns = 0  # what belongs to the latest incident
+        self._on = place.folder_of(settings) is not None
+        if self._on:
+            self._about = form.about(_about(settings, facts))
+            self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
+        else:
+            self._append = _forget
 
     def __enter__(self) -> Self:
         return self
@@ -102,72 +121,15 @@ class Recorder:
 
     def open(self) -> None:
         """Open the ring. Until then, what comes waits. Never raises."""
-
-    def close(self) -> None:
-        """No more records."""
-
-    def step(self, heard: Heard | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
-        """A step: the command that it took, if it took one, the frames that it wrote, and what became of commands."""
-
-    def mode(self, mode: Mode) -> None:
-        """The gateway's mode changes."""
-
-    def event(
-        self,
-        kind: Kind,
-        source: str | None,
-        key: str | None,
-        reason: str | None,
-        detail: str,
-        left_out: int,
-        legs: tuple[int, ...] = (),
-    ) -> str | None:
-        """An event is published; returns the id of the incident that it belongs to, if it is one."""
-
-    def calibration(self, calibration: Calibration) -> None:
-        """What is in force from now on; to be called at the start, and at each change."""
-
-    def beat(self, lag_ns: int) -> None:
-        """The loop turns, ten times a second; its timer was so late."""
-
-    def mistake(self, detail: str) -> None:
-        """An exception that nobody expected ends the service."""
-
-    def ended(self, why: str) -> None:
-        """The last Stops are written."""
-
-
-NO_RECORDER: Final = Recorder()
-
-
-class RingRecorder(Recorder):
-    """Writes what it is told to a ring."""
-
-    def __init__(
-        self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
-    ) -> None:
-        self._settings = settings
-        self._clock = clock
-        self._wall_ns = wall_ns
-        self._ring: Ring | None = None
-        self._waiting: list[tuple[int, int, bytes]] = []
-        self._append: Callable[[int, int, bytes], None] = self._wait
-        self._clock_ns = 0  # when the time that people read was recorded last
-        self._about = form.about(_about(settings, facts))
-        self._about_ns = -ABOUT_NS
-        self._first_ns = self._until_ns = 0  # what belongs to the latest incident
-        self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
-
-    def open(self) -> None:
         folder = place.folder_of(self._settings)
-        waiting, self._waiting = self._waiting, []
         if folder is None:
             return
+        waiting, self._waiting = self._waiting, []
         try:
             self._ring = Ring(place.prepare(folder), place.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
-            self._append = _forget
+            self._on, self._append, self.incident = False, _forget, None
             return
         if self._ring.note:
             logger.warning(self._ring.note)
@@ -177,12 +139,16 @@ class RingRecorder(Recorder):
         self._ring.announce()  # a gateway that is killed between two looks of the watcher is not missed
 
     def close(self) -> None:
+        """No more records."""
         self._append = _forget
         if self._ring is not None:
             self._ring.close()
             self._ring = None
 
     def step(self, heard: Heard | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
+        """A step: the command that it took, if it took one, the frames that it wrote, and what became of commands."""
+        if not self._on:
+            return
         accepted = 0  # with the only frame of this step: it then needs no Decision
         if len(written) == 1:
             numbers = written[0][0].numbers
@@ -215,6 +181,7 @@ class RingRecorder(Recorder):
         return True
 
     def mode(self, mode: Mode) -> None:
+        """The gateway's mode changes."""
         self._append(form.MODE, self._clock(), form.mode(mode))
 
     def event(
@@ -227,12 +194,16 @@ class RingRecorder(Recorder):
         left_out: int,
         legs: tuple[int, ...] = (),
     ) -> str | None:
+        """An event is published; returns the id of the incident that it belongs to, if it is one."""
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(kind, source, key, reason, detail, left_out))
         what = INCIDENTS.get(kind) if legs or kind not in _IF_LEGS_STOP else None
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:
+        """The loop turns, ten times a second; its timer was so late."""
+        if not self._on:
+            return
         now_ns = self._clock()
         if lag_ns > LAG_NS:
             self._append(form.LAG, now_ns, form.number(lag_ns))
@@ -244,11 +215,13 @@ class RingRecorder(Recorder):
             self._append(form.ABOUT, now_ns, self._about)
 
     def mistake(self, detail: str) -> None:
+        """An exception that nobody expected ends the service."""
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
 
     def calibration(self, calibration: Calibration) -> None:
+        """What is in force from now on; to be called at the start, and at each change."""
         if self._ring is None:
             return
         before, now = self._ring.calibration, form.calibration(report_of(calibration))
@@ -261,10 +234,13 @@ class RingRecorder(Recorder):
         self._ring.calibration = now  # last: who is killed before has it among the records
 
     def ended(self, why: str) -> None:
+        """The last Stops are written."""
         self._append(form.END, self._clock(), form.mode(why))
 
-    def _happened(self, what: str, now_ns: int) -> str:
+    def _happened(self, what: str, now_ns: int) -> str | None:
         """What happens within the time that an incident takes in belongs to it, and prolongs it."""
+        if not self._on:
+            return None
         if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_NS):
             wall_ns = self._wall_ns()
             self.incident = incident_id(wall_ns, what)

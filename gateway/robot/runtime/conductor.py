@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.errors import SpiError
-from gateway.robot.blackbox.recorder import NO_RECORDER, Heard, Recorder
+from gateway.robot.blackbox.recorder import Heard, Recorder
 from gateway.robot.core.events import (
     Announce,
     BusFailed,
@@ -70,9 +70,9 @@ class Conductor:
         loop: asyncio.AbstractEventLoop,
         *,
         clock: Callable[[], int],
+        recorder: Recorder,
         simulated: bool,
         physics: str | None = None,
-        recorder: Recorder = NO_RECORDER,
         owner: Ownership | None = None,
         calibration_kept: bool = False,
     ) -> None:

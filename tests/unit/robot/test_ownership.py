@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import pytest
 
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge.inbox import Inbox
@@ -88,8 +89,17 @@ class Gateway:
         loop = cast(asyncio.AbstractEventLoop, self.loop)
         bus = Bus(self.settings.spi, lambda: self.controller, clock=self.now_ns)
         supervisor = Supervisor(rules(self.settings))
+        recorder = Recorder(self.settings, {}, self.now_ns, self.now_ns)
         self.conductor = Conductor(
-            self.settings, supervisor, bus, self, loop, clock=self.now_ns, simulated=True, owner=self.owner()
+            self.settings,
+            supervisor,
+            bus,
+            self,
+            loop,
+            clock=self.now_ns,
+            recorder=recorder,
+            simulated=True,
+            owner=self.owner(),
         )
         with self.conductor.owner:
             self.conductor.start()
