@@ -32,12 +32,12 @@ from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.edge.upkeep import Upkeep
 from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
-from gateway.robot.host.calibration_file import CalibrationWriter
 from gateway.robot.host.descriptors import Spare
 from gateway.robot.host.directories import runtime_directory
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
+from gateway.robot.host.worker import DiskWriter
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime import prometheus as exposition
@@ -291,7 +291,8 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
     conductor.supervisor.calibrating.load(calibration, fault)
     if fault is not None:
         logger.warning("%s; nothing is started until `%s`", fault, ACCEPT_DEFAULT)
-    return Calibrations(conductor, CalibrationWriter(path, loop, conductor.owner).keep, loop)
+    disk = DiskWriter("keep calibration", loop, conductor.owner)
+    return Calibrations(conductor, lambda new, then: disk.write(partial(calibration_file.write, path, new), then), loop)
 
 
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:

@@ -216,7 +216,7 @@ async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: H
     def hold_up() -> None:
         waited.append(gate.wait(PATIENCE_S))
 
-    held.inbox._replies._work.put(hold_up)
+    held.inbox._replies.do(hold_up)
     asked = session.get(ESTOP, timeout=PATIENCE_S)
     await held.until(lambda: bool(held.estops))
     (each,) = held.estops

@@ -5,15 +5,14 @@ routing tables while somebody declares much; on the loop, Stops would wait with 
 """
 
 import logging
-import queue
-import threading
+from functools import partial
 from typing import Final
 
 import zenoh
 from pydantic import BaseModel
 from zenoh.handlers import Handler, RingChannel
 
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.robot.host.worker import Worker
 from schemas.keys import ALIVE, GATEWAYS
 
 MOST_WAITING: Final = 1000
@@ -29,10 +28,11 @@ class ZenohOutbox:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._matching: dict[str, zenoh.MatchingListener[Handler[zenoh.MatchingStatus]]] = {}
         self._listened_to: dict[str, bool] = {}
-        self._waiting: queue.SimpleQueue[tuple[str, BaseModel] | None] = queue.SimpleQueue()
         self.dropped = 0
         """Reports that nobody got, since too many waited."""
-        self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
+        self._told = 0
+        """Of these, as the log has them."""
+        self._worker = Worker("outbox")
 
     def open(self, session: zenoh.Session) -> None:
         """From now on, publish here; and say that the gateway lives."""
@@ -50,7 +50,6 @@ class ZenohOutbox:
             key: publisher.declare_matching_listener(RingChannel(1)) for key, publisher in self._publishers.items()
         }
         self._token = session.liveliness().declare_token(ALIVE)
-        self._thread.start()
 
     def anyone_listens(self, key: str) -> bool:
         """Whether a report would reach anybody. Without this, an idle gateway worked half as much again."""
@@ -64,26 +63,20 @@ class ZenohOutbox:
         """Send a report to whoever listens. It must not change any more."""
         if key not in self._publishers:
             return
-        if self._waiting.qsize() < MOST_WAITING:
-            self._waiting.put((key, report))
+        if self._worker.waiting < MOST_WAITING:
+            self._worker.do(partial(self._send, key, report))
         else:
             self.dropped += 1
 
     def close(self) -> None:
         """Publish what waits, and end the thread. Blocks; not for the loop's thread."""
-        self._waiting.put(None)
-        if self._thread.is_alive():
-            self._thread.join()
+        self._worker.close()
 
-    def _run(self) -> None:
-        prefer_thread(PAGE_PRIORITY)  # it must not be put aside while it holds the interpreter's lock
-        told = 0
-        while (item := self._waiting.get()) is not None:
-            key, report = item
-            try:
-                self._publishers[key].put(report.model_dump_json())
-            except Exception as error:
-                logger.warning("nothing could be published on %s: %s", key, error)
-            if self.dropped > told and self._waiting.empty():
-                logger.warning("%d reports were not published: too many waited", self.dropped - told)
-                told = self.dropped
+    def _send(self, key: str, report: BaseModel) -> None:
+        try:
+            self._publishers[key].put(report.model_dump_json())
+        except Exception as error:
+            logger.warning("nothing could be published on %s: %s", key, error)
+        if self.dropped > self._told and not self._worker.waiting:
+            logger.warning("%d reports were not published: too many waited", self.dropped - self._told)
+            self._told = self.dropped

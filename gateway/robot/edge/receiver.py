@@ -13,6 +13,7 @@ from zenoh.handlers import Handler
 from gateway.robot.core.message import Reply
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.realtime import RECEIVER_PRIORITY, prefer_thread
+from gateway.robot.host.worker import report_mistake
 
 Deal = Callable[[], float | None]
 """What an owner of the state is to do with an item. Returns for how long to wait before the next one, if at all."""
@@ -68,13 +69,7 @@ class ReceiverThread:
                         pause_s = deal()
                     del deal
                 except Exception as error:
-                    self._tell(error)
+                    report_mistake(self._loop, f"the thread {self.thread.name} failed", error)
                 self._in_hand_ns = None
                 if pause_s is not None:
                     time.sleep(pause_s)
-
-    def _tell(self, error: Exception) -> None:
-        """As if it had happened on the loop, which ends the service after a mistake of our own."""
-        with suppress(RuntimeError):  # the loop is closed: the service has ended
-            context = {"message": f"the thread {self.thread.name} failed", "exception": error}
-            self._loop.call_soon_threadsafe(self._loop.call_exception_handler, context)

@@ -6,24 +6,20 @@ An answer, and the end of a query, wait while the asker's link is full, until Ze
 """
 
 import logging
-import queue
-import threading
-from collections.abc import Callable
 
 import zenoh
 
 from gateway.robot.core.message import Reply
+from gateway.robot.host.worker import Worker
 
 logger = logging.getLogger(__name__)
 
 
-class ReplySender:
+class ReplySender(Worker):
     """Sends answers, and ends queries, in the order in which they come. Nothing here blocks its caller but `close`."""
 
     def __init__(self, name: str) -> None:
-        self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self.thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self.thread.start()
+        super().__init__(name, priority=None)
 
     def to(self, query: zenoh.Query, key: str) -> Reply:
         """A function that answers this query, once; until then its asker waits."""
@@ -35,18 +31,8 @@ class ReplySender:
             except zenoh.ZError as error:
                 logger.warning("a reply on %s could not be sent: %s", key, error)
 
-        return lambda payload: self._work.put(lambda: send(payload))
+        return lambda payload: self.do(lambda: send(payload))
 
     def let_go(self, query: zenoh.Query) -> None:
         """End a query that is answered elsewhere. The last to let go of it sends its end, which may wait as well."""
-        self._work.put(query.drop)
-
-    def close(self) -> None:
-        """Send what waits, and end the thread."""
-        self._work.put(None)
-        self.thread.join()
-
-    def _run(self) -> None:
-        while (work := self._work.get()) is not None:
-            work()
-            del work  # and with it the query
+        self.do(query.drop)

@@ -4,16 +4,12 @@ A file that is broken, cut off or of another version is an error and not a defau
 servo would go where nobody sent it.
 """
 
-import asyncio
 import glob
 import json
 import math
 import os
-import queue
 import stat
-import threading
 import tomllib
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -27,8 +23,6 @@ from gateway import durable
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
 from gateway.robot.host.directories import SERVICE_STATE, state_directory
-from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import Settings
 from schemas import calibration as wire
@@ -152,55 +146,6 @@ def _keep_previous(path: Path) -> None:
     os.link(path, copy)
     for old in previous(path)[KEPT:]:
         old.unlink()
-
-
-# ---- on a thread of its own
-
-
-Then = Callable[[str | None], None]
-"""What the owner of the state is to do after a write; with a sentence, where the old calibration stays."""
-
-
-class CalibrationWriter:
-    """One file, and the thread that writes it. A write that never ends keeps its own caller waiting and nobody else."""
-
-    def __init__(
-        self,
-        path: Path,
-        loop: asyncio.AbstractEventLoop,
-        owner: Ownership,
-        write: Callable[[Path, Calibration], None] = write,
-    ) -> None:
-        self._path = path
-        self._loop = loop
-        self._owner = owner
-        self._write = write
-        self._work: queue.SimpleQueue[tuple[Calibration, Then]] = queue.SimpleQueue()
-        threading.Thread(target=self._run, name="keep calibration", daemon=True).start()
-
-    def keep(self, calibration: Calibration, then: Then) -> None:
-        """Write it, and then, as owner of the state, call `then`. Returns at once."""
-        self._work.put((calibration, then))
-
-    def _run(self) -> None:
-        prefer_thread(PAGE_PRIORITY)
-        while True:
-            calibration, then = self._work.get()
-            try:
-                fault = self._written(calibration)
-                with self._owner:
-                    then(fault)
-            except Exception as error:  # as if it had happened on the loop: a mistake of our own ends the service
-                context = {"message": "the calibration could not be kept", "exception": error}
-                with suppress(RuntimeError):  # the loop is closed: the service has ended
-                    self._loop.call_soon_threadsafe(self._loop.call_exception_handler, context)
-
-    def _written(self, calibration: Calibration) -> str | None:
-        try:
-            self._write(self._path, calibration)
-        except ConfigError as error:
-            return str(error)
-        return None
 
 
 # ---- as text

@@ -10,20 +10,19 @@ import os
 import select
 import threading
 from collections.abc import Callable
-from queue import SimpleQueue
+from functools import partial
 from typing import Final
 
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.robot.host.worker import Worker
 
 KEPT: Final = 1000
 """Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""
 
 
 class LogWriter:
-    """One descriptor, its queue and its thread.
+    """One descriptor, and the thread that writes to it.
 
-    `put` never waits: `SimpleQueue` has no lock that a thread could hold while it waits for a processor. When several
-    threads put lines at the same moment, a few more than `KEPT` may wait.
+    `put` never waits. When several threads put lines at the same moment, a few more than `KEPT` may wait.
     """
 
     def __init__(self, descriptor: int, render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage):
@@ -31,40 +30,35 @@ class LogWriter:
         self.dropped = 0
         """Lines that were not written: nobody read what came before them, or writing failed."""
         self._render = render
-        self._waiting: SimpleQueue[logging.LogRecord | str | None] = SimpleQueue()
+        self._told = 0
+        """Of these, as it has been written."""
         self._full = False
-        self._thread = threading.Thread(target=self._run, name=f"log_writer-{descriptor}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"log_writer-{descriptor}")
 
     def put(self, item: logging.LogRecord | str) -> None:
         """Queue this to be written: a record as one line, a text as it is."""
-        waiting = self._waiting.qsize()
+        waiting = self._worker.waiting
         if waiting >= KEPT or (self._full and waiting > KEPT // 2):
             self._full = True
             self.dropped += 1
             return
         self._full = False
-        self._waiting.put(item)
+        self._worker.do(partial(self._write, item))
 
     def close(self, timeout_s: float) -> None:
         """Write the lines that wait, for at most this long."""
-        self._waiting.put(None)
-        self._thread.join(timeout_s)
+        self._worker.close(timeout_s)
 
     # ---- on the thread
 
-    def _run(self) -> None:
-        # Rendering holds the interpreter's lock, so this thread must not be preempted meanwhile: see realtime.py.
-        prefer_thread(PAGE_PRIORITY)
-        told = 0
-        while (item := self._waiting.get()) is not None:
-            written = self._write(item)
-            dropped = self.dropped
-            if written and dropped != told and self._waiting.qsize() <= KEPT // 2:
-                self._write(_left_out(dropped - told))
-                told = dropped
+    def _write(self, item: logging.LogRecord | str) -> None:
+        written = self._write_item(item)
+        dropped = self.dropped
+        if written and dropped != self._told and self._worker.waiting <= KEPT // 2:
+            self._write_item(_left_out(dropped - self._told))
+            self._told = dropped
 
-    def _write(self, item: logging.LogRecord | str) -> bool:
+    def _write_item(self, item: logging.LogRecord | str) -> bool:
         try:
             text = item if isinstance(item, str) else f"{self._render(item)}\n"
             self._write_bytes(text.encode(errors="backslashreplace"))

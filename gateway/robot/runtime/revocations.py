@@ -1,7 +1,6 @@
 """The list of who is shut out: kept, and then put in force by a service that starts anew, legs stopped first."""
 
 import asyncio
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -15,6 +14,7 @@ from gateway.robot.core.message import Reply
 from gateway.robot.edge import revoked
 from gateway.robot.edge.receiver import Deal
 from gateway.robot.edge.revoked import Kept
+from gateway.robot.host.worker import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from schemas import keys
@@ -48,6 +48,7 @@ class Revocations(RequestAnswers):
         self._kept = kept
         self._loop = loop
         self._begin_again = begin_again
+        self._disk = DiskWriter("keep list", loop, conductor.owner)
         self._keeps = False
         """A list is being written; the service starts anew once it is."""
 
@@ -89,20 +90,13 @@ class Revocations(RequestAnswers):
             return
         self._keeps = True
         # A disk may take seconds, and no Stop waits for one.
-        threading.Thread(target=self._write, args=(kept, found, reply), name="keep list", daemon=True).start()
+        self._disk.write(partial(revoked.keep, kept.path, found), partial(self._put_in_force, kept, found, reply))
 
-    def _write(self, kept: Kept, found: "RevocationList", reply: Reply) -> None:
-        try:
-            revoked.keep(kept.path, found)
-        except ConfigError as error:
-            done = partial(self.reject, None, Reason.REVOCATION_DENIED, str(error), reply)
-        else:
-            done = partial(self._put_in_force, kept, found, reply)
-        with self._conductor.owner:
-            self._keeps = False
-            done()
-
-    def _put_in_force(self, kept: Kept, found: "RevocationList", reply: Reply) -> None:
+    def _put_in_force(self, kept: Kept, found: "RevocationList", reply: Reply, fault: str | None) -> None:
+        self._keeps = False
+        if fault is not None:
+            self.reject(None, Reason.REVOCATION_DENIED, fault, reply)
+            return
         known = frozenset() if kept.known is None else kept.known.common_names
         self._kept = kept._replace(known=found)  # or an older list could still take its place before the service ends
         names = ", ".join(sorted(found.common_names - known)) or "nobody else"
