@@ -246,7 +246,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     merged = from_file
     for place, (_, value) in variables.items():
         merged = _put(merged, place, value)
-    lines += [f"{path or DEFAULT_PATH}: {_dotted(place)}: {sentence}" for place, sentence in in_file]
+    lines += [f"{path or DEFAULT_PATH}: {dotted(place)}: {sentence}" for place, sentence in in_file]
     lines += faults
     lines += [
         f"{' and '.join(named)}: {sentence}"
@@ -374,11 +374,18 @@ def _faults(values: dict[str, Any] | str) -> list[Fault]:
         else:
             Settings.model_validate(values)
     except ValidationError as error:
-        return [(fault["loc"], _sentence(fault)) for fault in error.errors(include_url=False)]
+        return faults_of(error)
     return []
 
 
+def faults_of(error: ValidationError) -> list[Fault]:
+    """A sentence for each fault of a file that people write."""
+    return [(fault["loc"], _sentence(fault)) for fault in error.errors(include_url=False)]
+
+
 def _sentence(fault: ErrorDetails) -> str:
+    if fault["type"] == "missing":
+        return MISSING
     if fault["type"] == "extra_forbidden":
         return "is no setting"
     if fault["type"] == "value_error":  # a sentence of our own
@@ -386,7 +393,7 @@ def _sentence(fault: ErrorDetails) -> str:
     return f"{_echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
-def _dotted(place: Place) -> str:
+def dotted(place: Place) -> str:
     """`spi.speed_hz`, `zenoh.listen[0]`; names that are no bare keys of TOML in quotes."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in place)
     return text.removeprefix(".")
@@ -403,4 +410,5 @@ def _echo(value: object) -> str:
     return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"
 
 
+MISSING: Final = "is missing"
 _MAX_ECHO: Final = 80

@@ -6,7 +6,6 @@ servo would go where nobody sent it.
 
 import glob
 import json
-import math
 import os
 import stat
 import tomllib
@@ -16,15 +15,14 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gateway import durable
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
 from gateway.robot.host.directories import SERVICE_STATE, state_directory
 from gateway.robot.protocol.frames import centidegrees
-from gateway.robot.settings import Settings
+from gateway.robot.settings import MISSING, Settings, dotted, faults_of
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 
@@ -161,15 +159,7 @@ def to_toml(calibration: Calibration) -> str:
     return "\n".join([*lines, "", "[end]", f"of_revision = {report.revision}", ""])
 
 
-def _degrees(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError("it is a number of degrees")
-    if abs(value) > 360:
-        raise ValueError("that is more than a turn")
-    return value
-
-
-Degrees = Annotated[float, PlainValidator(_degrees)]
+Degrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 
 
 class _Servo(wire.ServoCalibration):
@@ -192,7 +182,6 @@ class _File(BaseModel):
 
 
 _WHOLE: Final = "a whole calibration names every servo and all of its numbers"
-_EXPECTED: Final = {"bool_type": "it is true or false", "dict_type": "it is a table", "model_type": "it is a table"}
 
 
 def from_toml(text: str) -> Calibration:
@@ -207,7 +196,8 @@ def from_toml(text: str) -> Calibration:
     try:
         found = _File.model_validate(values)
     except ValidationError as error:
-        raise ValueError(_sentence(error.errors(include_url=False)[0])) from None
+        place, sentence = faults_of(error)[0]
+        raise ValueError(f"{dotted(place)}: {sentence}{f'; {_WHOLE}' if sentence == MISSING else ''}") from None
     if found.end != {"of_revision": found.revision}:
         raise ValueError(
             f"the last line is not of_revision = {found.revision}; the file was cut off, or half of it changed"
@@ -220,21 +210,6 @@ def from_toml(text: str) -> Calibration:
         {_servo_id(name): ServoCalibration.of_report(servo) for name, servo in found.servos.items()},
         {_servo_id(name): centidegrees(angle_deg) for name, angle_deg in found.landing.items()},
     )
-
-
-def _sentence(fault: ErrorDetails) -> str:
-    *table, name = fault["loc"]
-    where = ".".join(map(str, table))
-    match fault["type"]:
-        case "missing":
-            return f"{where or 'the file'} has no {name}; {_WHOLE}"
-        case "extra_forbidden":
-            return f"{where or 'the file'} has {name!r}, which is not known here"
-        case "value_error":
-            expected = str(fault["ctx"]["error"])
-        case kind:
-            expected = _EXPECTED.get(kind, "it is a whole number")
-    return f"{'.'.join(map(str, fault['loc']))} is {fault['input']!r}; {expected}"
 
 
 def _servo_id(name: str) -> int:
