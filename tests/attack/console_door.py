@@ -15,6 +15,7 @@ from typing import Final
 
 from gateway import certs
 from gateway.people.console.register import Register
+from tests.benchmarks.processes import rss_kb, threads
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -126,19 +127,6 @@ class DoorStand(Closing):
             for child in children:
                 child.close()
 
-    def descriptors(self) -> int:
-        """How many files the console has open."""
-        return len(os.listdir(f"/proc/{self.console.pid}/fd"))
-
-    def threads(self) -> int:
-        """How many threads it has."""
-        return len(os.listdir(f"/proc/{self.console.pid}/task"))
-
-    def memory_mb(self) -> float:
-        """What it takes."""
-        status = Path(f"/proc/{self.console.pid}/status").read_text()
-        return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmRSS"))
-
     def close(self) -> None:
         self._stack.close()
 
@@ -169,7 +157,8 @@ def main() -> None:
                 quiet_ms = stand.press()
                 with attack(kind, count):
                     print(row(f"{kind}, {count}", quiet_ms, stand.press()), flush=True)
-        print(f"{stand.memory_mb():.0f} MB, {stand.threads()} threads")
+        pid = stand.console.pid
+        print(f"{rss_kb(pid) / 1024:.0f} MB, {threads(pid)} threads")
 
 
 if __name__ == "__main__":

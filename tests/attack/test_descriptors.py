@@ -14,6 +14,7 @@ from gateway.limits import MAX_SESSIONS
 from gateway.robot.edge.connection_limiter import VISITORS
 from gateway.robot.host.descriptors import NEEDED
 from schemas.telemetry import Mode
+from tests.benchmarks.processes import fds
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS
 from tests.support.gateway_process import Gateway
@@ -67,14 +68,14 @@ def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path:
         secured.client("anna") as anna,
         ExitStack() as end,
     ):
-        heard = states(anna)
+        heard, pid = states(anna), secured.gateway.child.pid
         assert anna.start_leg(3, 90, 90, 90).accepted
         for _ in range(LIMIT):
             end.enter_context(closing(socket.create_connection((HOST, secured.port))))
-        wait_until(lambda: secured.descriptors() == LIMIT)
+        wait_until(lambda: fds(pid) == LIMIT)
         spi_testbed.remove_node()
         heard.wait(lambda state: state.mode is Mode.BUS_FAULT)
-        wait_until(lambda: secured.descriptors() == LIMIT)  # the device's own has been taken, too
+        wait_until(lambda: fds(pid) == LIMIT)  # the device's own has been taken, too
         known = len(spi_testbed.transfers)
         spi_testbed.restore_node()
         heard.wait(lambda state: state.mode is Mode.IDLE)

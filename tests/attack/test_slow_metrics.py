@@ -1,6 +1,5 @@
 """Somebody connects to the metrics, again and again, and says nothing: a scrape is answered, and Stops are on time."""
 
-import os
 import socket
 import time
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import pytest
 from gateway.client import Client
 from gateway.robot.runtime.metrics_page import MOST_A_SECOND, WAITING
 from schemas.telemetry import Cause
+from tests.benchmarks.processes import fds, threads
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
 from tests.zenoh.test_metrics import read, value
@@ -29,58 +29,42 @@ LATE_MS = 100
 """Generous: a Stop is some 2 ms late at worst, also on a busy machine that gives real-time priority."""
 
 
-class Crowd:
-    """Connections that send `said`, and nothing more."""
-
-    def __init__(self, address: tuple[str, int], said: bytes) -> None:
-        self._address = address
-        self._said = said
-        self._stack = ExitStack()
-
-    def connect(self, count: int) -> None:
-        for _ in range(count):
-            connection = self._stack.enter_context(socket.create_connection(self._address, 10))
-            connection.sendall(self._said)
-
-    def close(self) -> None:
-        self._stack.close()
+def connect(address: str, timeout_s: float = 10) -> socket.socket:
+    host, _, port = address.rpartition(":")
+    return socket.create_connection((host, int(port)), timeout_s)
 
 
 @contextmanager
-def attacked(folder: Path, said: bytes) -> Iterator[tuple[Gateway, str, Crowd]]:
-    """A gateway, the address of its metrics, and a crowd at that address."""
-    port = free_port()
-    address = f"127.0.0.1:{port}"
+def attacked(folder: Path) -> Iterator[tuple[Gateway, str]]:
+    """A gateway with few descriptors, and the address of its metrics."""
+    address = f"127.0.0.1:{free_port()}"
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"metrics": address, "frames": True},
         "watchdog": {"timeout_ms": 20, "repeats": 0},
     }
     limited = ["prlimit", f"--nofile={DESCRIPTORS}", "--"]
-    crowd = Crowd(("127.0.0.1", port), said)
     with Gateway(folder, settings, prefix=limited) as gateway:
-        try:
-            yield gateway, address, crowd
-        finally:
-            crowd.close()
+        yield gateway, address
 
 
 @pytest.mark.parametrize("said", [b"", b"GET /metrics HTTP/1.1\r\nHost: rob"])
 def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Path, said: bytes) -> None:
-    with attacked(tmp_path, said) as (gateway, address, crowd), gateway.client() as client:
-        before = threads(gateway)
-        crowd.connect(SILENT)
+    with attacked(tmp_path) as (gateway, address), gateway.client() as client, ExitStack() as crowd:
+        before, pid = python_threads(gateway), gateway.child.pid
+        for _ in range(SILENT):
+            crowd.enter_context(connect(address)).sendall(said)
         let_expire(client, 5)
         samples = read(address)
         assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5
-        assert threads(gateway) == before, "no thread for a connection"
-        assert len(os.listdir(f"/proc/{gateway.child.pid}/task")) <= THREADS
-        assert len(os.listdir(f"/proc/{gateway.child.pid}/fd")) < DESCRIPTORS - 50
+        assert python_threads(gateway) == before, "no thread for a connection"
+        assert threads(pid) <= THREADS
+        assert fds(pid) < DESCRIPTORS - 50
         latency = client.state().watchdog.stop_latency_us
         assert latency.max is not None
         assert latency.max < LATE_MS * 1000
 
 
-def threads(gateway: Gateway) -> int:
+def python_threads(gateway: Gateway) -> int:
     """How many threads are Python's: those of Zenoh have names of their own, and more come on a busy machine."""
     tasks = Path(f"/proc/{gateway.child.pid}/task")
     names = []
@@ -100,23 +84,22 @@ def let_expire(client: Client, times: int) -> None:
 
 def test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more(tmp_path: Path) -> None:
     """80 slow readers, each of which connects anew as soon as its connection ends."""
-    with attacked(tmp_path, b"") as (gateway, address, _), gateway.client() as client:
-        host, _, port = address.rpartition(":")
-        before, until_s = threads(gateway), time.monotonic() + READ_S
+    with attacked(tmp_path) as (gateway, address), gateway.client() as client:
+        before, until_s = python_threads(gateway), time.monotonic() + READ_S
         with ThreadPoolExecutor(READERS) as pool:
-            counts = [pool.submit(answered, (host, int(port)), until_s) for _ in range(READERS)]
+            counts = [pool.submit(answered, address, until_s) for _ in range(READERS)]
             let_expire(client, 5)
-            assert threads(gateway) == before
+            assert python_threads(gateway) == before
         answers = sum(count.result() for count in counts)
         assert READ_S * MOST_A_SECOND / 4 < answers <= (READ_S + 1) * MOST_A_SECOND + WAITING
         assert value(read(address), "hexapod_frames_written_total", cause="watchdog") == 5
 
 
-def answered(address: tuple[str, int], until_s: float) -> int:
+def answered(address: str, until_s: float) -> int:
     """How many of its requests got an answer, of which one byte is read."""
     count = 0
     while time.monotonic() < until_s:
-        with suppress(OSError), socket.create_connection(address, 1) as connection:
+        with suppress(OSError), connect(address, 1) as connection:
             connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: robot\r\n\r\n")
             count += bool(connection.recv(1))
     return count

@@ -23,9 +23,9 @@ def cpu_ns(pid: int) -> int:
     return total
 
 
-def rss_kb(pid: int) -> int:
-    """Resident memory."""
-    return _status(pid, "VmRSS")
+def rss_kb(pid: int, field: str = "VmRSS") -> int:
+    """Resident memory now, or at most (VmHWM)."""
+    return _status(pid, field)
 
 
 def threads(pid: int) -> int:

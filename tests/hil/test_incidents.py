@@ -1,4 +1,7 @@
-"""One incident of each kind, from the real service on the emulated device: kept, readable, and the same as the wire."""
+"""One incident of each kind, from the real service on the emulated device: kept, readable, and the same as the wire.
+
+As systemd runs it: with the service's runtime directory, and `stop-servos` after an end that was none.
+"""
 
 import errno
 import signal
@@ -72,8 +75,10 @@ KINDS: dict[str, Callable[[Client, SpiTestbed, Child], None]] = {
 
 
 def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Five gateways one after the other, on one ring: an end begins the next incident anew."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    """Six gateways one after the other, on one ring: an end begins the next incident anew."""
+    run_folder = tmp_path / "run"
+    run_folder.mkdir()
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(run_folder))
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = write_settings(
         tmp_path / "gateway.toml",
@@ -88,21 +93,36 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
     )
     for happens in KINDS.values():
         run(spi_testbed, config, endpoint, happens)
+    before_crash = frames_on(spi_testbed)
+    stop = spi_testbed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
+    assert stop.wait(LATE_S) == 0, str(stop)
+    by_stop_servos = len(frames_on(spi_testbed)) - len(before_crash)
+    run(spi_testbed, config, endpoint, lambda *_: None)
+    assert not (run_folder / "stop-servos").exists(), "the next start is told of its own"
     keeper = spi_testbed.spawn([*COMMAND, "incidents", "keep", "--once", "--config", str(config)])
     assert keeper.wait(60) == 0, str(keeper)
     found = {path.stem.split("-", 3)[-1]: path for path in sorted((tmp_path / "box" / "incidents").glob(f"*{SUFFIX}"))}
     assert found.keys() == KINDS.keys()
 
-    on_wire = [each for each in spi_testbed.transfers if each.delivered and len(each.data) == 14]
-    shown = frames_in(found["crash"])
-    assert shown == [each.data.hex() for each in on_wire[-len(shown) :]]
+    shown = " ".join(frames_in(found["crash"]))
+    after = frames_on(spi_testbed)[len(before_crash) + by_stop_servos :]
+    assert shown in " ".join(each.data.hex() for each in before_crash + after)
     # All five, or on a busy machine as many as come within the ten seconds before the last.
-    assert len(shown) >= sum(each.monotonic_ns > on_wire[-1].monotonic_ns - BEFORE_NS for each in on_wire)
+    since_ns = before_crash[-1].monotonic_ns - BEFORE_NS
+    assert " ".join(each.data.hex() for each in before_crash if each.monotonic_ns > since_ns) in shown
     for kind, path in found.items():
         story = Child([*COMMAND, "incidents", "show", path.stem, "--config", str(config)], spi_testbed.environment)
         assert story.wait(30) == 0, str(story)
         assert story.stdout.startswith(f"{path.stem}: "), kind
         assert "last command of leg 3 (hil, start 90 45 120)" in story.stdout, kind
+        if kind == "crash":
+            told = (
+                "ended without a word",
+                "stop-servos has written a Stop to each of the six legs",
+                "a gateway starts",
+            )
+            places = [story.stdout.rindex(text) for text in told]
+            assert places == sorted(places), story.stdout
         story.close()
 
 
@@ -117,6 +137,11 @@ def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client,
         gateway.send_signal(signal.SIGTERM)
     gateway.wait(LATE_S)
     gateway.close()
+
+
+def frames_on(bed: SpiTestbed) -> list[Transfer]:
+    """The frames that the controller got."""
+    return [each for each in bed.transfers if each.delivered and len(each.data) == 14]
 
 
 def frames_in(path: Path) -> list[str]:

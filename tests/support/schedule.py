@@ -31,7 +31,6 @@ ALONE: Final = (
     "attack/test_console_strangers.py",
     "attack/test_console_starved.py",
     "zenoh/test_replay.py",  # where the machine stalls, a setpoint and the Stop behind it are one instant
-    "hil/test_crash_story.py",  # an incident takes in five seconds after the end
 )
 """What measures time or fills the machine: `make test` runs these last, one at a time."""
 ATTENDED: Final = (

@@ -1,4 +1,4 @@
-"""A gateway on the simulated controller with the certificates that `certs` makes, and what its process takes."""
+"""A gateway on the simulated controller with the certificates that `certs` makes."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -56,12 +56,3 @@ class Secured(Closing):
     def session(self, name: str, **overrides: Any) -> zenoh.Session:
         """A session with that certificate, and nothing of ours besides."""
         return zenoh.open(self.raw(name, **overrides))
-
-    def memory_mb(self, field: str = "VmRSS") -> float:
-        """What the gateway's process takes now (VmRSS), or took at most (VmHWM)."""
-        status = Path(f"/proc/{self.gateway.child.pid}/status").read_text()
-        return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith(field))
-
-    def descriptors(self) -> int:
-        """How many files the gateway's process has open."""
-        return len(list(Path(f"/proc/{self.gateway.child.pid}/fd").iterdir()))
