@@ -9,7 +9,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,7 +20,7 @@ from gateway.robot.host.log_writer import KEPT
 from schemas import keys
 from schemas.telemetry import Ack, Cause
 from tests.support.closing import Closing
-from tests.support.gateway_process import COMMAND, free_port, write_settings
+from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.support.heard import frames
 from tests.zenoh.test_metrics import read, value
 
@@ -33,7 +33,8 @@ class Stuck(Closing):
 
     def __init__(self, ours: int, theirs: int, path: str) -> None:
         """`path` leads to the same as `theirs`."""
-        self.theirs = theirs
+        self.path = path
+        self._theirs = theirs
         self._reader = os.fdopen(ours, errors="replace")
         # An opening of its own: the one that the gateway gets must go on blocking.
         self._more = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -41,7 +42,7 @@ class Stuck(Closing):
     @classmethod
     def pipe(cls) -> Self:
         ours, theirs = os.pipe()
-        return cls(ours, theirs, f"/proc/self/fd/{theirs}")
+        return cls(ours, theirs, f"/proc/{os.getpid()}/fd/{theirs}")
 
     @classmethod
     def terminal(cls) -> Self:
@@ -66,48 +67,27 @@ class Stuck(Closing):
         yield from self._reader
 
     def _let_go(self) -> None:
-        if self.theirs >= 0:
-            os.close(self.theirs)
+        if self._theirs >= 0:
+            os.close(self._theirs)
             os.close(self._more)
-        self.theirs = -1
+        self._theirs = -1
 
 
-class Unread:
-    """A gateway whose output goes to files of ours."""
-
-    def __init__(self, folder: Path, *, stdout: int, stderr: int, **sections: dict[str, Any]) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        settings: dict[str, dict[str, Any]] = {
-            "zenoh": {"listen": [self.endpoint]},
-            "telemetry": {"frames": True},
-            **sections,
-        }
-        config = write_settings(folder / "gateway.toml", settings)
-        self.process = subprocess.Popen(
-            [*COMMAND, "run", "--sim", "--config", config], stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
-        )
-
-    def client(self) -> Client:
-        """A client, once the gateway answers."""
-        with Client(self.endpoint, timeout_s=20) as client:
-            client.state()
-        return Client(self.endpoint, timeout_s=ANSWER_S)
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait()
+def unread(folder: Path, *, stdout: str, stderr: str, **sections: dict[str, Any]) -> Gateway:
+    """A gateway whose output goes to these files."""
+    settings = {"telemetry": {"frames": True}, **sections}
+    redirected = ["sh", "-c", f'exec "$@" >{stdout} 2>{stderr}', "sh"]
+    return Gateway(folder, settings, prefix=redirected, wait=False)
 
 
-@contextmanager
-def unread(folder: Path, *, stdout: int, stderr: int, **sections: dict[str, Any]) -> Iterator[Unread]:
-    gateway = Unread(folder, stdout=stdout, stderr=stderr, **sections)
-    try:
-        yield gateway
-    finally:
-        gateway.close()
+def client_of(gateway: Gateway) -> Client:
+    """A client, once the gateway answers."""
+    with Client(gateway.endpoint, timeout_s=20) as client:
+        client.state()
+    return Client(gateway.endpoint, timeout_s=ANSWER_S)
 
 
-def check_stops_come(gateway: Unread, client: Client) -> None:
+def check_stops_come(gateway: Gateway, client: Client) -> None:
     """The watchdog's, the emergency stop's, and those of the end, with exit code 0."""
     heard = frames(client)
     assert client.start_leg(3, 90, 45, 120).accepted
@@ -115,9 +95,9 @@ def check_stops_come(gateway: Unread, client: Client) -> None:
     heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, timeout_s=ANSWER_S)
     assert client.estop().stop_frames == 6
     begun = time.monotonic()
-    gateway.process.send_signal(signal.SIGTERM)
+    gateway.child.terminate()
     heard.wait(lambda frame: frame.cause is Cause.SHUTDOWN, count=6, timeout_s=ANSWER_S)
-    assert gateway.process.wait(10) == 0
+    assert gateway.child.wait(10) == 0
     assert time.monotonic() - begun < 1.5
 
 
@@ -126,22 +106,15 @@ def rejected(client: Client) -> Ack:
     return client.ask(keys.leg_command(1), {"servos": []})
 
 
+@pytest.mark.parametrize("full_before", [False, True])
 @pytest.mark.parametrize("make", [Stuck.pipe, Stuck.terminal])
-def test_whatever_nobody_reads_holds_no_stop(tmp_path: Path, make: Callable[[], Stuck]) -> None:
-    """A journal that is stuck: tests/box."""
-    with (
-        make() as stuck,
-        unread(tmp_path, stdout=stuck.theirs, stderr=stuck.theirs) as gateway,
-        gateway.client() as client,
-    ):
-        stuck.fill()
-        check_stops_come(gateway, client)
-
-
-def test_it_starts_where_nobody_has_read_for_long(tmp_path: Path) -> None:
-    with Stuck.pipe() as stuck:
-        stuck.fill()
-        with unread(tmp_path, stdout=stuck.theirs, stderr=stuck.theirs) as gateway, gateway.client() as client:
+def test_whatever_nobody_reads_holds_no_stop(tmp_path: Path, make: Callable[[], Stuck], full_before: bool) -> None:
+    """Nor its start, where nobody has read for long. A journal that is stuck: tests/box."""
+    with make() as stuck:
+        if full_before:
+            stuck.fill()
+        with unread(tmp_path, stdout=stuck.path, stderr=stuck.path) as gateway, client_of(gateway) as client:
+            stuck.fill()
             check_stops_come(gateway, client)
 
 
@@ -154,9 +127,9 @@ def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Pat
     }
     with (
         Stuck.pipe() as stuck,
-        unread(tmp_path, stdout=subprocess.DEVNULL, stderr=stuck.theirs, **sections) as gateway,
+        unread(tmp_path, stdout=os.devnull, stderr=stuck.path, **sections) as gateway,
     ):
-        with gateway.client() as client:
+        with client_of(gateway) as client:
             stuck.fill()
             for _ in range(KEPT // 6 + 10):
                 assert client.stop().accepted
@@ -167,22 +140,16 @@ def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Pat
             assert said == f"{dropped:.0f} lines were left out here, since nobody read them in time"
             assert not rejected(client).accepted
             assert "command_rejected" in next(line for line in lines if "rejected" in line), "it flows again"
-        gateway.process.terminate()
+        gateway.child.terminate()
         assert any("stopping" in line for line in lines), "to the end"
-        assert gateway.process.wait(10) == 0
+        assert gateway.child.wait(10) == 0
 
 
 def test_no_file_takes_the_place_of_a_closed_stderr(tmp_path: Path) -> None:
     """The next file that was opened would have its number: what is said there would go to the SPI device."""
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
-    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *COMMAND, "run", "--sim", "--config", str(config)]
-    with subprocess.Popen(closed) as process:
-        endpoint = json.loads(config.read_text().partition("listen = ")[2].splitlines()[0])[0]
-        with Client(endpoint, timeout_s=20) as client:
-            client.state()
-            files = [os.readlink(f"/proc/{process.pid}/fd/{number}") for number in range(3)]
-        process.terminate()
-        assert process.wait(10) == 0
+    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
+    with Gateway(tmp_path, prefix=closed, wait=False) as gateway, client_of(gateway):
+        files = [os.readlink(f"/proc/{gateway.child.pid}/fd/{number}") for number in range(3)]
     assert files == [os.devnull] * 3
 
 
