@@ -137,7 +137,6 @@ class Conductor:
 
     def shut_down(self) -> bool:
         """Reject all commands from now on, and stop all six legs: whether all Stops were written without a fault."""
-        self._reopen_timer.cancel()
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt: the Stops below are worth it
         stop_frames = self._step(ShutDown()).stop_frames(Cause.SHUTDOWN)
