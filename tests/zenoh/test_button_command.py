@@ -95,8 +95,3 @@ def test_two_of_one_name_do_not_take_it_from_each_other_for_ever(
             first.press("j")
             assert first.wait_for_end() == 1
             alive(watcher, "kitchen")
-
-
-def test_without_a_terminal_it_ends_with_1(gateway: Gateway) -> None:
-    end = gateway.run("button")
-    assert (end.returncode, "button needs a terminal" in end.stderr) == (1, True)

@@ -125,14 +125,6 @@ def drain(master: int, reads: threading.Event) -> None:
             os.read(master, 65536)
 
 
-def test_a_killed_one_is_stopped_by_the_watchdog(quick: Gateway, tmp_path: Path) -> None:
-    with quick.client() as client, calibrating(tmp_path, quick.endpoint) as terminal:
-        before = client.state().watchdog.expirations
-        os.kill(terminal.pid, signal.SIGKILL)
-        state = states(client).wait(lambda state: not runs(state) and state.lease.holder is None)
-        assert state.watchdog.expirations == before + 1
-
-
 def test_a_link_that_is_cut_stops_the_servo_and_says_so_and_nothing_starts_when_it_is_back(
     quick: Gateway, tmp_path: Path
 ) -> None:

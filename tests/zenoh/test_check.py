@@ -15,7 +15,8 @@ from gateway.people.tools.check import device, machine, network
 from gateway.people.tools.check.result import Verdict
 from gateway.robot.settings import SpiSettings, ZenohSettings
 from tests.support.certs_folder import DAY, NOW
-from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.command import Ended, run_here
+from tests.support.gateway_process import Gateway, free_port, write_settings
 from tests.support.router import zenoh_listening
 
 OK, WARNING, FAILURE = Verdict.OK, Verdict.WARNING, Verdict.FAILURE
@@ -24,9 +25,8 @@ OK, WARNING, FAILURE = Verdict.OK, Verdict.WARNING, Verdict.FAILURE
 SPI = {"spi": {"framing": "length-prefixed"}}
 
 
-def check(config: Path, **env: str) -> "subprocess.CompletedProcess[str]":
-    command = [*COMMAND, "check", "--config", str(config)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60, env={**os.environ, **env})
+def check(config: Path) -> Ended:
+    return run_here("check", "--config", str(config))
 
 
 def lines(config: Path, name: str) -> list[str]:
@@ -37,10 +37,13 @@ def lines(config: Path, name: str) -> list[str]:
 # ---- the command
 
 
-def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(tmp_path: Path) -> None:
+def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HEXAPOD_LOG__LEVEL", "loud")
     config = tmp_path / "gateway.toml"
     config.write_text('[spi]\nframing = "plain"\nspeed_hz = 0\n[wings]\n')
-    said = check(config, HEXAPOD_LOG__LEVEL="loud")
+    said = check(config)
     assert (said.returncode, said.stderr) == (1, "")
     *found, last = said.stdout.splitlines()
     faults = [line for line in found if line.startswith("failure  configuration")]

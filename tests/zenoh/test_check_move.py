@@ -1,15 +1,20 @@
 """`check --move`: one servo, with consent, and stopped however it ends; seen in the frames that a gateway writes."""
 
+import io
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
+from gateway.people.tools.check import move as module
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
 from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
+from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames
@@ -25,17 +30,24 @@ def client(gateway: Gateway) -> Iterator[Client]:
         assert made.stop().accepted
 
 
-def begin(gateway: Gateway, *answers: str, options: tuple[str, ...] = ()) -> Child:
-    child = gateway.begin("check", "--move", *options)
-    for answer in answers:
-        child.tell(answer)
-    return child
+@pytest.fixture
+def move(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ended]:
+    """Move it in this process, with these answers, and not for long."""
+    monkeypatch.setattr(module, "_HOLD_S", 0.2)
+
+    def here(*answers: str, options: tuple[str, ...] = ()) -> Ended:
+        monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{answer}\n" for answer in answers)))
+        return gateway.run("check", "--move", *options)
+
+    return here
 
 
-def end(child: Child) -> int:
-    code = child.wait()
-    child.close()
-    return code
+@contextmanager
+def moving(gateway: Gateway, heard: Heard[FrameRecord], after: Op = Op.SET) -> Iterator[Child]:
+    """A process that has just started servo 61, or set it."""
+    with gateway.begin("check", "--move", "--yes") as child:
+        heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(after, 9000)))
+        yield child
 
 
 def servo_frames(heard: Heard[FrameRecord]) -> list[OneServo]:
@@ -63,42 +75,37 @@ def start_set_stop(servo_id: int, angle_deg: int, end_deg: int) -> list[OneServo
     ],
 )
 def test_one_servo_is_started_moved_and_stopped(
-    gateway: Gateway, client: Client, answers: tuple[str, ...], expected: list[OneServo], leg_1: bool
+    move: Callable[..., Ended], client: Client, answers: tuple[str, ...], expected: list[OneServo], leg_1: bool
 ) -> None:
     """Of leg 1 it says nothing of the other Stops of a call."""
     heard = frames(client)
-    child = begin(gateway, *answers)
-    assert end(child) == 0, str(child)
+    end = move(*answers)
+    assert end.returncode == 0, str(end)
     assert servo_frames(heard) == expected
-    assert "will go to " in child.stdout
-    assert "is stopped." in child.stdout
-    assert ("do it once more with a servo of leg 6" in child.stdout) is leg_1
+    assert "will go to " in end.stdout
+    assert "is stopped." in end.stdout
+    assert ("do it once more with a servo of leg 6" in end.stdout) is leg_1
     assert client.state().mode is Mode.IDLE
 
 
-def test_a_no_leads_through_the_causes(gateway: Gateway, client: Client) -> None:
+def test_a_no_leads_through_the_causes(move: Callable[..., Ended], client: Client) -> None:
     heard = frames(client)
-    child = begin(gateway, "no", options=("--yes",))
-    assert end(child) == 1, str(child)
+    end = move("no", options=("--yes",))
+    assert end.returncode == 1, str(end)
     assert servo_frames(heard) == start_set_stop(61, 90, 95), "and nothing by itself after that"
-    causes = [line.split()[1] for line in child.stdout.splitlines() if line[:1].isdigit()]
+    causes = [line.split()[1] for line in end.stdout.splitlines() if line[:1].isdigit()]
     assert causes == ["Supply:", "Framing:", "Reset:", "Wiring:", "Chip", "The"]
-    assert "the gateway speaks plain" in child.stdout
+    assert "the gateway speaks plain" in end.stdout
 
 
 @pytest.mark.parametrize(
-    ("answers", "code"),
-    [
-        (("", "", "y"), 1),
-        (("11", "90", "no"), 1),
-        (("10",), 2),
-        (("", "nan"), 2),
-    ],
+    ("answers", "code"), [(("", "", "y"), 1), (("11", "90", "no"), 1), (("10",), 2), (("", "nan"), 2)]
 )
-def test_without_consent_nothing_moves(gateway: Gateway, client: Client, answers: tuple[str, ...], code: int) -> None:
+def test_without_consent_nothing_moves(
+    move: Callable[..., Ended], client: Client, answers: tuple[str, ...], code: int
+) -> None:
     heard = frames(client)
-    child = begin(gateway, *answers)
-    assert end(child) == code, str(child)
+    assert move(*answers).returncode == code
     assert client.state().mode is Mode.IDLE
     assert servo_frames(heard) == []
 
@@ -106,10 +113,9 @@ def test_without_consent_nothing_moves(gateway: Gateway, client: Client, answers
 @pytest.mark.parametrize("after", [Op.START, Op.SET])
 def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> None:
     heard = frames(client)
-    child = begin(gateway, options=("--yes",))
-    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(after, 9000)))
-    child.send_signal(signal.SIGINT)
-    assert end(child) == 130, str(child)
+    with moving(gateway, heard, after) as child:
+        child.send_signal(signal.SIGINT)
+        assert child.wait() == 130, str(child)
     assert servo_frames(heard)[-1] == OneServo(61, ServoOp(Op.STOP)), "by command, not by the watchdog"
     assert "Servo 61 is stopped." in child.stdout
     assert client.state().mode is Mode.IDLE
@@ -117,10 +123,9 @@ def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> 
 
 def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gateway, client: Client) -> None:
     heard = frames(client)
-    child = begin(gateway, options=("--yes",))
-    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(Op.SET, 9000)))
-    assert client.stop().accepted
-    assert end(child) == 1, str(child)
+    with moving(gateway, heard) as child:
+        assert client.stop().accepted
+        assert child.wait() == 1, str(child)
     assert "rejected: servo_stopped" in child.stdout
     assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
 
@@ -130,22 +135,21 @@ def test_a_laptop_that_is_late_is_informed_that_it_is_late(tmp_path: Path) -> No
     settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 300}}
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
         heard = frames(client)
-        child = begin(gateway, options=("--yes",))
-        heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(Op.SET, 9000)))
-        child.send_signal(signal.SIGSTOP)
-        heard.wait(lambda record: record.cause == Cause.WATCHDOG)
-        child.send_signal(signal.SIGCONT)
-        assert end(child) == 1, str(child)
+        with moving(gateway, heard) as child:
+            child.send_signal(signal.SIGSTOP)
+            heard.wait(lambda record: record.cause == Cause.WATCHDOG)
+            child.send_signal(signal.SIGCONT)
+            assert child.wait() == 1, str(child)
     assert "The watchdog stopped servo 61: this machine's commands came some " in child.stdout
     assert "300 ms of silence are allowed" in child.stdout
     assert "rejected:" not in child.stdout
 
 
-def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway, client: Client) -> None:
+def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], client: Client) -> None:
     client.estop()
     heard = frames(client)
-    done = gateway.run("check", "--move", "--yes")
-    assert done.returncode == 2, str(done)
-    assert "leave the emergency stop first" in done.stderr
+    end = move(options=("--yes",))
+    assert end.returncode == 2, str(end)
+    assert "leave the emergency stop first" in end.stderr
     assert servo_frames(heard) == []
     assert client.reset().accepted

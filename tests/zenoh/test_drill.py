@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +15,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.people.tools.attended import StepName
-from gateway.people.tools.drill import report
+from gateway.people.tools.drill import report, steps, watching
 from gateway.people.tools.drill.steps import STEPS
 from schemas.calibration import ServoChange
 from tests.support.fixtures import gateway_fixture
@@ -31,18 +32,22 @@ FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
 gateway = gateway_fixture(FRAMES)
 
 
-def test_it_passes_on_a_gateway_that_works_and_reports_it(gateway: Gateway, tmp_path: Path) -> None:
+def test_it_passes_on_a_robot_that_works_and_reports_it(tmp_path: Path) -> None:
+    """With certificates: the robot's is good for its own address, and not for where the drill cuts the link."""
     report = tmp_path / "drill.html"
-    done = gateway.run("drill", "--late", str(LATE_MS), "--report", str(report), timeout_s=40)
-    assert done.returncode == 0, str(done)
+    with Secured(tmp_path, FRAMES, address="127.0.0.2", hosts=["127.0.0.2"]) as robot:
+        operator = str(robot.folder / "anna.json5")
+        done = robot.gateway.run("drill", "--zenoh-config", operator, "--late", str(LATE_MS), "--report", str(report))
+        assert done.returncode == 0, str(done)
+        with robot.client("anna") as client:
+            assert client.state().mode == "idle"
     assert done.stdout.count("PASS ") == len(STEPS) - 3, "three need a button, a device, or systemd"
+    assert "PASS    cut-link" in done.stdout
     assert "all passed" in done.stdout
     text = report.read_text()
     assert "<h1>Drill: passed</h1>" in text
     assert text.count("<svg") >= 5
     assert "src=" not in text, "one file"
-    with gateway.client() as client:
-        assert client.state().mode == "idle"
 
 
 def test_a_whole_leg_moves_where_that_is_asked_for_and_json_tells_of_it(gateway: Gateway, tmp_path: Path) -> None:
@@ -109,23 +114,16 @@ def test_where_enough_others_watch_its_own_silence_would_stop_nobody(tmp_path: P
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path) -> None:
+def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (steps, watching):
+        monkeypatch.setattr(module, "ANSWER_S", 1.5)  # what does not come is waited for
     step = MISTAKES[mistake][1]
     program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
-    settings = {**FRAMES, "buttons": {"required": int(step == "button")}}
+    settings = {**FRAMES, "buttons": {"required": int(step == "button"), "timeout_ms": 300}}
     with Gateway(tmp_path, settings, program=program) as planted:
         done = planted.run("drill", "--late", str(LATE_MS), "--only", step)
     assert done.returncode == 1, str(done)
     assert done.stdout.startswith(f"FAIL    {step}: "), str(done)
-
-
-def test_a_link_with_certificates_is_cut_too(tmp_path: Path) -> None:
-    """The robot's certificate is good for the robot's own address, and not for where the drill cuts the link."""
-    with Secured(tmp_path, FRAMES, address="127.0.0.2", hosts=["127.0.0.2"]) as robot:
-        operator = str(robot.folder / "anna.json5")
-        done = robot.gateway.run("drill", "--zenoh-config", operator, "--only", "cut-link", "--late", str(LATE_MS))
-        assert done.returncode == 0, str(done)
-        assert "PASS    cut-link" in done.stdout
 
 
 ENDS: Final = {"command": signal.SIGINT, "after-reset": signal.SIGTERM, "cut-link": signal.SIGHUP}
@@ -214,37 +212,14 @@ def test_a_report_that_cannot_be_written_is_reported_before_anything_moves(gatew
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("load", "ago", "says"),
-    [
-        (None, 0, "no systemd on this machine tells of a service"),
-        ("not-found", 0, "this machine has no hexapod-gateway.service"),
-        ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
-    ],
-)
-def test_a_laptop_skips_the_step_that_kills_the_service(
-    gateway: Gateway, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, load: str | None, ago: int, says: str
-) -> None:
-    """Also one that has a service of its own, which would die in the place of the robot's."""
-    systemctl = tmp_path / "systemctl"
-    text = SYSTEMCTL.format(folder=tmp_path, pid=gateway.child.pid, ended="", load=load, ago=ago)
-    systemctl.write_text(
-        "#!/bin/sh\necho System has not been booted with systemd >&2; exit 1\n" if load is None else text
-    )
-    systemctl.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    done = gateway.run("drill", "--yes", "--restart", "--only", "restart")
-    assert done.returncode == 0, str(done)
-    assert f"SKIPPED restart: {says}" in done.stdout
-    with gateway.client() as client:
-        assert client.state().mode == "idle"
-
-
 def test_help_names_each_step() -> None:
     assert list(StepName) == [step.name for step in STEPS]
 
 
+# ---- the step that kills the service (with a real systemd: tests/box/test_drill.py)
+
 SYSTEMCTL = """#!/bin/sh
+[ -z "{load}" ] && echo System has not been booted with systemd >&2 && exit 1
 echo "$@" >> {folder}/asked
 case $1 in
 kill) kill -9 {pid} ;;
@@ -257,22 +232,48 @@ esac
 """
 
 
-SHOWN: Final = {"code=exited ; status=0": "PASS", "code=exited ; status=3": "FAIL", "code=(null) ; status=0/0": "FAIL"}
-"""What systemd shows of stop-servos, from systemd 252: it ended well, it failed, and it has not run."""
+@pytest.fixture
+def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A systemctl of the test's own, which shows this, and kills this process."""
+
+    def install(pid: int, load: str = "loaded", ago: int = 0, ended: str = "") -> None:
+        program = tmp_path / "systemctl"
+        program.write_text(SYSTEMCTL.format(folder=tmp_path, pid=pid, ended=ended, load=load, ago=ago))
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+
+    return install
 
 
-@pytest.mark.parametrize("ended", SHOWN)
-def test_a_service_that_is_killed_comes_back_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: str
+@pytest.mark.parametrize(
+    ("load", "ago", "says"),
+    [
+        ("", 0, "no systemd on this machine tells of a service"),
+        ("not-found", 0, "this machine has no hexapod-gateway.service"),
+        ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
+    ],
+)
+def test_a_laptop_skips_the_step_that_kills_the_service(
+    gateway: Gateway, systemctl: Callable[..., None], load: str, ago: int, says: str
 ) -> None:
-    """With a systemctl of the test's own, and the test in the place of systemd."""
+    """Also one that has a service of its own, which would die in the place of the robot's."""
+    systemctl(gateway.child.pid, load, ago)
+    done = gateway.run("drill", "--yes", "--restart", "--only", "restart")
+    assert done.returncode == 0, str(done)
+    assert f"SKIPPED restart: {says}" in done.stdout
+    with gateway.client() as client:
+        assert client.state().mode == "idle"
+
+
+@pytest.mark.parametrize("ended", ["code=exited ; status=3", "code=(null) ; status=0/0"], ids=["failed", "not run"])
+def test_a_stop_servos_that_did_not_stop_after_the_end_fails(
+    tmp_path: Path, systemctl: Callable[..., None], ended: str
+) -> None:
+    """As systemd 252 shows it; the test is in the place of systemd, which starts the service again."""
     settings = {**FRAMES, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
     with ExitStack() as stack:
         first = stack.enter_context(Gateway(tmp_path, settings))
-        systemctl = tmp_path / "systemctl"
-        systemctl.write_text(SYSTEMCTL.format(folder=tmp_path, pid=first.child.pid, ended=ended, load="loaded", ago=0))
-        systemctl.chmod(0o755)
-        monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+        systemctl(first.child.pid, ended=ended)
 
         def start_again() -> None:
             first.child.wait(20)
@@ -282,5 +283,5 @@ def test_a_service_that_is_killed_comes_back_stopped(
         systemd.start()
         done = first.run("drill", "--restart", "--only", "restart", timeout_s=60)
         systemd.join()
-        assert done.stdout.startswith(f"{SHOWN[ended]}    restart: "), str(done)
+        assert done.stdout.startswith("FAIL    restart: stop-servos did not stop the servos"), str(done)
     assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()

@@ -30,11 +30,11 @@ def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:
 
 def test_a_script_walks_sits_and_stops(gateway: Gateway, watcher: Client) -> None:
     end = gateway.run(
-        "walk", "--forward", "0.1", "--seconds", "2", "--gait", "tripod", "--height", "0.14", timeout_s=90
+        "walk", "--forward", "0.1", "--seconds", "1", "--gait", "tripod", "--height", "0.14", timeout_s=90
     )
     assert end.returncode == 0, end.stderr
     ahead_m = float(end.stdout.removeprefix("walked ").partition(" m ahead")[0])
-    assert 0.08 < ahead_m < 0.25
+    assert 0.02 < ahead_m < 0.15
     assert end.stdout.endswith("m to the left, turned by 0°; it sits, and its servos are stopped\n")
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
@@ -105,7 +105,6 @@ def test_what_it_cannot_do_ends_it_with_a_sentence(gateway: Gateway, watcher: Cl
         (("--seconds", "1", "--forward", "99"), "forward_m_s is 99; no walking robot does more than 10", 2),
         (("--seconds", "1", "--geometry", "/nowhere.json"), "/nowhere.json: cannot be read", 2),
         (("--forward", "0.1"), "go with --seconds; without it you drive from the keyboard", 2),
-        ((), "walk from the keyboard needs a terminal", 1),
     ):
         end = gateway.run("walk", *arguments)
         assert (end.returncode, sentence in end.stderr) == (code, True), end.stderr
@@ -128,8 +127,6 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
         terminal.press("w")
         terminal.wait("walking ripple")
         terminal.wait("standing")  # a key that is released
-        terminal.press("c")
-        terminal.wait("sitting")
         terminal.press("Space")
         terminal.wait("EMERGENCY STOP: 6 Stop frames written within")
         assert watcher.state().mode == Mode.ESTOPPED
@@ -138,8 +135,8 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
         terminal.press("g")
         terminal.wait("It goes on with the next key.")
         assert watcher.state().mode == Mode.IDLE
-        terminal.press("t")
-        terminal.wait("standing")
+        terminal.press("c")
+        terminal.wait("sitting")
         terminal.press("q")
         assert terminal.wait_for_end(60) == 0
     assert watcher.state().mode == Mode.IDLE

@@ -81,10 +81,6 @@ class Screen(ABC):
                     self._ended.set()
                     self.changed.set()
                     self._drawer.join(DRAWER_END_S)
-        if not self._drawer.is_alive():  # else the terminal is stuck, and a line would wait for it
-            with suppress(OSError):  # it is gone
-                for line in (*(f"hexapod-gateway: {failure}" for failure in self.failures), *self.last_words()):
-                    hint(line)
         return 1 if self.failures else 0
 
     def _read_keys(self, terminal: int, woken: int) -> None:
@@ -114,3 +110,7 @@ class Screen(ABC):
             why = f"this terminal cannot be drawn on ({error}); it needs UTF-8, such as LC_ALL=C.UTF-8"
             self.failures.append(why)
             os.write(self._wake, b".")
+            self._ended.wait()
+        with suppress(OSError):  # the terminal is gone; in one that is stuck this waits, as drawing does
+            for line in (*(f"hexapod-gateway: {failure}" for failure in self.failures), *self.last_words()):
+                hint(line)
