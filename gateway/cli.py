@@ -7,7 +7,7 @@ import os
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -388,7 +388,7 @@ app.add_typer(send_app, name="send")
 HoldOption = Annotated[
     float, typer.Option("--hold", metavar="S", min=0, help="Repeat the command every 50 ms for this many seconds.")
 ]
-OpArgument = Annotated[str, typer.Argument(metavar="OP", help="start, set or stop")]
+OpArgument = Annotated[Literal["start", "set", "stop"], typer.Argument(metavar="OP", help="start, set or stop")]
 
 
 @send_app.command("leg")

@@ -117,38 +117,38 @@ def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionTyp
 
 def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
     """The gateway's certificate: good as a server for `hosts`, and as a client when it dials a fleet's router."""
-    key = ec.generate_private_key(ec.SECP256R1())
     usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
-    extensions = [x509.ExtendedKeyUsage(usages), names]
-    return KeyPair(_sign(ca, _name(GATEWAY, GATEWAY), key.public_key(), extensions, days=days, now=now), key)
+    return _make_leaf(ca, _name(GATEWAY, GATEWAY), usages, hosts, days, now)
 
 
 def make_laptop(ca: KeyPair, name: str, common_name: str, days: int, now: dt.datetime) -> KeyPair:
     """A laptop's certificate: good as a client only, so that no laptop can pose as the robot to another one."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
-    return KeyPair(_sign(ca, _name(common_name, name), key.public_key(), [usage], days=days, now=now), key)
+    return _make_leaf(ca, _name(common_name, name), [ExtendedKeyUsageOID.CLIENT_AUTH], (), days, now)
 
 
 def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
     """A web console's certificate: good as a server for `hosts` only; Zenoh's access control gives it no role."""
+    return _make_leaf(ca, _name(CONSOLE, name), [ExtendedKeyUsageOID.SERVER_AUTH], hosts, days, now)
+
+
+def _make_leaf(
+    ca: KeyPair,
+    subject: x509.Name,
+    usages: Sequence[x509.ObjectIdentifier],
+    hosts: Sequence[str],
+    days: int,
+    now: dt.datetime,
+) -> KeyPair:
     key = ec.generate_private_key(ec.SECP256R1())
-    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
-    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
-    return KeyPair(_sign(ca, _name(CONSOLE, name), key.public_key(), [usage, names], days=days, now=now), key)
+    return KeyPair(_sign(ca, subject, key.public_key(), x509.ExtendedKeyUsage(usages), hosts, days, now), key)
 
 
 def renew(
     ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime, hosts: Sequence[str] = ()
 ) -> x509.Certificate:
     """`old` renewed: same holder, same key, a new serial number and expiry; good as a server for `hosts`."""
-    kept: list[x509.ExtensionType] = [
-        item.value for item in old.extensions if isinstance(item.value, x509.ExtendedKeyUsage)
-    ]
-    if hosts:
-        kept.append(x509.SubjectAlternativeName([_general_name(host) for host in hosts]))
-    return _sign(ca, old.subject, old.public_key(), kept, days=days, now=now)
+    usage = next((item.value for item in old.extensions if isinstance(item.value, x509.ExtendedKeyUsage)), None)
+    return _sign(ca, old.subject, old.public_key(), usage, hosts, days, now)
 
 
 def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
@@ -218,8 +218,8 @@ def _sign(
     ca: KeyPair,
     subject: x509.Name,
     key: CertificatePublicKeyTypes,
-    extensions: Sequence[x509.ExtensionType],
-    *,
+    usage: x509.ExtendedKeyUsage | None,
+    hosts: Sequence[str],
     days: int,
     now: dt.datetime,
 ) -> x509.Certificate:
@@ -239,8 +239,10 @@ def _sign(
         .add_extension(_key_usage(ca=False), critical=True)
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
     )
-    for extension in extensions:
-        builder = builder.add_extension(extension, critical=False)
+    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts]) if hosts else None
+    for extension in (usage, names):
+        if extension is not None:
+            builder = builder.add_extension(extension, critical=False)
     return builder.sign(ca.key, hashes.SHA256())
 
 

@@ -127,7 +127,7 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
     ("arguments", "said"),
     [
         (("send", "leg", "7", "stop"), "less than or equal to 6"),
-        (("send", "leg", "3", "wave"), "wave is no operation; it is start, set or stop"),
+        (("send", "leg", "3", "wave"), "Invalid value for 'OP': 'wave' is not one of 'start', 'set', 'stop'."),
         (
             ("send", "leg", "3", "start", "90"),
             "there are 1; for example: send leg 3 start 90 45 120",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gateway.people.tools.options import ConfigOption
+from gateway.people.tools.options import ConfigOption, JsonOption
 
 if TYPE_CHECKING:
     from gateway.robot.settings import Settings
@@ -26,7 +26,6 @@ IncidentArgument = Annotated[
         metavar="ID", help="An id that `list` shows and events name, `last` for the newest, or an exported FILE.mcap."
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="For programs.")]
 
 
 @app.callback()

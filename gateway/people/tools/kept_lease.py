@@ -37,13 +37,12 @@ def token_of(client: Client) -> str | None:
 
     One that it no longer takes is forgotten: commands that carry it would be rejected.
     """
-    file = _file(client)
-    token = _read(file)
+    token = _read(_file(client))
     if token is None:
         return None
     if client.lease_requests.renew(token).accepted:
         return token
-    _forget(file, token)
+    forget(client, token)
     return None
 
 
@@ -62,7 +61,7 @@ def kept(client: Client, token: str) -> Iterator[None]:
     try:
         yield
     finally:
-        _forget(file, token)
+        forget(client, token)
 
 
 @contextmanager
@@ -91,7 +90,10 @@ def is_kept(client: Client, token: str) -> bool:
 
 def forget(client: Client, token: str) -> None:
     """It is over."""
-    _forget(_file(client), token)
+    file = _file(client)
+    if _read(file) == token:  # and not that of a newer one
+        with suppress(OSError):
+            file.unlink()
 
 
 def _file(client: Client) -> Path:
@@ -105,9 +107,3 @@ def _read(file: Path) -> str | None:
         return file.read_text("ascii").strip() or None
     except (OSError, ValueError):
         return None
-
-
-def _forget(file: Path, token: str) -> None:
-    if _read(file) == token:  # and not that of a newer one
-        with suppress(OSError):
-            file.unlink()

@@ -31,8 +31,10 @@ ZenohConfigOption = Annotated[
     ),
 ]
 OtherShapeOption = Annotated[
-    Path | None, typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON).")
+    Path | None,
+    typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON). Default: the Elkapod's."),
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="For programs.")]
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
 ]

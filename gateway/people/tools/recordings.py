@@ -9,14 +9,15 @@ import typer
 
 from gateway.errors import ConfigError
 from gateway.people.terminal import say
-from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import (
+    ConnectOption,
+    JsonOption,
+    OtherShapeOption,
+    TimeoutOption,
+    ZenohConfigOption,
+)
 
 app = typer.Typer()
-
-GeometryOption = Annotated[
-    Path | None,
-    typer.Option("--geometry", metavar="FILE", help="The robot's shape (JSON). Default: the Elkapod's."),
-]
 
 
 @app.command()
@@ -29,7 +30,7 @@ def record(
     repair: Annotated[
         bool, typer.Option("--repair", help="Record nothing: make a file whole that was cut off.")
     ] = False,
-    geometry: GeometryOption = None,
+    geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
@@ -59,7 +60,7 @@ app.add_typer(files, name="recordings")
 @files.command()
 def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or an incident that was exported")],
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Say when it was recorded, with which versions and settings, and how many messages it has of what.
 
@@ -126,7 +127,7 @@ def foxglove(
     port: Annotated[
         int, typer.Option("--port", metavar="N", min=0, max=65535, help="On 127.0.0.1; 0: any free one.")
     ] = 8765,
-    geometry: GeometryOption = None,
+    geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,

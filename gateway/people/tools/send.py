@@ -50,7 +50,6 @@ def person_of(connect: str | None, zenoh_config: Path | None) -> str:
 def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
     """Send a leg's command; see `_send`."""
     wanted = 0 if op == "stop" else len(JOINTS)
-    _check_op(op)
     if len(angles_deg) != wanted:
         raise ConfigError(
             f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; "
@@ -61,7 +60,6 @@ def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float]
 
 def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
     """Send a servo's command; see `_send`."""
-    _check_op(op)
     if (angle_deg is None) != (op == "stop"):
         wanted, angle = ("no", "") if op == "stop" else ("one", " 90")
         raise ConfigError(f"{op} takes {wanted} angle; for example: send servo {servo_id} {op}{angle}")
@@ -155,11 +153,6 @@ def _tell_of_others(client: Client, key: str) -> None:
     count = len(client.answerers(key, OTHERS_S))
     if count > 1:
         hint(several_answer(count, key))
-
-
-def _check_op(op: str) -> None:
-    if op not in ("start", "set", "stop"):
-        raise ConfigError(f"{op} is no operation; it is start, set or stop")
 
 
 def _report(ack: Ack, accepted: str) -> int:

@@ -80,12 +80,8 @@ def _environment(given: Mapping[str, str]) -> dict[str, str]:
 
 
 def _command() -> str:
-    return _shown(_COMMAND)
-
-
-def _shown(path: Path) -> str:
     """As somebody types it in the folder in which this was started: what is printed there can be copied."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+    return str(_COMMAND.relative_to(Path.cwd()) if _COMMAND.is_relative_to(Path.cwd()) else _COMMAND)
 
 
 if __name__ == "__main__":
