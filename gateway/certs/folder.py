@@ -110,10 +110,8 @@ def init(
     ca = authority.make_ca(now)
     gateway = authority.make_gateway(ca, names, days, now)
     files = {
-        directory / "ca.key": Content(ca.key_pem(), SECRET),  # first: it decides which of two simultaneous inits fails
-        directory / "ca.pem": Content(ca.certificate_pem()),
-        directory / "gateway.key": Content(gateway.key_pem(), SECRET),
-        directory / "gateway.pem": Content(gateway.certificate_pem()),
+        **_pair(directory / authority.CA, ca),  # first: its key decides which of two simultaneous inits fails
+        **_pair(directory / authority.GATEWAY, gateway),
         directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port, namespace, size)),
     }
     publish(files)
@@ -151,12 +149,9 @@ def issue(
         raise ConfigError(f"{directory} has no robot {robot!r}: add it with `hexapod-gateway certs robot {robot}`")
     _check_free(directory, name)
     laptop = authority.make_laptop(ca, name, _free_common_name(directory, ca, role, robot), days, now)
-    certificate, key, config = _laptop_files(directory, name)
-    files = {
-        key: Content(laptop.key_pem(), SECRET),
-        certificate: Content(laptop.certificate_pem()),
-        config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace)),
-    }
+    config = directory / f"{name}.json5"
+    pair = _pair(directory / name, laptop)
+    files = {**pair, config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace))}
     if bundle is not None:
         if bundle in files:
             raise ConfigError(f"--bundle {bundle} is the place of another file: name it {name}.zip")
@@ -167,7 +162,7 @@ def issue(
         files[bundle] = Content(_zip(members, now), SECRET)
     if absolute:
         text = files[config].data
-        for file in (directory / "ca.pem", certificate, key):
+        for file in (directory / "ca.pem", *pair):
             text = text.replace(f'"{file.name}"'.encode(), json.dumps(str(file.absolute())).encode())
         files[config] = Content(text)
     publish(files)
@@ -191,13 +186,7 @@ def console(
     _check_free(directory, name)
     ca = authority.make_web_ca(names, now)
     made = authority.make_console(ca, name, names, days, now)
-    certificate, key, _ = _laptop_files(directory, name)
-    files = {
-        key: Content(made.key_pem(), SECRET),
-        certificate: Content(made.certificate_pem()),
-        directory / f"{name}{_WEB_CA}.key": Content(ca.key_pem(), SECRET),
-        directory / f"{name}{_WEB_CA}.pem": Content(ca.certificate_pem()),
-    }
+    files = _pair(directory / name, made) | _pair(directory / f"{name}{_WEB_CA}", ca)
     publish(files)
     return list(files)
 
@@ -223,10 +212,8 @@ def add_robots(
             raise ConfigError(f"{name!r} is too long for a robot's name: use at most {_ROBOT_LENGTH} characters")
         _check_free(directory, name)
         robot = authority.make_laptop(ca, name, f"{_ROBOT}{name}", days, now)
-        certificate, key, config = _laptop_files(directory, name)
-        files[key] = Content(robot.key_pem(), SECRET)
-        files[certificate] = Content(robot.certificate_pem())
-        files[config] = Content(fleet_files.robot_json5(name, host, port))
+        files |= _pair(directory / name, robot)
+        files[directory / f"{name}.json5"] = Content(fleet_files.robot_json5(name, host, port))
     publish(files)
     return [*files, write_router(directory)]
 
@@ -439,15 +426,18 @@ def _robots(directory: Path) -> list[str]:
 
 
 def _check_free(directory: Path, name: str) -> None:
-    mine = () if name != "router" else (directory / ROUTER_FILE,)  # rewritten for each robot that is added
-    files = (path for path in _laptop_files(directory, name) if path not in mine)
-    taken = next((path for path in files if os.path.lexists(path)), None)
+    suffixes = (".pem", ".key", ".json5") if name != "router" else (".pem", ".key")  # its file is rewritten
+    taken = next((path for suffix in suffixes if os.path.lexists(path := directory / f"{name}{suffix}")), None)
     if taken is not None:
         raise ConfigError(f"the name {name} is taken ({taken} exists, and is never overwritten): choose another")
 
 
-def _laptop_files(directory: Path, name: str) -> tuple[Path, Path, Path]:
-    return directory / f"{name}.pem", directory / f"{name}.key", directory / f"{name}.json5"
+def _pair(stem: Path, pair: KeyPair) -> dict[Path, Content]:
+    """Its two files: the key, for its owner only, and the certificate."""
+    return {
+        stem.with_name(f"{stem.name}.key"): Content(pair.key_pem(), SECRET),
+        stem.with_name(f"{stem.name}.pem"): Content(pair.certificate_pem()),
+    }
 
 
 def _zip(members: dict[str, Content], now: dt.datetime) -> bytes:
