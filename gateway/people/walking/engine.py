@@ -14,16 +14,15 @@ from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
-from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import STILL, Body, Velocity, carried, travelled
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
-from gateway.people.walking.ways import ON_GROUND_M, Bend, Move, Shift, Step, across, between, lowered, outward, up
+from gateway.people.walking.ways import ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
 from schemas.robot import LEGS
 
 SLEW_M_S2: Final = 0.25
@@ -86,30 +85,22 @@ class Swing(NamedTuple):
 
 
 @dataclass(slots=True)
-class _State:
+class _State(Figure):
     """All that changes. A tick that comes out too fast is taken back: so it is copied, and its values are immutable."""
 
-    body: Body
-    feet: dict[int, Vector]
-    """In the ground frame."""
-    pose: dict[int, Angles]
     swings: dict[int, Swing] = field(default_factory=dict)
     velocity: Velocity = STILL
     clock: float = 0.0
     """In strides."""
     odometry: Odometry = _ORIGIN
-    moves: tuple[Move, ...] = ()
-    """The way to another posture."""
     part: float = 0.0
-    """Of the first of these."""
-    sits: bool = False
-    """Or lies; at the end of its way, if it is on one."""
+    """Of the first of its moves."""
     brake_s: float = 0.0
     """How long the velocity still takes to become 0."""
 
-    def copy(self) -> "_State":
-        new = copy(self)
-        new.feet, new.pose, new.swings = dict(self.feet), dict(self.pose), dict(self.swings)
+    def copy(self) -> Self:
+        new = Figure.copy(self)
+        new.swings = dict(self.swings)
         return new
 
 
@@ -136,8 +127,8 @@ class Engine:
         self._pace = 1.0
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
-        start = self._planner.found(angles_deg or {})
-        self._state = _State(start.body, dict(start.feet), dict(start.pose), moves=start.moves, sits=start.sits)
+        found = self._planner.found(angles_deg or {})
+        self._state = _State(found.body, found.feet, found.pose, found.moves, found.sits)
 
     # ---- what it is asked for
 
@@ -279,7 +270,7 @@ class Engine:
         if self._wanted:
             wanted = self._wanted.popleft()
             self._stance = wanted or self._stance
-            state.moves = self._planner.way(state.body, state.feet, state.pose, wanted)
+            state.moves = self._planner.way(state, wanted)
             state.sits, state.part = wanted is None, 0.0
 
     def _step_within_reach(self) -> None:
@@ -287,7 +278,7 @@ class Engine:
         state = self._state
         outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
         if outside and not state.sits:
-            state.moves = self._planner.way(state.body, state.feet, state.pose, self._stance)
+            state.moves = self._planner.way(state, self._stance)
             state.part = 0.0
 
     def _lower(self, legs: Iterable[int]) -> None:
@@ -305,40 +296,16 @@ class Engine:
     # ---- one tick
 
     def _advance(self, state: _State, target: Velocity, seconds: float) -> None:
-        body_before, feet_before = state.body, dict(state.feet)
         if not state.moves:
+            feet = dict(state.feet)
             self._walk(state, target, seconds)
-        elif self._go_on_the_way(state, seconds):
+            state.place(self.robot, [leg for leg in LEGS if leg not in self.lost and state.feet[leg] != feet[leg]])
             return
-        turn = state.body.turn
-        for leg, foot in state.feet.items():
-            if leg not in self.lost and (state.body != body_before or foot != feet_before[leg]):
-                state.pose[leg] = self.robot.angles_deg(leg, state.body.seen(foot, turn))
-
-    def _go_on_the_way(self, state: _State, seconds: float) -> bool:
-        """Whether the joints lead, so that their angles are there already."""
         move = state.moves[0]
         state.part = min(1.0, state.part + seconds / move.seconds)
-        if isinstance(move, Shift):
-            state.body = move.at(state.part)
-        elif isinstance(move, Step):
-            for leg in move.paths.keys() - self.lost:
-                state.feet[leg] = move.at(leg, state.part)
-        else:
-            self._bend(state, move)
+        state.follow(self.robot, move, state.part, self.lost)
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
-        return isinstance(move, Bend)
-
-    def _bend(self, state: _State, move: Bend) -> None:
-        """The joints lead, and the feet follow."""
-        for leg in move.paths:
-            state.pose[leg] = move.at(leg, state.part)
-        if state.part == 1.0 and move.then is not None:
-            state.body = move.then
-        turn = state.body.turn
-        for leg, angles in state.pose.items():
-            state.feet[leg] = state.body.grounded(self.robot.foot_m(leg, angles), turn)
 
     def _walk(self, state: _State, target: Velocity, seconds: float) -> None:
         gait = self._gait
@@ -384,7 +351,7 @@ class Engine:
         if not due:
             return
         stay = [leg for leg in LEGS if leg not in state.swings and leg not in due]
-        if len(stay) >= _LEAST_FEET and balanced(self.robot, state.body, state.feet, state.pose, stay):
+        if len(stay) >= _LEAST_FEET and balanced(self.robot, state, stay):
             state.swings.update({leg: Swing(state.feet[leg]) for leg in due})
 
     def _is_due(self, leg: int, clock: float) -> bool:

@@ -1,14 +1,17 @@
 """The ways between postures: a few moves one after the other, each smooth and with feet that do not scrape. Pure."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Final, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Set
+from copy import copy
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking.gaits import TRIPODS
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import Body
-from gateway.people.walking.robot import LIFT_M
+from gateway.people.walking.robot import LIFT_M, Robot
+from schemas.robot import LEGS
 
 STEP_S: Final = 0.5
 """For a foot's step to another place."""
@@ -71,6 +74,48 @@ class Bend(NamedTuple):
 
 
 Move = Shift | Step | Bend
+
+
+@dataclass(slots=True)
+class Figure:
+    """Where a robot's body, feet (in the ground frame) and joints (in degrees) are, and which way it is on."""
+
+    body: Body
+    feet: dict[int, Vector]
+    pose: dict[int, Angles]
+    moves: tuple[Move, ...] = ()
+    """The way to another posture."""
+    sits: bool = False
+    """Or lies; at the end of its way, if it is on one."""
+
+    def copy(self) -> Self:
+        """Another one, that can be changed by itself."""
+        new = copy(self)
+        new.feet, new.pose = dict(self.feet), dict(self.pose)
+        return new
+
+    def follow(self, robot: Robot, move: Move, part: float, lost: Set[int] = frozenset()) -> None:
+        """Go to this part of a move, but for lost legs. Raises WalkError where a leg does not reach."""
+        if isinstance(move, Shift):
+            self.body = move.at(part)
+            self.place(robot, set(LEGS) - lost)
+        elif isinstance(move, Step):
+            legs = move.paths.keys() - lost
+            self.feet |= {leg: move.at(leg, part) for leg in legs}
+            self.place(robot, legs)
+        else:
+            self.pose |= {leg: move.at(leg, part) for leg in move.paths}
+            if part == 1.0 and move.then is not None:
+                self.body = move.then
+            turn = self.body.turn
+            for leg, angles in self.pose.items():
+                self.feet[leg] = self.body.grounded(robot.foot_m(leg, angles), turn)
+
+    def place(self, robot: Robot, legs: Iterable[int]) -> None:
+        """Bend their joints so that their feet are where they are to be. Raises WalkError."""
+        turn = self.body.turn
+        for leg in legs:
+            self.pose[leg] = robot.angles_deg(leg, self.body.seen(self.feet[leg], turn))
 
 
 def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[Step]:
