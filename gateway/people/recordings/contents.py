@@ -90,10 +90,7 @@ def cut(path: Path, into: Path, *, from_s: float, to_s: float) -> int:
     standing: dict[str, Message] = {}
     with making(into), into.open("xb") as file:
         copy = Copy(file)
-        for record in records(path):
-            message = copy.take(record)
-            if message is None:
-                continue
+        for message in copy.messages(records(path)):
             topic = copy.topics[message.channel_id]
             if message.log_time < from_ns and topic in _STANDING:
                 standing[topic] = message

@@ -85,13 +85,11 @@ def _kept_beside(path: Path) -> Path:
 def _copy(path: Path, losses: Losses, copy: Copy) -> tuple[int, float]:
     """How many messages were copied, and the seconds from the first to the last."""
     count, first_ns, last_ns = 0, 0, 0
-    for record in records(path, losses):
-        message = copy.take(record)
-        if message is not None:
-            copy.add(message, message.log_time, message.sequence)
-            first_ns = message.log_time if count == 0 else min(first_ns, message.log_time)
-            last_ns = max(last_ns, message.log_time)
-            count += 1
+    for message in copy.messages(records(path, losses)):
+        copy.add(message, message.log_time, message.sequence)
+        first_ns = message.log_time if count == 0 else min(first_ns, message.log_time)
+        last_ns = max(last_ns, message.log_time)
+        count += 1
     if count == 0:
         if losses:
             raise ConfigError(f"{path}: no message in it can be read; it is left as it is")

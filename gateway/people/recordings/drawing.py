@@ -73,11 +73,8 @@ class Drawing:
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
         self._joints = CommandedJoints(geometry)
-        self._drawn_ns: int | None = None
-        self._diagnosed_ns: int | None = None
-        self._diagnosed_mode: object = None
-        self._marked_ns: int | None = None
-        self._marked: dict[int, bool] = {}
+        self._drawn: dict[str, tuple[int, object]] = {}
+        """Of each topic that is not drawn on all the time: when it was drawn last, and what showed a change."""
         self._body: BodyReport | None = None
         self._body_ns = 0
 
@@ -88,24 +85,30 @@ class Drawing:
             yield LOG, _log(report, time_ns)
         elif topic == STATE:
             yield from self.picture(time_ns)
-            yield from self._diagnostics_if_due(report, time_ns)
+            if self._due(DIAGNOSTICS, time_ns, DIAGNOSTICS_PERIOD_NS, report["mode"]):
+                with suppress(ValidationError):  # of another release
+                    found = robot.diagnostics(GatewayState.model_validate(report))
+                    yield DIAGNOSTICS, robot.diagnostic_array(found, time_ns)
         elif topic == SIM_BODY:
             self._body, self._body_ns = BodyReport.model_validate(report), time_ns
-            yield from self._picture_if_due(time_ns)
-        elif shows_joints:
-            yield from self._picture_if_due(time_ns)
+        moved = topic == SIM_BODY or (shows_joints and topic != STATE)
+        if moved and self._due(FRAMES, time_ns, PICTURE_PERIOD_NS):
+            yield from self.picture(time_ns)
         if shows_joints:
             yield JOINT_COMMANDS, self._commands(time_ns)
             yield from self._marks_if_due(time_ns)
 
-    def _picture_if_due(self, time_ns: int) -> Iterator[Drawn]:
-        if self._drawn_ns is None or time_ns - self._drawn_ns >= PICTURE_PERIOD_NS:
-            yield from self.picture(time_ns)
+    def _due(self, topic: str, time_ns: int, period_ns: int, shown: object = None) -> bool:
+        """Whether it is to be drawn again: after its period, and when `shown` has changed."""
+        before = self._drawn.get(topic)
+        if before is not None and time_ns - before[0] < period_ns and shown == before[1]:
+            return False
+        self._drawn[topic] = time_ns, shown
+        return True
 
     def _marks_if_due(self, time_ns: int) -> Iterator[Drawn]:
-        running = self._joints.running
-        if self._marked_ns is None or running != self._marked or time_ns - self._marked_ns >= MARKS_PERIOD_NS:
-            self._marked_ns, self._marked = time_ns, dict(running)
+        running = dict(self._joints.running)
+        if self._due(SERVOS_OFF, time_ns, MARKS_PERIOD_NS, running):
             yield SERVOS_OFF, robot.servos_off([each for each, runs in running.items() if not runs], time_ns)
 
     def _commands(self, time_ns: int) -> JointState:
@@ -113,18 +116,9 @@ class Drawing:
         at_rad = {each: rad.get(each, math.nan) if running.get(each) else math.nan for each in SERVO_IDS}
         return robot.joint_state(at_rad, time_ns)
 
-    def _diagnostics_if_due(self, state: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
-        mode = state["mode"]
-        due = self._diagnosed_ns is None or time_ns - self._diagnosed_ns >= DIAGNOSTICS_PERIOD_NS
-        if due or mode != self._diagnosed_mode:
-            self._diagnosed_ns, self._diagnosed_mode = time_ns, mode
-            with suppress(ValidationError):  # of another release
-                found = robot.diagnostics(GatewayState.model_validate(state))
-                yield DIAGNOSTICS, robot.diagnostic_array(found, time_ns)
-
     def picture(self, time_ns: int) -> Iterator[Drawn]:
         """The robot as it was commanded last."""
-        self._drawn_ns = time_ns
+        self._drawn[FRAMES] = time_ns, None
         body = self._body if time_ns - self._body_ns < BODY_NS else None
         commanded_rad = {
             servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, UNKNOWN_DEG))

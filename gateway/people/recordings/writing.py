@@ -290,19 +290,25 @@ class Copy:
 
     def __init__(self, file: BinaryIO) -> None:
         self._writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._begun = False
         self._schemas: dict[int, int] = {}
         self._channels: dict[int, int] = {}
         self.topics: dict[int, str] = {}
         """By the other file's channels."""
 
-    def take(self, record: McapRecord) -> McapMessage | None:
-        """Take over this record of the other file; one of its messages is returned instead, for `add`."""
+    def messages(self, records: Iterable[McapRecord]) -> Iterator[McapMessage]:
+        """Take over the other file's records but for its messages, which are returned, for `add`."""
+        for number, record in enumerate(records):
+            if number == 0:
+                header = record if isinstance(record, Header) else Header(profile="", library=LIBRARY)
+                self._writer.start(profile=header.profile, library=header.library)
+            if isinstance(record, McapMessage):
+                if record.channel_id in self._channels:
+                    yield record
+            else:
+                self._take(record)
+
+    def _take(self, record: McapRecord) -> None:
         writer = self._writer
-        if not self._begun:
-            self._begun = True
-            header = record if isinstance(record, Header) else Header(profile="", library=LIBRARY)
-            writer.start(profile=header.profile, library=header.library)
         match record:
             case McapSchema() if record.id not in self._schemas:
                 self._schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
@@ -311,16 +317,13 @@ class Copy:
                 self._channels[record.id] = writer.register_channel(
                     record.topic, record.message_encoding, self._schemas.get(record.schema_id, 0), record.metadata
                 )
-            case McapMessage() if record.channel_id in self._channels:
-                return record
             case Attachment():
                 writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
             case Metadata():
                 writer.add_metadata(record.name, record.metadata)
-        return None
 
     def add(self, message: McapMessage, time_ns: int, number: int) -> None:
-        """Write a message that `take` has returned."""
+        """Write one of these messages."""
         channel = self._channels[message.channel_id]
         self._writer.add_message(channel, time_ns, message.data, message.publish_time, number)
 

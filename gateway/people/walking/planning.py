@@ -1,12 +1,11 @@
 """Which way a robot takes from one posture to another: the first of several plans that its legs can follow. Pure."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Final
 
 from gateway.errors import WalkError
-from gateway.geometry.kinematics import Vector
 from gateway.people.walking.gaits import TRIPODS
 from gateway.people.walking.motion import Body
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
