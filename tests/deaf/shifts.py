@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_SERVO_LEN, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS, SERVO_IDS
+from tests.support.transfers import on_wire
 
 BUFFER_LEN: Final = 64
 RECORDS: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}
@@ -124,7 +125,7 @@ def neighbours(avoid_cdeg: Avoid) -> Iterator[frozenset[tuple[int, int]]]:
 
 def lost_and_doubled(frame: OneLeg | OneServo) -> Iterator[tuple[str, bytes]]:
     """The same faults in the bytes of one frame."""
-    data = b"".join(Framing.LENGTH_PREFIXED.transfers(frame.to_bytes()))
+    data = b"".join(on_wire(Framing.LENGTH_PREFIXED, frame))
     for at in range(len(data)):
         yield f"byte {at} lost", data[:at] + data[at + 1 :]
         yield f"byte {at} doubled", data[: at + 1] + data[at:]

@@ -32,6 +32,7 @@ from tests.hil.forks import Forks
 from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.transfers import on_wire
 
 pytestmark = pytest.mark.hil
 
@@ -218,9 +219,9 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     starts = [index for index, record in enumerate(content.records) if isinstance(record.content, form.Start)]
     records = content.records[starts[-1] :]
     frames = [record.content for record in records if isinstance(record.content, form.FrameWritten)]
-    on_wire = [each for each in transfers if each.delivered and len(each.data) == 14]
-    assert [frame.data for frame in frames] == [each.data for each in on_wire[: len(frames)]]
-    lost = on_wire[len(frames) :]
+    delivered = [each for each in transfers if each.delivered and len(each.data) == 14]
+    assert [frame.data for frame in frames] == [each.data for each in delivered[: len(frames)]]
+    lost = delivered[len(frames) :]
     legs = [each.data[2] // 10 for each in lost]
     assert len(set(legs)) == len(legs), "a batch has one frame for each leg at most"
     commands = [record.content for record in records if isinstance(record.content, form.CommandRecord)]
@@ -274,7 +275,7 @@ def moving(framing: Framing) -> Replay:
     """A controller whose 18 servos are on."""
     replay = Replay(framing)
     for leg in LEGS:
-        for data in framing.transfers(OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3).to_bytes()):
+        for data in on_wire(framing, OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3)):
             replay.give(data, 0)
     assert len(replay.controller.energised) == 18
     return replay
@@ -284,7 +285,7 @@ def cuts(framing: Framing) -> Iterator[list[bytes]]:
     """All that a kernel can have transferred of two frames when their sender dies."""
     for first in STARTS:
         for second in STARTS:
-            transfers = [data for frame in (first, second) for data in framing.transfers(frame.to_bytes())]
+            transfers = on_wire(framing, first, second)
             for length in range(len(transfers) + 1):
                 yield transfers[:length]
 

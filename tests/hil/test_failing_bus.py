@@ -17,6 +17,7 @@ from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, LATE_S, Replay, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings
+from tests.support.transfers import on_wire
 
 pytestmark = pytest.mark.hil
 
@@ -102,8 +103,8 @@ def test_stop_servos_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: 
         transfers = spi_testbed.transfers[before:]
         replay = Replay(framing)
         for leg in LEGS:
-            for data in framing.transfers(
-                bytes.fromhex("0e01") + b"".join(bytes((10 * leg + joint, 1, 90, 0)) for joint in (1, 2, 3))
+            for data in on_wire(
+                framing, bytes.fromhex("0e01") + b"".join(bytes((10 * leg + joint, 1, 90, 0)) for joint in (1, 2, 3))
             ):
                 replay.give(data, transfers[0].monotonic_ns - 1)
         off_ns = None

@@ -12,6 +12,7 @@ from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.gateway_process import Gateway
+from tests.support.transfers import on_wire, preamble_of
 
 STOPS = [stop_leg(leg).to_bytes().hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""
@@ -27,12 +28,12 @@ LATE_S = 20.0
 
 def transfers_of(framing: Framing, *frames: str) -> list[bytes]:
     """The transfers that carry these frames (hex), in order."""
-    return [data for frame in frames for data in framing.transfers(bytes.fromhex(frame))]
+    return on_wire(framing, *map(bytes.fromhex, frames))
 
 
 def opening_of(framing: Framing, *frames: str) -> list[bytes]:
     """The same, behind the preamble: from a device that has just been opened, or of a repeated run of Stops."""
-    return [*framing.preamble, *transfers_of(framing, *frames)]
+    return [*preamble_of(framing), *transfers_of(framing, *frames)]
 
 
 class Wire:

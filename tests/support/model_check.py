@@ -22,12 +22,10 @@ from gateway.robot.core.events import (
     Command,
     EmergencyStop,
     Event,
-    LeaseRequest,
     Reset,
     ShutDown,
     TimePassed,
 )
-from gateway.robot.core.lease import LeaseState
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs, _PendingCommand
 from gateway.robot.core.pacing import RateSlots, StartQueue
@@ -43,7 +41,7 @@ from tests.support.lease_model import copied_lease, lease_key, lease_requests, t
 from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Configuration
-from tests.support.transitions import LEASE_TRANSITIONS, TRANSITIONS
+from tests.support.transitions import TRANSITIONS
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,12 +281,8 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
 
 def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:
     """One step, judged. Raises Violation."""
-    mode, due_ns, lease = supervisor.mode, supervisor.due_ns, supervisor.lease
-    held = lease.state if lease.due_ns is None or now_ns < lease.due_ns else LeaseState.FREE
+    mode, due_ns = supervisor.mode, supervisor.due_ns
     effects = supervisor.step(event, now_ns, instant_ns)
-    if isinstance(event, LeaseRequest) and mode is not Mode.STOPPING:
-        after = supervisor.lease.state
-        demand(after in LEASE_TRANSITIONS[held][event.do], f"{event.do} leads the lease from {held} to {after}")
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
     oracle.judge(event, now_ns, effects, supervisor, instant_ns)

@@ -1,4 +1,4 @@
-"""In which mode which event may come to the supervisor, and which modes it may lead to; the same of the lease.
+"""In which mode which event may come to the supervisor, and which modes it may lead to.
 
 Written down apart from the code that decides, so that tests compare the two.
 """
@@ -12,7 +12,6 @@ from gateway.robot.core.events import (
     ButtonRequest,
     Calibrate,
     Command,
-    Do,
     EmergencyStop,
     Event,
     Kept,
@@ -22,7 +21,6 @@ from gateway.robot.core.events import (
     StoppedOutside,
     TimePassed,
 )
-from gateway.robot.core.lease import LeaseState
 from schemas.telemetry import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
@@ -57,17 +55,3 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.STOPPING: {event: frozenset({Mode.STOPPING}) for event in get_args(Event)},
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""
-
-_FREE, _HELD, _ASKED, _HANDED_OVER = LeaseState
-
-_LEASE: Final = {
-    _FREE: ((_HELD,), (_FREE,), (_HELD,), (_FREE,), (_FREE,)),
-    _HELD: ((_HELD,), (_ASKED,), (_HELD,), (_HELD,), (_HELD, _FREE)),
-    _ASKED: ((_ASKED,), (_ASKED,), (_ASKED, _HELD), (_ASKED,), (_ASKED, _FREE, _HANDED_OVER)),
-    _HANDED_OVER: ((_HANDED_OVER, _HELD), (_HANDED_OVER,), (_HANDED_OVER, _HELD), (_HANDED_OVER,), (_HANDED_OVER,)),
-}
-LEASE_TRANSITIONS: Final[dict[LeaseState, dict[Do, frozenset[LeaseState]]]] = {
-    state: {do: frozenset(to) for do, to in zip((Do.ACQUIRE, Do.ASK, Do.TAKE, Do.RENEW, Do.RELEASE), row, strict=True)}
-    for state, row in _LEASE.items()
-}
-"""Where each request leads; where it may also leave the lease as it is, it may be rejected. Time leads to FREE."""

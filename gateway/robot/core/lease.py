@@ -15,7 +15,6 @@ their way. Stops, deletes and emergency stops are not asked for a token.
 
 import hmac
 from collections import Counter
-from enum import StrEnum
 from typing import Final
 
 from gateway.robot.core.events import Announce, Answer, Decision, Do, Effect, LeaseRequest
@@ -26,15 +25,6 @@ from schemas.telemetry import Kind, Reason
 
 MOST_ASKERS: Final = 8
 """More people than one robot has around it; the one who asked first is forgotten for a ninth."""
-
-
-class LeaseState(StrEnum):
-    """Where the lease is."""
-
-    FREE = "free"
-    HELD = "held"
-    ASKED = "asked"
-    HANDED_OVER = "handed over"
 
 
 class Lease:
@@ -58,13 +48,9 @@ class Lease:
         """How often what has happened to it."""
 
     @property
-    def state(self) -> LeaseState:
-        """Where it is."""
-        if self.holder is None:
-            return LeaseState.FREE
-        if self._token is None:
-            return LeaseState.HANDED_OVER
-        return LeaseState.ASKED if self._askers else LeaseState.HELD
+    def _handed_over(self) -> bool:
+        """Whether it waits for `holder` to acquire it."""
+        return self.holder is not None and self._token is None
 
     @property
     def asked_by(self) -> str | None:
@@ -100,7 +86,7 @@ class Lease:
         if self.due_ns is None or now_ns < self.due_ns:
             return []
         ttl = f"{self._rules.lease_ttl_ns / NS_PER_MS:g} ms"
-        if self.state is LeaseState.HANDED_OVER:
+        if self._handed_over:
             detail = f"{self.holder} did not acquire the lease within {ttl} of its handover; it is free"
         else:
             detail = f"{self.holder} was silent for {ttl} and has lost the lease"
@@ -134,9 +120,8 @@ class Lease:
                 return self._release(request, now_ns)
 
     def _acquire(self, request: LeaseRequest, now_ns: int) -> Decision:
-        handed_over = self.state is LeaseState.HANDED_OVER
-        if self.holder is not None and not (handed_over and request.source == self.holder):
-            where = "handed over to" if handed_over else "held by"
+        if self.holder is not None and not (self._handed_over and request.source == self.holder):
+            where = "handed over to" if self._handed_over else "held by"
             return [], Answer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
         self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
         return self._told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
@@ -156,7 +141,7 @@ class Lease:
     def _ask(self, request: LeaseRequest) -> Decision:
         if self.holder is None:
             return [], Answer(Reason.NO_LEASE, "nobody holds the lease; acquire it")
-        if self.state is LeaseState.HANDED_OVER:
+        if self._handed_over:
             return [], Answer(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
         name = request.source or ""
         self._askers.pop(name, None)

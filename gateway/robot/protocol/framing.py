@@ -4,7 +4,13 @@ import enum
 from typing import Final
 
 ZERO: Final = b"\0"
-PREAMBLE_ZEROS: Final = 16  # the longest body (14) and some zero lengths, which the controller ignores
+PREAMBLE_ZEROS: Final = 16
+"""Zeros that synchronise a controller which still awaits an announced body: the longest (14), and some.
+
+They complete that body, whose type of 0 the controller ignores, as it ignores lengths of 0. Each zero is a transfer of
+its own: in one transfer they arrive faster than the firmware handles lengths of 0, which jams a healthy controller for
+up to a second. Zeros that complete half a body would be ids and angles of 0.
+"""
 
 
 class Framing(enum.StrEnum):
@@ -12,12 +18,6 @@ class Framing(enum.StrEnum):
 
     PLAIN = "plain"
     LENGTH_PREFIXED = "length-prefixed"
-
-    def transfers(self, frame_bytes: bytes) -> tuple[bytes, ...]:
-        """The SPI transfers that carry the frame, in order."""
-        if self is Framing.LENGTH_PREFIXED:
-            return bytes((len(frame_bytes),)), frame_bytes
-        return (frame_bytes,)
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
@@ -29,16 +29,6 @@ class Framing(enum.StrEnum):
         reset, and its servos stay on.
         """
         return (1_00, 4_00) if self is Framing.LENGTH_PREFIXED else None
-
-    @property
-    def preamble(self) -> tuple[bytes, ...]:
-        """The transfers that synchronise a controller which still awaits an announced body; none for PLAIN.
-
-        The zeros complete that body, whose type of 0 the controller ignores, as it ignores lengths of 0. Each zero is a
-        transfer of its own: in one transfer they arrive faster than the firmware handles lengths of 0, which jams a
-        healthy controller for up to a second. Zeros that complete half a body would be ids and angles of 0.
-        """
-        return (ZERO,) * PREAMBLE_ZEROS if self is Framing.LENGTH_PREFIXED else ()
 
 
 def avoided_by(framing: str) -> tuple[int, int] | None:

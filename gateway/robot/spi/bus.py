@@ -5,7 +5,7 @@ for a call of 1 ms at most. A batch that failed counts as failed wholly, since n
 
 In LENGTH_PREFIXED framing a frame is two transfers: its length (the announcement), then the frame (the body). A
 controller gets out of sync by one lost byte. It then takes bodies for lengths and receives nothing while traffic goes
-on, and the wire gives no sign of it. So the bus resynchronises it with the preamble's zeros (`Framing.preamble`):
+on, and the wire gives no sign of it. So the bus resynchronises it with the preamble's zeros (`PREAMBLE_ZEROS`):
 
 * after opening, and after a failed batch, when nobody knows what the controller received;
 * before each repeated run of Stops, so that a controller which missed the first run receives the repetition;

@@ -8,40 +8,15 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Union
 
 from gateway.robot.protocol.framing import Framing
 
+if TYPE_CHECKING:
+    from gateway.robot.settings import SpiSettings, WatchdogSettings
+
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
 _OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__")
-
-
-class SpiValues(Protocol):
-    """What the bus needs of the table [spi]."""
-
-    @property
-    def device(self) -> str: ...
-    @property
-    def speed_hz(self) -> int: ...
-    @property
-    def framing(self) -> Framing: ...
-    @property
-    def batch(self) -> bool: ...
-    @property
-    def frame_gap_us(self) -> float: ...
-    @property
-    def resync_ms(self) -> float: ...
-    @property
-    def avoid_cdeg(self) -> tuple[int, int] | None: ...
-
-
-class RepeatValues(Protocol):
-    """What it needs of the table [watchdog]."""
-
-    @property
-    def repeats(self) -> int: ...
-    @property
-    def repeat_interval_ms(self) -> float: ...
 
 
 class PlainSpi(NamedTuple):
@@ -65,6 +40,9 @@ class PlainRepeats(NamedTuple):
     repeats: int = 3
     repeat_interval_ms: float = 20.0
 
+
+SpiValues = Union["SpiSettings", PlainSpi]
+RepeatValues = Union["WatchdogSettings", PlainRepeats]
 
 LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "speed_hz": (1, 20_000_000),

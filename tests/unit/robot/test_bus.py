@@ -17,6 +17,7 @@ from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, Bus
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS
+from tests.support.transfers import on_wire, preamble_of
 
 PREFIXED = Framing.LENGTH_PREFIXED
 START_11 = OneServo(11, ServoOp(Op.START, 6_00))
@@ -58,9 +59,6 @@ class Scene:
         assert len(self.controller.energised) == 18
         self.device.begin(())
 
-    def transfers(self, *frames: Frame) -> list[bytes]:
-        return [data for frame in frames for data in self.framing.transfers(frame.to_bytes())]
-
 
 def few_of(count: int) -> Iterator[tuple[int, ...]]:
     for failures in range(4):
@@ -91,9 +89,9 @@ def test_a_batch_of_stops_that_failed_is_written_one_by_one_behind_zeros_of_thei
     scene.device.begin({3})  # the second Stop's body
     report = scene.bus.write(STOP_ALL)
     assert scene.device.seen == [
-        *scene.transfers(*STOP_ALL[:2]),
+        *on_wire(scene.framing, *STOP_ALL[:2]),
         *[ZERO] * PREAMBLE_ZEROS,
-        *scene.transfers(*reversed(STOP_ALL)),
+        *on_wire(scene.framing, *reversed(STOP_ALL)),
     ]
     assert [sent.place for sent in report.sent] == [5, 4, 3, 2, 1, 0], "the first ones were most likely written before"
     assert "told to fail" in str(report.fault), "and the batch counts as failed"
@@ -108,7 +106,7 @@ def test_zeros_that_fail_are_tried_again_by_themselves(zero: int) -> None:
     behind = scene.device.seen[1:]
     again = (zero - 1) % 3 + 1 if zero else 1  # one in the first call, then three in each
     assert behind.count(ZERO) == PREAMBLE_ZEROS + again
-    assert behind[-2:] == scene.transfers(STOP_ALL[0])
+    assert behind[-2:] == on_wire(scene.framing, STOP_ALL[0])
     assert scene.controller.energised == {servo for leg in LEGS[1:] for servo in range(10 * leg + 1, 10 * leg + 4)}
 
 
@@ -117,7 +115,7 @@ def test_a_frame_that_moves_is_not_tried_again() -> None:
     scene.device.begin({1})
     report = scene.bus.write(START_ALL)
     assert report.sent == []
-    assert scene.device.seen == scene.transfers(START_ALL[0]), "what is behind the transfer that failed does not leave"
+    assert scene.device.seen == on_wire(scene.framing, START_ALL[0]), "what is behind the failed one does not leave"
 
 
 def test_a_stop_is_tried_also_behind_zeros_that_fail_again_and_again() -> None:
@@ -125,7 +123,7 @@ def test_a_stop_is_tried_also_behind_zeros_that_fail_again_and_again() -> None:
     scene = Scene(PREFIXED)
     scene.device.begin({0, *range(1, 1 + 6)})
     report = scene.bus.write(STOP_ALL[3:4])
-    first_try = [scene.transfers(STOP_ALL[3])[0], *[ZERO] * 6, *scene.transfers(STOP_ALL[3])]
+    first_try = [on_wire(scene.framing, STOP_ALL[3])[0], *[ZERO] * 6, *on_wire(scene.framing, STOP_ALL[3])]
     assert scene.device.seen[: len(first_try)] == first_try
     assert [sent.heard for sent in report.sent] == [False, True]
     assert not {41, 42, 43} & scene.controller.energised
@@ -138,9 +136,9 @@ def test_a_device_that_takes_nothing_is_given_up_after_one_round(framing: Framin
     report = scene.bus.write(STOP_ALL)
     assert report.sent == []
     assert len(scene.device.seen) == 1 + 18, "each call fails at its first transfer"
-    assert {data for data in scene.device.seen if data != ZERO} == {
-        framing.transfers(stop.to_bytes())[0] for stop in STOP_ALL
-    }, "each leg's Stop is tried"
+    assert {data for data in scene.device.seen if data != ZERO} == {on_wire(framing, stop)[0] for stop in STOP_ALL}, (
+        "each leg's Stop is tried"
+    )
     if framing is PREFIXED:
         scene.device.begin({0, *range(2, 1000)})
         scene.bus.write(STOP_ALL)
@@ -182,7 +180,7 @@ MS = 1_000_000
 START = OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)
 SET_11 = OneServo(11, ServoOp(Op.SET, 45_00))
 STOP = stop_leg(1)
-ZEROS = list(PREFIXED.preamble)
+ZEROS = preamble_of(PREFIXED)
 TRANSFER_NS = 50_000
 
 
@@ -227,10 +225,6 @@ class Bed(ByteDevice):
         return self.written
 
 
-def transfers(*frames: Frame) -> list[bytes]:
-    return [data for frame in frames for data in PREFIXED.transfers(frame.to_bytes())]
-
-
 # ---- after opening
 
 
@@ -241,7 +235,7 @@ def test_what_comes_first_after_opening_has_the_preamble_ahead_and_nothing_after
     assert bed.log == [], "an opened device waits for its Stops"
     bed.write(frame)
     bed.write(START)
-    assert bed.written == [*ZEROS, *transfers(frame, START)]
+    assert bed.written == [*ZEROS, *on_wire(PREFIXED, frame, START)]
 
 
 @pytest.mark.parametrize("last", ["a frame", "zeros"])
@@ -253,7 +247,7 @@ def test_opening_again_writes_it_again_also_behind_what_was_written_well(last: s
     bed.log.clear()
     bed.bus.open()
     bed.write(STOP)
-    assert bed.written == [*ZEROS, *transfers(STOP)]
+    assert bed.written == [*ZEROS, *on_wire(PREFIXED, STOP)]
     bed.bus.close()
     assert "closed" in str(bed.bus.write([STOP]).fault)
 
@@ -265,10 +259,10 @@ def test_it_goes_before_a_repeated_run_of_stops_and_never_before_a_first_one() -
     bed = Bed().opened()
     bed.write(START)
     bed.write(STOP)
-    assert bed.written == transfers(START, STOP)
+    assert bed.written == on_wire(PREFIXED, START, STOP)
     bed.write(STOP, preamble=True)
     bed.write(stop_leg(2))
-    assert bed.written == [*ZEROS, *transfers(STOP, stop_leg(2))]
+    assert bed.written == [*ZEROS, *on_wire(PREFIXED, STOP, stop_leg(2))]
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3])
@@ -277,7 +271,7 @@ def test_what_a_pause_had_time_for_is_not_written_again_and_the_rest_is_added(pa
     bed.write(STOP)
     assert [bed.bus.write_zeros() for _ in range(parts)] == [True, False, False][:parts]
     bed.write(STOP, preamble=True)
-    assert bed.written == [*transfers(STOP), *ZEROS, *transfers(STOP)]
+    assert bed.written == [*on_wire(PREFIXED, STOP), *ZEROS, *on_wire(PREFIXED, STOP)]
     assert bed.bus.errors == 0
 
 
@@ -288,7 +282,7 @@ def test_a_first_stop_comes_into_a_preamble_and_a_frame_that_moves_waits_for_its
         bed.log.clear()
         bed.bus.write_zeros()
         bed.write(frame)
-        assert bed.written == [*ZEROS[:zeros], *transfers(frame)]
+        assert bed.written == [*ZEROS[:zeros], *on_wire(PREFIXED, frame)]
     assert [bed.bus.write_zeros() for _ in range(2)] == [True, False], "and then all sixteen of it"
 
 
@@ -334,7 +328,7 @@ def test_a_stream_is_resynchronised_from_just_when_it_is_due(early_ns: int, due:
     bed.now_ns = opened_ns + 1000 * MS - early_ns
     bed.log.clear()
     bed.write(SET_11)
-    assert bed.written == [*zeros, *transfers(SET_11)]
+    assert bed.written == [*zeros, *on_wire(PREFIXED, SET_11)]
 
 
 def test_a_first_stop_does_not_wait_for_one_that_is_overdue_and_a_frame_that_moves_does() -> None:
@@ -347,7 +341,7 @@ def test_a_first_stop_does_not_wait_for_one_that_is_overdue_and_a_frame_that_mov
     bed.write(STOP)
     assert bed.bus.resync_due
     bed.write(SET_11)
-    assert bed.written == [*transfers(STOP), *ZEROS, *transfers(SET_11)]
+    assert bed.written == [*on_wire(PREFIXED, STOP), *ZEROS, *on_wire(PREFIXED, SET_11)]
 
 
 def test_an_idle_second_does_the_same_and_costs_the_next_frame_nothing() -> None:
@@ -357,7 +351,7 @@ def test_an_idle_second_does_the_same_and_costs_the_next_frame_nothing() -> None
         bed.now_ns += idle_ns
         bed.log.clear()
         bed.write(SET_11)
-        assert bed.written == [*zeros, *transfers(SET_11)]
+        assert bed.written == [*zeros, *on_wire(PREFIXED, SET_11)]
 
 
 def test_plain_never_has_it() -> None:

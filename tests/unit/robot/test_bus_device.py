@@ -14,6 +14,7 @@ from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from schemas.robot import LEGS
+from tests.support.transfers import on_wire
 
 PREFIXED = Framing.LENGTH_PREFIXED
 START = OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)
@@ -101,7 +102,7 @@ def test_stops_are_one_call(framing: Framing) -> None:
     devices = Devices()
     assert devices.bus(framing).write(STOPS).fault is None
     (batch,) = devices.calls
-    assert [data for data, _ in batch] == [data for stop in STOPS for data in framing.transfers(stop.to_bytes())]
+    assert [data for data, _ in batch] == on_wire(framing, *STOPS)
     assert {pause_us for _, pause_us in batch} == {50}, "also behind the last: another program may write next"
 
 
@@ -166,7 +167,7 @@ def test_a_device_that_takes_less_gets_the_same_in_more_calls(most: int, preambl
         assert bus.write(frames, preamble=preamble).fault is None
         written = [data for batch in devices.calls for data, _ in batch]
         zeros = [ZERO] * PREAMBLE_ZEROS if preamble and bus.announces else []
-        assert written == [*zeros, *(data for frame in frames for data in framing.transfers(frame.to_bytes()))]
+        assert written == [*zeros, *on_wire(framing, *frames)]
         assert max(devices.sizes) <= max(a_frame, most), "an announcement and its body stay together"
         if frames is not MOVES and not zeros:
             assert len(devices.calls) == ceil(len(frames) / max(1, most // a_frame)), "Stops take no more than needed"
@@ -216,7 +217,7 @@ def test_without_batches_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_a
     assert "stood still" in str(report.fault)
     assert [sent.heard for sent in report.sent] == [True]
     written = [data for batch in devices.calls for data, _ in batch]
-    assert written == [b"\x0e", *[ZERO] * PREAMBLE_ZEROS, *PREFIXED.transfers(STOP.to_bytes())]
+    assert written == [b"\x0e", *[ZERO] * PREAMBLE_ZEROS, *on_wire(PREFIXED, STOP)]
 
 
 def test_what_a_kernel_rejects_as_a_list_is_written_one_by_one_at_once_and_so_is_all_that_follows() -> None:
@@ -331,7 +332,7 @@ def test_zeros_that_fail_count_and_the_next_frame_comes_behind_a_whole_preamble(
     assert not bus.just_resynchronised
     devices.calls.clear()
     bus.write([STOP])
-    assert [data for data, _ in devices.calls[0]] == [*[ZERO] * 16, *PREFIXED.transfers(STOP.to_bytes())]
+    assert [data for data, _ in devices.calls[0]] == [*[ZERO] * 16, *on_wire(PREFIXED, STOP)]
 
 
 def test_a_preamble_is_whole_after_its_last_part() -> None:

@@ -13,6 +13,7 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.robot import MS, Robot, leg, servo, started, started_and_quiet
+from tests.support.transfers import preamble_of
 
 pytestmark = pytest.mark.virtual_time
 
@@ -315,7 +316,7 @@ async def test_the_end_with_a_dead_bus_does_not_wait() -> None:
 async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_after_each_fault() -> None:
     robot = started(spi={"framing": "length-prefixed"})
     first = [data for _, data in robot.controller.transfers][:18]
-    assert first == [*Framing.LENGTH_PREFIXED.preamble, b"\x0e", stop_leg(1).to_bytes()]
+    assert first == [*preamble_of(Framing.LENGTH_PREFIXED), b"\x0e", stop_leg(1).to_bytes()]
     await asyncio.sleep(1)
     robot.put(LEG_3, START)
     assert robot.controller.energised == {31, 32, 33}

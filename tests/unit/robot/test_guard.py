@@ -13,6 +13,7 @@ from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.faulty_controller import FaultyController
+from tests.support.transfers import on_wire, preamble_of
 from tests.unit.robot.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED
@@ -73,7 +74,7 @@ def legal(framing: Framing, data: list[bytes]) -> bool:
 
 parts = st.one_of(
     frames.map(lambda frame: [frame.to_bytes()]),
-    frames.map(lambda frame: list(PREFIXED.transfers(frame.to_bytes()))),
+    frames.map(lambda frame: on_wire(PREFIXED, frame)),
     bytes_near_a_frame.map(lambda data: [data]),
     bytes_near_a_frame.map(lambda data: [bytes((min(len(data), 255),)), data]),
     st.sampled_from([[ZERO], [ZERO] * 16, [b"\x06"], [b"\x0e"], [bytes(16)], [STOP_1], [START_11]]),
@@ -105,8 +106,7 @@ def test_an_announcement_and_its_body_are_in_one_batch() -> None:
 @given(st.lists(frames, max_size=5))
 def test_all_that_a_framing_makes_passes(sent: list[Frame]) -> None:
     for framing in Framing:
-        expected = [data for frame in sent for data in framing.transfers(frame.to_bytes())]
-        assert passes(framing, *framing.preamble, *expected)
+        assert passes(framing, *preamble_of(framing), *on_wire(framing, *sent))
 
 
 @pytest.mark.parametrize("framing", Framing)
@@ -115,8 +115,8 @@ def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, ve
     data = bytes.fromhex(vector["bytes"])
     announcement = [b"\x0e" if len(data) == 14 else b"\x06"] if framing is PREFIXED else []
     assert not passes(framing, *announcement, data)
-    assert not passes(framing, *framing.transfers(STOP_1), *announcement, data)
-    assert not passes(framing, *announcement, data, *framing.transfers(STOP_1))
+    assert not passes(framing, *on_wire(framing, STOP_1), *announcement, data)
+    assert not passes(framing, *announcement, data, *on_wire(framing, STOP_1))
 
 
 @pytest.mark.parametrize("op", [Op.START, Op.SET])
@@ -130,7 +130,7 @@ def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle
         OneLeg(6, (servo, elsewhere, elsewhere)),
         OneLeg(6, (elsewhere, STOP, servo)),
     ):
-        batch = [(data, 0) for each in (stop_leg(1), frame) for data in PREFIXED.transfers(each.to_bytes())]
+        batch = [(data, 0) for data in on_wire(PREFIXED, stop_leg(1), frame)]
         Guard(Recorder(), PREFIXED).transfer(batch)
         device = Recorder()
         guarded = Guard(device, PREFIXED, (1_00, 4_00))

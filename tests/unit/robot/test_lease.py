@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.robot.core.events import Answer, Do, LeaseRequest
-from gateway.robot.core.lease import MOST_ASKERS, Lease, LeaseState
+from gateway.robot.core.lease import MOST_ASKERS, Lease
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
@@ -171,7 +171,7 @@ def test_it_lasts_through_an_emergency_stop_and_a_fault() -> None:
 def test_the_end_of_the_service_ends_it() -> None:
     robot = driven_by_anna()
     robot.end(2)
-    assert robot.supervisor.lease.state is LeaseState.FREE
+    assert robot.supervisor.lease.holder is None
     assert robot.due_ms is None
     assert robot.lease(3, "take bert", fresh=BERT) == ["stopping"]
 
@@ -306,13 +306,13 @@ def test_a_takeover_at_fault_is_granted_and_the_stops_follow() -> None:
     assert robot.open(4)[:6] == all_stopped("startup")
 
 
-def test_its_states_and_its_end_without_a_supervisor() -> None:
+def test_its_end_without_a_supervisor() -> None:
     lease = Lease(Rules(lease_ttl_ns=100))
-    assert (lease.state, lease.verified, lease.expire(0)) == (LeaseState.FREE, False, [])
+    assert (lease.verified, lease.expire(0)) == (False, [])
     lease.grant(LeaseRequest(Do.ACQUIRE, "anna", fresh_token=ANNA), 0)
-    assert (lease.state, lease.expire(99)) == (LeaseState.HELD, [])
+    assert lease.expire(99) == []
     lease.grant(LeaseRequest(Do.ASK, "bert"), 50)
-    assert [lease.state, len(lease.expire(100)), lease.state] == [LeaseState.ASKED, 1, LeaseState.FREE]
+    assert (len(lease.expire(100)), lease.holder, lease.asked_by) == (1, None, None)
     assert lease.changes == {Kind.LEASE_ACQUIRED: 1, Kind.LEASE_ASKED: 1, Kind.LEASE_EXPIRED: 1}
 
 

@@ -11,12 +11,13 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode
 from tests.support.robot import MS, Robot, leg, started_and_quiet
+from tests.support.transfers import on_wire, preamble_of
 
 pytestmark = pytest.mark.virtual_time
 
 LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
 START, SET = leg("start", 90, 90, 90), leg("set", 91, 91, 91)
-SIX_STOPS = [data for number in LEGS for data in Framing.LENGTH_PREFIXED.transfers(stop_leg(number).to_bytes())]
+SIX_STOPS = on_wire(Framing.LENGTH_PREFIXED, *map(stop_leg, LEGS))
 STOP_3 = stop_leg(3).to_bytes()
 
 
@@ -72,7 +73,7 @@ async def test_the_next_repeat_too_where_another_leg_writes_into_the_pause() -> 
     stops = [index for index, each in enumerate(data) if each == STOP_3]
     assert len(stops) == 4
     for repeat in stops[1:]:
-        assert data[repeat - 1 - PREAMBLE_ZEROS : repeat - 1] == list(Framing.LENGTH_PREFIXED.preamble)
+        assert data[repeat - 1 - PREAMBLE_ZEROS : repeat - 1] == preamble_of(Framing.LENGTH_PREFIXED)
     assert data[stops[0] - 2] != ZERO
 
 

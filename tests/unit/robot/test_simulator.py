@@ -12,6 +12,7 @@ from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import ServoState, SimulatedController, pulse_us
 from schemas.robot import SERVO_IDS
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
+from tests.support.transfers import on_wire
 from tests.unit.robot.test_frames import LEGAL, bytes_near_a_frame, frames
 
 MS = 1_000_000  # ns
@@ -41,7 +42,7 @@ class Bench:
 
     def send(self, *sent: bytes) -> None:
         for frame in sent:
-            self.transfer(*self.framing.transfers(frame))
+            self.transfer(*on_wire(self.framing, frame))
 
     def servo(self, servo_id: int) -> ServoState:
         return self.controller.servos[servo_id]
@@ -165,7 +166,7 @@ def test_bare_frames_execute_nothing_on_the_published_firmware(prefixed: Bench) 
 @given(st.lists(frames, min_size=1, max_size=6), st.data())
 def test_chip_select_plays_no_part(framing: Framing, sent: list[Frame], data: st.DataObject) -> None:
     """The same bytes in other portions do the same."""
-    stream = b"".join(transfer for frame in sent for transfer in framing.transfers(frame.to_bytes()))
+    stream = b"".join(on_wire(framing, *sent))
     whole, portioned = Bench(framing), Bench(framing)
     whole.transfer(stream)
     while stream:
@@ -319,7 +320,7 @@ def test_a_second_of_silence_brings_any_controller_back_in_step(
 def test_transfers_are_kept_with_their_time(bench: Bench) -> None:
     bench.now_ns += 7
     bench.send(START_11)
-    assert [data for _, data in bench.controller.transfers] == list(bench.framing.transfers(START_11))
+    assert [data for _, data in bench.controller.transfers] == on_wire(bench.framing, START_11)
     assert {at_ns for at_ns, _ in bench.controller.transfers} == {5_000_000 * MS + 7}
 
 
