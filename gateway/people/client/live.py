@@ -35,7 +35,6 @@ LOOK_S: Final = 0.1
 QUIET_MS: Final = 250.0
 """After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
 ANSWER_S: Final = 0.6
-UPRIGHT_S: Final = 2.0
 SILENT_MS: Final = 1000.0
 """Without a state for so long, it is looked why."""
 WHY_EVERY_S: Final = 3.0
@@ -91,10 +90,10 @@ def is_of_physics(sample: zenoh.Sample, physics: str | None) -> bool:
 
 def set_upright(client: "Client") -> Ack:
     """Put a robot that is simulated with physics on its feet, as somebody would. Raises UnansweredError."""
-    for reply in client.session.get(keys.SIM_UPRIGHT, timeout=UPRIGHT_S):
-        if reply.ok is not None:
-            return Ack.model_validate_json(reply.ok.payload.to_bytes())
-    raise UnansweredError("no simulated body answers: set upright is for `run --sim=physics`")
+    try:
+        return client.ask(keys.SIM_UPRIGHT, {})
+    except UnansweredError as error:
+        raise UnansweredError("no simulated body answers: set upright is for `run --sim=physics`") from error
 
 
 # ---- to one thread
@@ -202,6 +201,7 @@ class Starts:
     def look(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
         """`time` and `uptime_s` are a state's, `received_ns` is by a clock of this machine's."""
         began_s = time.timestamp() - uptime_s
+        order = Order.NEXT
         if self._received_ns is not None:
             older = uptime_s < self._uptime_s
             apart_s = (received_ns - self._received_ns) / 1e9
@@ -209,10 +209,6 @@ class Starts:
                 order = Order.RESTARTED
             elif older:
                 return Order.OVERTAKEN
-            else:
-                order = Order.NEXT
-        else:
-            order = Order.NEXT
         self._began_s, self._uptime_s, self._received_ns = began_s, uptime_s, received_ns
         return order
 
@@ -366,79 +362,67 @@ class Live:
 
 
 class OnLoop(Receiver):
-    """Hands on to a receiver on an event loop: one state and at most 256 events wait, so neither a flood nor a busy
-    loop takes memory."""
+    """Hands on to a receiver on an event loop, in the order in which things came: of each the newest, and of events at
+    most 256, so neither a flood nor a busy loop takes memory."""
 
     def __init__(self, loop: "AbstractEventLoop", receiver: Receiver) -> None:
         self._loop = loop
         self._receiver = receiver
         self._lock = threading.Lock()
-        self._announced = False
-        self._state: tuple[GatewayState, int] | None = None
+        self._waiting: dict[str, Callable[[], None]] = {}
         self._events: deque[Event] = deque()
         self._left_out = 0
-        self._alive: bool | None = None
-        self._body: BodyReport | None = None
 
     def opened(self) -> None:
-        self._call(self._receiver.opened)
+        self._put(self._receiver.opened)
 
     def not_opened(self, error: Exception) -> None:
-        self._call(self._receiver.not_opened, error)
+        self._put(self._receiver.not_opened, error)
 
     def looked(self, reasons: list[str]) -> None:
-        self._call(self._receiver.looked, reasons)
+        self._put(self._receiver.looked, reasons)
 
     def answered(self, client: "Client") -> None:
-        self._call(self._receiver.answered, client)
+        self._put(self._receiver.answered, client)
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        with self._noted():
-            self._state = (state, received_ns)
+        self._put(self._receiver.received_state, state, received_ns)
+
+    def received_body(self, body: BodyReport) -> None:
+        self._put(self._receiver.received_body, body)
+
+    def received_token(self, alive: bool) -> None:
+        self._put(self._receiver.received_token, alive)
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        with self._noted():
+        with self._lock:
             self._events.append(event)
             self._left_out += left_out
             if len(self._events) > KEPT_EVENTS:
                 self._events.popleft()
                 self._left_out += 1
+        self._put(self._deliver_events)
 
-    def received_body(self, body: BodyReport) -> None:
-        with self._noted():
-            self._body = body
-
-    def received_token(self, alive: bool) -> None:
-        with self._noted():
-            self._alive = alive
-
-    @contextmanager
-    def _noted(self) -> Iterator[None]:
+    def _put(self, take: Callable[..., None], *arguments: object) -> None:
+        """Call it on the loop, with no other arguments than these, and after all that waits already."""
         with self._lock:
-            yield
-            announced, self._announced = self._announced, True
+            announced = bool(self._waiting)
+            self._waiting.pop(take.__name__, None)
+            self._waiting[take.__name__] = partial(take, *arguments)
         if not announced:
-            self._call(self._deliver)
+            with suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._deliver)
 
     def _deliver(self) -> None:
         with self._lock:
-            state, events, left_out, alive = self._state, list(self._events), self._left_out, self._alive
-            body = self._body
-            self._announced, self._state, self._left_out, self._alive = False, None, 0, None
-            self._body = None
-            self._events.clear()
-        if alive:
-            self._receiver.received_token(alive)
-        if state is not None:
-            self._receiver.received_state(*state)
-        if body is not None:
-            self._receiver.received_body(body)
+            waiting, self._waiting = self._waiting, {}
+        for call in waiting.values():
+            call()
+
+    def _deliver_events(self) -> None:
+        with self._lock:
+            events, self._events = self._events, deque()
+            left_out, self._left_out = self._left_out, 0
         for event in events:
             self._receiver.received_event(event, left_out)
             left_out = 0
-        if alive is False:
-            self._receiver.received_token(alive)
-
-    def _call(self, function: Callable[..., None], *arguments: object) -> None:
-        with suppress(RuntimeError):  # the loop is closed
-            self._loop.call_soon_threadsafe(function, *arguments)
