@@ -2,12 +2,15 @@
 
 import itertools
 import math
+import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from gateway.client import Client
+from gateway.people.bridge.driving import Driving
 from gateway.people.ros2.messages import (
     Duration,
     Float64,
@@ -20,6 +23,7 @@ from gateway.people.ros2.messages import (
     TwistStamped,
     Vector3,
 )
+from gateway.people.ros2.trajectory import Trajectory
 from schemas.telemetry import Kind, Mode
 from tests.support.bridged import (
     GEOMETRY,
@@ -194,6 +198,25 @@ def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
     raw.vanish()
     assert max(commanded(written.all, 11)) < 90 + 57, "it did not follow it to its end"
     assert watcher.state().lease.holder == "ros2", "another may go on"
+
+
+def test_a_trajectory_behind_one_that_has_just_ended_is_followed(gateway: Gateway, watcher: Client) -> None:
+    """Here nobody looks whether it has ended; the bridge does twenty times a second."""
+    happened, gone = events(watcher), threading.Event()
+    leg = replace(plan((30.0, 0.0)), joint_names=resting().name[:3])
+    leg = replace(leg, points=(replace(leg.points[0], positions=leg.points[0].positions[:3]),))
+    with gateway.client(source="ros2") as client:
+        driving = Driving(client, "ros2", GEOMETRY, lambda _: None)
+        driving.drive()
+        driving.follow(Trajectory.read(leg, GEOMETRY, time.monotonic(), time.time_ns()), lambda: not gone.is_set())
+        states(watcher).wait(lambda state: state.mode == Mode.ACTIVE)
+        gone.set()
+        driving.check()  # with one leg nothing can sit down
+        happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
+        driving.follow(Trajectory.read(leg, GEOMETRY, time.monotonic(), time.time_ns()), lambda: True)
+        states(watcher).wait(lambda state: state.mode == Mode.ACTIVE)
+        driving.close()
+    assert watcher.state().mode == Mode.IDLE
 
 
 def test_a_sender_that_nobody_sees_is_not_followed(gateway: Gateway, watcher: Client) -> None:

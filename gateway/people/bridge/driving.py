@@ -141,8 +141,7 @@ class Driving:
         """Ten times a second and more: what is over is ended, and what was stopped ends the driving."""
         with self._lock:
             try:
-                if self._motion is not None and not self._motion.check(time.monotonic()):
-                    self._end_motion(sits=False)
+                self._end_what_is_over()
                 state, self._received = self._received, None
                 if self._motion is None and self._lease is not None and state is not None:
                     self._check_estop(state)
@@ -175,6 +174,7 @@ class Driving:
 
     def _using(self, kind: type[M], make: Callable[[], M]) -> M:
         """The motion of this kind, a new one where there is none. Raises NotTakenError while another moves it."""
+        self._end_what_is_over()  # it takes no message any more, and nobody has looked since
         motion = self._motion
         if isinstance(motion, kind):
             return motion
@@ -186,6 +186,11 @@ class Driving:
 
     def _walking(self) -> Walking:
         return self._using(Walking, lambda: Walking(self._client, self._geometry, self._gait))
+
+    def _end_what_is_over(self) -> None:
+        """Raises what has ended it."""
+        if self._motion is not None and not self._motion.check(time.monotonic()):
+            self._end_motion(sits=False)
 
     def _end_motion(self, *, sits: bool) -> None:
         motion, self._motion = self._motion, None
