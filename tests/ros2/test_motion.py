@@ -4,7 +4,6 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -24,7 +23,7 @@ from gateway.people.ros2.messages import (
     Vector3,
 )
 from gateway.people.ros2.trajectory import Trajectory
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import FrameRecord, Kind, Mode
 from tests.support.bridged import (
     GEOMETRY,
     LONG_S,
@@ -38,7 +37,7 @@ from tests.support.bridged import (
     resting,
 )
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames, running, states
+from tests.support.heard import Heard, events, frames, running, states
 from tests.support.ros2_peer import Peer
 
 # ---- joint commands
@@ -86,6 +85,12 @@ def test_what_a_link_held_back_is_not_taken(driven: Bridge, watcher: Client) -> 
 # ---- walking
 
 
+def rests(written: Heard[FrameRecord], *servos: int, count: int) -> bool:
+    """Whether the newest `count` angles of each of these are the same."""
+    newest = [commanded(written.all[-10 * count :], servo_id)[-count:] for servo_id in servos]
+    return all(len(angles) == count and len(set(angles)) == 1 for angles in newest)
+
+
 def test_cmd_vel_walks_and_silence_has_it_stand(driven: Bridge, peer: Peer, watcher: Client) -> None:
     written = frames(watcher)
     peer.advertise("/hexapod/cmd_gait_type", Int32)
@@ -99,11 +104,7 @@ def test_cmd_vel_walks_and_silence_has_it_stand(driven: Bridge, peer: Peer, watc
 
     keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), strides, hz=20)
 
-    def stands() -> bool:
-        latest = commanded(written.all, 11)[-50:]
-        return len(latest) == 50 and len(set(latest)) == 1
-
-    keeps(lambda: None, stands)
+    keeps(lambda: None, lambda: rests(written, 11, count=50))
     assert len(running(watcher)) == 6
     assert peer.call("/hexapod/release") == (True, "released")
     assert watcher.state().mode == Mode.IDLE
@@ -121,26 +122,16 @@ def test_the_body_is_raised_and_leans_and_what_legs_cannot_do_is_not_taken(
     assert not running(watcher)
     written = frames(watcher)
     peer.publish("/hexapod/cmd_base_height", Float64(0.12))
-
-    def settles(count: int) -> Callable[[], bool]:
-        def settled() -> bool:
-            records = written.all
-            pairs = [(commanded(records, leg * 10 + 2)[-count:]) for leg in (1, 2)]
-            return all(len(each) == count and len(set(each)) == 1 for each in pairs)
-
-        return settled
-
-    keeps(lambda: None, settles(40))
+    keeps(lambda: None, lambda: rests(written, 12, 22, count=40))
     level = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
     assert level[1] + level[2] == pytest.approx(180.0, abs=0.1), "left and right servos mirror each other"
     peer.publish("/hexapod/roll_setpoint", Float64(0.1))
-    keeps(lambda: None, lambda: commanded(written.all, 12)[-1] != level[1])
-    keeps(lambda: None, settles(40))
+    keeps(lambda: None, lambda: not rests(written, 12, count=2))
+    keeps(lambda: None, lambda: rests(written, 12, 22, count=40))
     leans = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
     assert leans[1] + leans[2] != pytest.approx(180.0, abs=1.0)
-    for value in (math.nan, math.inf):
-        with rejected(driven, "cmd_base_height: a height and a leaning are finite numbers"):
-            peer.publish("/hexapod/cmd_base_height", Float64(value))
+    with rejected(driven, "cmd_base_height: a height and a leaning are finite numbers"):
+        peer.publish("/hexapod/cmd_base_height", Float64(math.nan))
 
 
 # ---- trajectories

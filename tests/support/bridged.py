@@ -21,6 +21,7 @@ from gateway.robot.protocol.frames import decode as decode_frame
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
+from tests.support.fixtures import patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.router import zenoh_listening
 
@@ -152,12 +153,7 @@ class Received:
         raise TimeoutError(f"no such {self._kind.TYPE}")
 
 
-PATIENT: Final[dict[str, dict[str, Any]]] = {
-    "watchdog": {"timeout_ms": 2000},
-    "lease": {"ttl_ms": 10_000},
-    "telemetry": {"frames": True},
-}
-"""It outlasts a moment in which this machine is busy."""
+PATIENT: Final = patient(telemetry={"frames": True})
 LONG_S: Final = 40.0
 
 

@@ -18,7 +18,7 @@ import zenoh_ros2_sdk as sdk
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 from gateway.people.ros2 import messages
-from gateway.people.ros2.cdr import Message, definition
+from gateway.people.ros2.cdr import Message, definition, encode
 from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE, TriggerRequest, TriggerResponse
 from tests.support.child import Child
 
@@ -48,7 +48,7 @@ class Peer:
 
     def publish(self, topic: str, message: Message) -> None:
         """One message of a topic that is advertised."""
-        self._ask("publish", topic, type(message).__name__, asdict(message))
+        self._ask("publish", topic, type(message).__name__, encode(message).hex())
 
     def subscribe(self, topic: str, kind: type[Message], *, latched: bool = False) -> None:
         """`latched`: and ask for what was published before."""
@@ -90,9 +90,10 @@ class Actor:
             topic, kind.TYPE, definition(kind), router_port=self._port, type_hash=kind.HASH
         )
 
-    def publish(self, topic: str, kind_name: str, fields: dict[str, Any]) -> None:
-        message = self._theirs(kind_of(kind_name), fields)
-        self._publishers[topic].publish(**{name: getattr(message, name) for name in fields})
+    def publish(self, topic: str, kind_name: str, cdr: str) -> None:
+        kind = kind_of(kind_name)
+        message = self._store.deserialize_cdr(bytes.fromhex(cdr), kind.TYPE)
+        self._publishers[topic].publish(**{field.name: getattr(message, field.name) for field in kind.FIELDS})
 
     def subscribe(self, topic: str, kind_name: str, latched: bool) -> None:
         kind = kind_of(kind_name)
@@ -134,18 +135,6 @@ class Actor:
     def graph(self) -> dict[str, list[str]]:
         found = sdk.get_topic_names_and_types(0, router_port=self._port)
         return dict(found) | dict(sdk.get_service_names_and_types(0, router_port=self._port))
-
-    def _theirs(self, kind: type[Message], fields: dict[str, Any]) -> Any:
-        made: dict[str, Any] = {}
-        for name, element, many in kind.FIELDS:
-            value = fields[name]
-            if element == "float64" and many:
-                made[name] = np.array(value, dtype=np.float64)
-            elif isinstance(element, str):
-                made[name] = value
-            else:
-                made[name] = [self._theirs(element, each) for each in value] if many else self._theirs(element, value)
-        return self._store.types[kind.TYPE](**made)
 
 
 def kind_of(name: str) -> type[Message]:

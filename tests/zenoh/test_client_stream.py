@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
 from gateway.people.tools.drill.cut_link import CutLink
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
@@ -19,6 +20,7 @@ from tests.support.heard import events, frames, running, states
 
 HZ = 50
 POSE = (90, 45, 120)
+MINUTE = timedelta(minutes=1)
 TIMEOUT_MS = 1000
 """For setpoints every 20 ms, on a machine that may be busy for longer than the watchdog's 250."""
 
@@ -137,37 +139,33 @@ def test_another_ones_stop_ends_it(robot: Client, watcher: Client) -> None:
             stream.set({1: POSE, 2: POSE})  # that it runs again is not this program's decision
 
 
+def expired(at: datetime, detail: str, *legs: int) -> Event:
+    """The watchdog has stopped these."""
+    return Event(time=at, kind=Kind.WATCHDOG_EXPIRED, source=None, key=None, reason=None, detail=detail, legs=legs)
+
+
 def test_what_ended_before_the_start_is_over(robot: Client) -> None:
     """Events and answers come on ways of their own, and an older event may come later."""
-    now = robot.state().time
+    before = robot.state().time
     with robot.stream(HZ) as stream:
         stream.set({1: POSE})
-        told: dict[str, Any] = {
-            "kind": Kind.WATCHDOG_EXPIRED,
-            "source": None,
-            "key": None,
-            "reason": None,
-            "detail": "one leg is stopped",
-            "legs": (1,),
-        }
-        stream._hear_event(Event(time=now, **told))
+        stream._hear_event(expired(before, "one leg is stopped", 1))
         stream.set({1: POSE})
-        stream._hear_event(Event(time=now + timedelta(minutes=1), **told))
+        stream._hear_event(expired(before + MINUTE, "one leg is stopped", 1))
         with pytest.raises(StoppedError, match="one leg is stopped") as error:
             stream.set({1: POSE})
         assert error.value.legs == (1,)
 
 
 def test_whose_stop_it_is_is_read_from_its_legs_and_not_from_its_sentence(robot: Client) -> None:
-    told: dict[str, Any] = {"kind": Kind.WATCHDOG_EXPIRED, "source": None, "key": None, "reason": None}
     with robot.stream(HZ) as stream:
         stream.set({1: POSE})
-        later = robot.state().time + timedelta(minutes=1)
-        stream._hear_event(Event(time=later, detail="leg 1, leg 1, servo 11", legs=(2, 3), **told))
+        later = robot.state().time + MINUTE
+        stream._hear_event(expired(later, "leg 1, leg 1, servo 11", 2, 3))
         stream.set({1: POSE})
-        stream._hear_event(Event(time=later, detail="an older gateway: leg 1", **told))
+        stream._hear_event(expired(later, "an older gateway: leg 1"))
         stream.set({1: POSE})  # the gateway is asked, and the leg runs
-        stream._hear_event(Event(time=later, detail="leg 6 was silent", legs=(1, 2, 3, 4, 5, 6), **told))
+        stream._hear_event(expired(later, "leg 6 was silent", *LEGS))
         with pytest.raises(StoppedError, match="leg 6 was silent"):
             stream.set({1: POSE})
 
@@ -192,15 +190,7 @@ def test_messages_that_were_lost_are_not_somebody_elses_stop(robot: Client) -> N
         servos = tuple(servo.model_copy(update={"running": False}) for servo in state.legs[0].servos)
         leg = state.legs[0].model_copy(update={"servos": servos, "source": None})
         stopped = state.model_copy(update={"legs": (leg, *state.legs[1:])})
-        lost = Event(
-            time=state.time + timedelta(minutes=1),
-            kind=Kind.OVERFLOW,
-            source=None,
-            key="hexapod/legs/cmd",
-            reason=Reason.OVERFLOW,
-            detail="messages were lost",
-            legs=(1,),
-        )
+        lost = expired(state.time + MINUTE, "messages were lost", 1).model_copy(update={"kind": Kind.OVERFLOW})
         timer = threading.Timer(0.02, stream._hear_event, [lost])
         timer.start()
         error = stream._stopped(stopped)
@@ -249,7 +239,7 @@ def test_a_killed_gateway_is_a_lost_link_and_one_that_was_restarted_is_noticed(t
     }
     with ExitStack() as gateways:
         gateway = gateways.enter_context(Gateway(tmp_path, settings))
-        robot = gateways.enter_context(gateway.client(source=None))
+        robot = gateways.enter_context(Client(gateway.endpoint, timeout_s=2))
         with pytest.raises(DisconnectedError, match="link to the gateway is lost") as error:
             walk(robot, gateway.child.kill)
         assert "no gateway answered" in error.value.__notes__[0], "the Stop at the end could not be told"

@@ -16,16 +16,11 @@ from gateway.people.walking import HOLD_S, REST_S, STILL, Posture
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, FrameRecord, GatewayState, Mode, Reason
-from tests.support.fixtures import client_fixture, gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, running, states
 
-PATIENT: Final[dict[str, dict[str, Any]]] = {
-    "watchdog": {"timeout_ms": 10_000},
-    "lease": {"ttl_ms": 10_000},
-    "telemetry": {"frames": True},
-}
-"""It outlasts a moment in which this machine is busy."""
+PATIENT: Final = patient(10_000, telemetry={"frames": True})
 WALKS_S: Final = 60.0
 QUICKER: Final = 4
 """Ticks are 80 ms of a walk's time then, and a tick may be 100 (gateway/people/walking/engine.py)."""

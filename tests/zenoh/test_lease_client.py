@@ -3,7 +3,6 @@
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 
@@ -38,15 +37,7 @@ gateway = gateway_fixture(
 )
 
 
-@pytest.fixture
-def anna(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="anna") as client:
-        client.reset()
-        client.stop()
-        assert client.state().lease.holder is None
-        yield client
-
-
+anna = client_fixture("anna", rests=True)
 bert = client_fixture("bert")
 
 
