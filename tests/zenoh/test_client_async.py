@@ -29,15 +29,14 @@ from gateway.errors import ZenohError
 from gateway.people.client.aio import KEPT_EVENTS, MAX_QUESTIONS, _Threads
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
 
 POSE = (90, 45, 120)
 HZ = 50
 
 
-# A busy machine may be silent for longer than 250 ms.
-gateway = gateway_fixture({"watchdog": {"timeout_ms": 1000}})
+gateway = gateway_fixture(patient(1000))
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from gateway.client import Client, DisconnectedError, RejectedError, StoppedErro
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.robot.protocol.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
-from tests.support.fixtures import client_fixture, gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames, running
 from tests.zenoh.test_client_stream import HZ, POSE, go_on
@@ -14,7 +14,7 @@ from tests.zenoh.test_client_stream import HZ, POSE, go_on
 Angles = dict[int, tuple[float, float, float]]
 
 
-gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 1000}})
+gateway = gateway_fixture(patient(1000, telemetry={"frames": True}))
 anna = client_fixture("anna", rests=True)
 bert = client_fixture("bert")
 

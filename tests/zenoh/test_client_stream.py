@@ -14,7 +14,7 @@ from gateway.client import Client, DisconnectedError, RejectedError, StoppedErro
 from gateway.people.tools.drill.cut_link import CutLink
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, Kind, Mode, Reason
-from tests.support.fixtures import client_fixture, gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, running, states
 
@@ -25,13 +25,7 @@ TIMEOUT_MS = 1000
 """For setpoints every 20 ms, on a machine that may be busy for longer than the watchdog's 250."""
 
 
-gateway = gateway_fixture(
-    {
-        "telemetry": {"frames": True},
-        "limits.servos.61": {"max_deg": 100},
-        "watchdog": {"timeout_ms": TIMEOUT_MS},
-    }
-)
+gateway = gateway_fixture(patient(TIMEOUT_MS, telemetry={"frames": True}, **{"limits.servos.61": {"max_deg": 100}}))
 watcher = client_fixture("somebody else", rests=True)
 robot = client_fixture(None)
 
@@ -233,10 +227,7 @@ def test_a_setpoint_that_was_rejected_is_reported_and_the_stream_goes_on(robot: 
 
 
 def test_a_killed_gateway_is_a_lost_link_and_one_that_was_restarted_is_noticed(tmp_path: Path) -> None:
-    settings: dict[str, dict[str, Any]] = {
-        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]},
-        "watchdog": {"timeout_ms": TIMEOUT_MS},
-    }
+    settings = patient(TIMEOUT_MS, zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
     with ExitStack() as gateways:
         gateway = gateways.enter_context(Gateway(tmp_path, settings))
         robot = gateways.enter_context(Client(gateway.endpoint, timeout_s=2))
