@@ -1,13 +1,10 @@
-"""What all tests share: Hypothesis's patience, the event loop (`virtual_time`: it leaps to its next timer), and the
-model check, which begins early."""
+"""What all tests share: Hypothesis's patience, and the event loop (`virtual_time`: it leaps to its next timer)."""
 
 import asyncio
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from multiprocessing import get_context
-from multiprocessing.pool import AsyncResult
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import async_solipsism
@@ -16,8 +13,6 @@ from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
 from tests.support import schedule
-from tests.support.model_check import Report, check
-from tests.support.small_robots import CONFIGURATIONS
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(
@@ -59,18 +54,3 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """pytest's hook."""
     del config
     schedule.arrange(items)
-
-
-@pytest.fixture(scope="session")
-def searches() -> Iterator[Mapping[str, AsyncResult[Report]]]:
-    """The model check's searches by configuration; the last have most states, and so begin first."""
-    with get_context("spawn").Pool(initializer=schedule.give_way) as pool:
-        yield {each.name: pool.apply_async(check, (each,)) for each in reversed(CONFIGURATIONS)}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _search_ahead(request: pytest.FixtureRequest) -> None:
-    """Begin the searches, where they are wanted: most tests that run alone leave a processor idle."""
-    wanted = any("searches" in getattr(item, "fixturenames", ()) for item in request.session.items)
-    if wanted and not hasattr(request.config, "workerinput"):
-        request.getfixturevalue("searches")

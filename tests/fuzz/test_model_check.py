@@ -1,12 +1,10 @@
 """The exhaustive check of the supervisor finds nothing (where something is planted, it does: test_planted.py)."""
 
 from collections import deque
-from collections.abc import Mapping
-from multiprocessing.pool import AsyncResult
 
 import pytest
 
-from tests.support.model_check import Key, Report, State, start, successors
+from tests.support.model_check import Key, State, check, start, successors
 from tests.support.small_robots import CONFIGURATIONS, Configuration
 
 BY_NAME = {configuration.name: configuration for configuration in CONFIGURATIONS}
@@ -17,11 +15,10 @@ STAGGERED = BY_NAME["two legs, started one after the other"]
 CALIBRATED = BY_NAME["one leg, a servo of which is calibrated"]
 
 
+@pytest.mark.searches
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
-def test_every_reachable_state_keeps_every_promise(
-    configuration: Configuration, searches: Mapping[str, AsyncResult[Report]]
-) -> None:
-    report = searches[configuration.name].get()
+def test_every_reachable_state_keeps_every_promise(configuration: Configuration) -> None:
+    report = check(configuration)
     print(f"{configuration.name}: {report.states} states, {report.steps} steps")
     assert report.states > 500, "so few states: the events do not reach what they should"
 

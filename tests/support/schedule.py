@@ -22,7 +22,7 @@ ORDER: Final = (
     "unit",
     "fuzz",
 )
-"""Longest chains first; last what is short, and what waits for the searches."""
+"""Longest chains first, last what is short."""
 ALONE: Final = (
     "net",
     "hil/test_death.py",
@@ -54,16 +54,16 @@ APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
-SEARCHES: Final = "test_every_reachable_state"
-"""The model check's: it waits for processes of its own, which search while others run alone."""
-STAGES: Final = {"alone": (*ALONE, "fuzz/test_model_check.py"), "attended": ATTENDED}
+SEARCHES: Final = ("fuzz/test_model_check.py",)
+"""The model check: minutes of a processor, while the attended, and then those that run alone, leave one idle."""
+STAGES: Final = {"alone": ALONE, "attended": ATTENDED, "searches": SEARCHES}
 """By the mark that `make test` asks for: where its tests are."""
 
 
 def arrange(items: list[pytest.Item]) -> None:
     """Sort the tests, and mark those that run alone."""
     for item in items:
-        if SEARCHES in item.nodeid or _is_among(_file(item.nodeid), ALONE):
+        if _is_among(_file(item.nodeid), ALONE):
             item.add_marker(pytest.mark.alone)
         elif _is_among(_file(item.nodeid), ATTENDED):
             item.add_marker(pytest.mark.attended)
@@ -71,8 +71,6 @@ def arrange(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.thorough)
 
     def place(item: pytest.Item) -> int:
-        if SEARCHES in item.nodeid:
-            return len(ORDER)
         folder = _file(item.nodeid).partition("/")[0]
         return ORDER.index(folder) if folder in ORDER else -1
 
@@ -84,16 +82,15 @@ def is_elsewhere(path: Path, stage: str) -> bool:
     return stage in STAGES and path.suffix == ".py" and not _is_among(str(path.relative_to(TESTS)), STAGES[stage])
 
 
-def give_way() -> None:
-    """Leave the processors to whoever else wants one, at once: a nice value only gives them more of the time."""
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+def give_way(process: int) -> None:
+    """Let it, and what it starts, leave the processors to whoever else wants one, at once: a nice value only gives them
+    more of the time."""
+    os.sched_setscheduler(process, os.SCHED_IDLE, os.sched_param(0))
 
 
 def group(nodeid: str) -> str:
     """What runs on one worker, one after the other."""
     file = _file(nodeid)
-    if SEARCHES in nodeid:
-        return SEARCHES
     if _is_among(file, APART):
         return nodeid
     return file.partition("/")[0] if _is_among(file, TOGETHER) else file
