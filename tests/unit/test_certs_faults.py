@@ -6,6 +6,7 @@ from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -168,14 +169,6 @@ def test_hosts_that_cannot_be(tmp_path: Path, host: str) -> None:
     assert names(tmp_path) == set()
 
 
-@pytest.mark.parametrize("host", ["::1", "[2001:DB8::7]"])
-def test_an_ipv6_address_that_no_laptop_could_dial(tmp_path: Path, host: str) -> None:
-    assert "Zenoh dials no IPv6 address over TLS" in fault(
-        lambda: certs.folder.init(tmp_path / "D", ["robot.local", host])
-    )
-    assert names(tmp_path) == set()
-
-
 @pytest.mark.parametrize(
     ("text", "host"),
     [
@@ -189,13 +182,21 @@ def test_hosts_are_brought_into_one_form(text: str, host: str) -> None:
     assert parse_host(text) == host
 
 
-def test_other_numbers_out_of_range(folder: Path, tmp_path: Path) -> None:
-    new = tmp_path / "new"
-    assert "--days 0" in fault(lambda: certs.folder.init(new, HOSTS, days=0))
-    assert "--days 3651" in fault(lambda: certs.folder.issue(folder, "alice", "operator", days=3651))
-    assert "port 65536" in fault(lambda: certs.folder.init(new, HOSTS, port=65536))
-    assert "at least one host" in fault(lambda: certs.folder.init(new, []))
-    assert not new.exists()
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"days": 0}, "--days 0"),
+        ({"port": 65536}, "port 65536"),
+        ({"size": 0}, "a pool of 0"),
+        ({"hosts": []}, "at least one host"),
+        ({"hosts": ["robot.local", "::1"]}, "Zenoh dials no IPv6 address over TLS"),
+        ({"hosts": ["robot.local", "[2001:DB8::7]"]}, "Zenoh dials no IPv6 address over TLS"),
+        *(({"namespace": name}, "cannot be a namespace") for name in ("a/b", "*", "-x", "x" * 64, 'a"')),
+    ],
+)
+def test_what_init_rejects(tmp_path: Path, options: dict[str, Any], sentence: str) -> None:
+    assert sentence in fault(partial(certs.folder.init, tmp_path / "D", **{"hosts": HOSTS, **options}))
+    assert names(tmp_path) == set()
 
 
 def test_a_folder_without_a_ca(tmp_path: Path) -> None:
@@ -239,6 +240,7 @@ def test_a_ca_that_expired(folder: Path) -> None:
     later = NOW + 3651 * DAY
     assert "expired" in fault(lambda: certs.folder.issue(folder, "alice", "operator", now=later))
     assert "expired" in fault(lambda: certs.folder.renew(folder, "gateway", now=later))
+    assert "--days 3651" in fault(lambda: certs.folder.issue(folder, "alice", "operator", days=3651))
 
 
 def test_renewing_what_is_not_there_or_anothers(folder: Path, tmp_path: Path) -> None:
@@ -248,14 +250,6 @@ def test_renewing_what_is_not_there_or_anothers(folder: Path, tmp_path: Path) ->
     certs.folder.issue(tmp_path / "E", "eve", "operator")
     (folder / "eve.pem").write_bytes((tmp_path / "E" / "eve.pem").read_bytes())
     assert "was not issued by the CA" in fault(lambda: certs.folder.renew(folder, "eve"))
-
-
-@pytest.mark.parametrize("namespace", ["a/b", "*", "-x", "x" * 64, 'a"'])
-def test_a_namespace_is_one_plain_name(tmp_path: Path, namespace: str) -> None:
-    assert "cannot be a namespace" in fault(
-        lambda: certs.folder.init(tmp_path / "D", ["robot.local"], namespace=namespace)
-    )
-    assert not (tmp_path / "D").exists()
 
 
 def test_a_gateway_file_that_is_broken(folder: Path) -> None:

@@ -6,7 +6,6 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 import json
 import os
 import statistics
-import subprocess
 import sys
 import threading
 import time
@@ -28,6 +27,7 @@ from schemas.lease import LeaseAck
 from schemas.telemetry import GatewayState, Mode, Reason
 from tests.support.certs_folder import contents, fault
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
 from tests.support.heard import states
 from tests.support.zenoh_actor import Remote
@@ -299,19 +299,12 @@ def test_a_robots_name_is_a_free_one(fleet: Fleet, name: str) -> None:
     assert contents(fleet.folder) == before
 
 
-def test_the_files_in_deploy_are_those_that_certs_makes(tmp_path: Path) -> None:
+def test_the_files_in_deploy_are_those_that_certs_makes_also_anew_without_a_new_robot(tmp_path: Path) -> None:
     certs.folder.init(tmp_path, ["router.local"])
     certs.folder.add_robots(tmp_path, ROBOTS[:2])
     certs.folder.add_robots(tmp_path, ROBOTS[2:])
     assert (tmp_path / "router.json5").read_text() == (DEPLOY / "router.json5").read_text()
     assert (tmp_path / "robot-1.json5").read_text() == (DEPLOY / "gateway.json5").read_text()
-
-
-def test_a_routers_file_is_made_anew_without_a_new_robot(tmp_path: Path) -> None:
-    certs.folder.init(tmp_path, ["router.local"])
-    certs.folder.add_robots(tmp_path, ROBOTS)
     (tmp_path / "router.json5").write_text("// of an older version\n")
-    command = [sys.executable, "-m", "gateway", "certs", "robot", "--dir", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "router.json5 anew" in done.stdout
+    assert "router.json5 anew" in run_here("certs", "robot", "--dir", str(tmp_path)).stdout
     assert (tmp_path / "router.json5").read_text() == (DEPLOY / "router.json5").read_text()

@@ -22,17 +22,21 @@ README = (ROOT / "README.md").read_text()
 TROUBLES = (ROOT / "docs" / "troubles.md").read_text()
 
 
-def test_the_python_example_runs(tmp_path: Path) -> None:
+def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    (payload,) = re.findall(r"^\| `hexapod/leg/[^`]+` \| in \| `([^`]+)` \|", README, re.MULTILINE)
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 2000}}) as gateway:  # this machine may be busy
+        with gateway.client() as client:
+            assert client.ask("hexapod/leg/3/cmd", json.loads(payload)).accepted, "of a leg that nothing has started"
+            assert client.stop().accepted
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint)
         end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=30)
         assert "accepted=True" in end.stdout
         assert "ticks missed" in end.stdout
         with gateway.client() as client:
             state = client.state()
-        # Leg 3; the setpoints, of which a busy gateway takes the newest; the Stop at their end.
-        assert 50 < state.commands.accepted <= 1 + 100 + 1
+        # The payload, its Stop, leg 3; the setpoints, of which a busy gateway takes the newest; the Stop at their end.
+        assert 50 < state.commands.accepted <= 2 + 1 + 100 + 1
         assert state.commands.rejected == 0
 
 
@@ -71,13 +75,6 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
     told.append(f"{unreachable}→ …")
     for message in told:
         assert f"`{message}`" in TROUBLES
-
-
-def test_the_first_payload_works_on_a_leg_that_nothing_has_started(tmp_path: Path) -> None:
-    (payload,) = re.findall(r"^\| `hexapod/leg/[^`]+` \| in \| `([^`]+)` \|", README, re.MULTILINE)
-    with Gateway(tmp_path) as gateway, gateway.client() as client:
-        ack = client.ask("hexapod/leg/3/cmd", json.loads(payload))
-    assert ack.accepted, ack
 
 
 def test_the_keys_are_the_keys() -> None:

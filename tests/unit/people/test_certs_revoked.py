@@ -95,7 +95,6 @@ def test_a_larger_pool_and_one_that_is_used_up(tmp_path: Path) -> None:
     assert len(operators(tmp_path / "D")) == 201
     certs.moving.set_pool(tmp_path / "D", 3)
     assert len(operators(tmp_path / "D")) == 201
-    assert fault(lambda: certs.folder.init(tmp_path / "E", ["robot.local"], size=0, now=NOW))
 
 
 # ---- the list
