@@ -54,7 +54,9 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
 def test_a_router_that_is_off_is_said_and_so_is_its_return(tmp_path: Path, systemd: Systemd) -> None:
     router = f"tcp/127.0.0.1:{free_port()}"
     env = {**systemd.env, "HEXAPOD_ZENOH__LISTEN": "[]"}
-    with Gateway(tmp_path, {"zenoh": {"connect": [router]}}, env=env, wait=False) as gateway:
+    often = tmp_path / "zenoh.json5"
+    often.write_text("{ connect: { retry: { period_init_ms: 100, period_max_ms: 100 } } }")
+    with Gateway(tmp_path, {"zenoh": {"connect": [router], "config": str(often)}}, env=env, wait=False) as gateway:
         assert systemd.status(router) == f"takes commands; {router} is not reached"
         gateway.child.wait_for_output("nobody behind it can command this robot")
         with zenoh_listening(router):

@@ -92,11 +92,11 @@ def _operators_file(directory: Path) -> Path:
 
 def take(file: Path, config: Path | None) -> int:
     """On the robot: put the list in `file` in force, and restart the service. Returns the exit code."""
+    data = read_file(file, "list of revoked certificates")
     settings = settings_file.load(config, simulated=True).zenoh
     kept = revoked.kept(service_config(settings), settings, started_by_systemd=False)
     if kept is None:
         raise ConfigError("this robot's Zenoh file names no CA, so it knows nobody by a certificate")
-    data = read_file(file, "list of revoked certificates")
     try:
         found = parse(data, kept.cas)
     except ConfigError as error:
