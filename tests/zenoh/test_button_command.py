@@ -31,9 +31,9 @@ def watcher(gateway: Gateway) -> Iterator[Client]:
         yield client
 
 
-def button(folder: Path, gateway: Gateway, name: str = "kitchen") -> Terminal:
+def button(folder: Path, gateway: Gateway, columns: int = 80) -> Terminal:
     folder.mkdir(exist_ok=True)
-    return Terminal(folder, [*COMMAND, "button", "--name", name, "--connect", gateway.endpoint])
+    return Terminal(folder, [*COMMAND, "button", "--name", "kitchen", "--connect", gateway.endpoint], columns=columns)
 
 
 def alive(watcher: Client, *wanted: str) -> GatewayState:
@@ -87,11 +87,11 @@ def test_a_gateway_that_is_gone_is_said_loudly_and_one_that_is_back_is_registere
 def test_two_of_one_name_do_not_take_it_from_each_other_for_ever(
     tmp_path: Path, gateway: Gateway, watcher: Client
 ) -> None:
-    with button(tmp_path / "first", gateway) as first:
+    with button(tmp_path / "first", gateway, columns=40) as first:
         first.wait(READY)
         with button(tmp_path / "second", gateway) as second:
             second.wait(READY)
-            first.wait("THIS IS NO BUTTON", "another button has registered as kitchen")
+            first.wait("THIS IS NO BUTTON", "another button has registered as kitchen, or taken its place")
             first.press("j")
             assert first.wait_for_end() == 1
             alive(watcher, "kitchen")

@@ -157,10 +157,10 @@ def test_ctrl_c_stops_it_at_once(tmp_path: Path, gateway: Gateway, watcher: Clie
 def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_the_end_called_unconfirmed(
     tmp_path: Path, gateway: Gateway, watcher: Client
 ) -> None:
+    """Also in a small terminal."""
     need_tmux()
-    command = [*COMMAND, "walk", "--connect", gateway.endpoint]
-    with Terminal(tmp_path, command) as terminal:
-        terminal.wait("Nothing moves before you press a key.")
+    with Terminal(tmp_path, [*COMMAND, "walk", "--connect", gateway.endpoint], columns=40, rows=12) as terminal:
+        terminal.wait("Nothing moves before you press a key.", "SPACE or x EMERGENCY STOP")
         gateway.child.send_signal(signal.SIGSTOP)
         terminal.press("Space")
         terminal.wait("NOT STOPPED", "it is tried again")
@@ -172,6 +172,7 @@ def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_th
         terminal.press("t")
         once(watcher, lambda state: state.mode == Mode.ACTIVE)
         gateway.child.send_signal(signal.SIGSTOP)
+        terminal.resize(80, 24)  # what `stty` says at the end needs that
         terminal.press("C-c")
         assert terminal.wait_for_end(60) == 1
         terminal.wait("Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off.")

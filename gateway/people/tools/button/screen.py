@@ -1,5 +1,6 @@
 """The terminal of `button`: one thing, as large as the terminal is."""
 
+import textwrap
 import time
 from typing import Final
 
@@ -75,9 +76,10 @@ class Screen(screen.Screen):
 
     def picture(self, columns: int, rows: int) -> Text:
         self._drawn_s = time.monotonic()
-        lines, style = self._lines()
+        found, style = self._lines()
+        lines = [row for line in found for row in textwrap.wrap(line, max(1, columns)) or [""]]
         above = max(0, (rows - len(lines)) // 2)
-        centred = [line[:columns].center(columns) for line in lines]
+        centred = [line.center(columns) for line in lines]
         filled = [" " * columns] * above + centred + [" " * columns] * max(0, rows - above - len(lines) - 1)
         return Text("\n".join(filled), style=style, no_wrap=True)
 

@@ -29,13 +29,13 @@ REST_S: Final = 60.0
 """Without a key: then it sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
 _GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
+_STOP_KEY: Final = "  SPACE or x   EMERGENCY STOP"
 _KEYS: Final = """
   W S ↑ ↓   forward, backward          1 2 3   tripod, ripple, wave
   ← →       turn                       + -     faster, slower
   A D       step sideways              r f     higher, lower
   t         stand     c  sit down      q       sit down, stop and leave
-
-  SPACE or x   EMERGENCY STOP          g       go on after a stop (a person's word)
+                                       g       go on after a stop (a person's word)
 """
 _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
 
@@ -161,23 +161,23 @@ class Screen(screen.Screen):
     # ---- drawing
 
     def picture(self, columns: int, rows: int) -> Text:
-        del columns, rows  # it wraps
+        del columns, rows  # it wraps; in a small terminal the end is cut off, so what matters most stands first
         text = Text(no_wrap=False)
-        text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n\n", "bold")
+        text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n", "bold")
         try:
             state = self._walk.state
         except RuntimeError:  # it is over
             return text.append("It is stopped.")
         commanded = _shown(self._pad.velocity(time.monotonic()))
+        alarm = "bold red" if state.lost or "STOP" in self._message else ""
+        text.append(f"{visible(self._message)}\n", alarm).append(f"{_STOP_KEY}\n\n", "bold")
         text.append(f"  {state.posture:10} {state.gait}, {100 * state.height_m:.0f} cm high, ")
         text.append(f"keys: {self._pad.speed_m_s:g} m/s\n")
         text.append(f"  commanded  {commanded}\n")
         text.append(f"  scaled to  {_shown(state.scaled)}  ")
         text.append(f"{state.limit}\n" if state.limit else "\n", "yellow")
         text.append(f"  went       {went(state)}\n")
-        text.append(_KEYS)
-        text.append(f"\n{visible(self._message)}\n", "bold red" if state.lost or "STOP" in self._message else "")
-        return text
+        return text.append(_KEYS)
 
 
 def _shown(velocity: Velocity) -> str:
