@@ -5,6 +5,7 @@ import pty
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +15,7 @@ import pytest
 
 from gateway import certs
 from gateway.client import Client
+from gateway.people.tools.kept_lease import me
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture, patient
@@ -260,6 +262,51 @@ def test_over_tls_an_operator_stops_and_an_observer_is_informed_that_he_may_not(
         anna.wait("ESTOPPED", "STOPPED: 6 Stop frames")
         shown = otto.wait("ESTOPPED, as its state says", "estop_engaged")
         assert "NOT STOPPED" not in shown
+
+
+# ---- who is driving
+
+
+def test_it_shows_the_holder_asks_takes_and_lets_go_at_its_end(
+    gateway: Gateway, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    asked, lost = threading.Event(), threading.Event()
+    with watching(tmp_path, "--connect", gateway.endpoint) as terminal, gateway.client(source="anna") as anna:
+        terminal.wait("IDLE", "0 legs running tcp/")
+        terminal.press("a")
+        terminal.wait("nobody drives, so there is nobody to ask")
+        with anna.lease(on_asked=lambda _: asked.set(), on_lost=lambda _: lost.set()):
+            assert anna.start_leg(3, 90, 45, 120).accepted
+            terminal.wait("ACTIVE 1 leg running anna? drives", "lease_acquired")
+            terminal.press("a")
+            terminal.wait("anna is asked, and may hand over", f"{me()[:10]}")
+            assert asked.wait(LATE_S)
+            terminal.press("t")
+            terminal.wait("Take it from anna? All six legs stop first.")
+            terminal.press("n")
+            terminal.wait("not taken")
+            assert not lost.is_set()
+            terminal.press("t")
+            terminal.wait("Take it from anna?")
+            terminal.press("y")
+            terminal.wait("IDLE", f"{me()} drives: `send` of this user counts", "3 ○ —")
+            assert lost.wait(LATE_S)
+        assert anna.start_leg(3, 90, 45, 120).reason == "not_holder"
+        assert gateway.run("send", "leg", "3", "start", "90", "45", "120").returncode == 0
+        terminal.wait("ACTIVE")
+        terminal.press("t")
+        terminal.wait("released: commands are taken from anyone again")
+        assert anna.state().lease.holder is None
+        terminal.press("t")
+        terminal.wait("Drive? Nobody else's starts, sets and resets count then")
+        terminal.press("y")
+        terminal.wait("drives: `send` of this user counts")
+        assert anna.state().lease.holder == me()
+        terminal.press("q")
+        assert terminal.wait_for_end() == 0
+        assert anna.state().lease.holder is None
+    assert not list((tmp_path / "hexapod-gateway").iterdir())
 
 
 # ---- the end
