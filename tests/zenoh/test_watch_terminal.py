@@ -201,6 +201,10 @@ def test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back(
             terminal.wait("ACTIVE")
         gateway.child.kill()
         terminal.wait("SILENT for", "was ACTIVE", "No word from the gateway", "the gateway fell silent")
+        terminal.press("r")
+        terminal.wait("Leave the emergency stop?")
+        terminal.press("y")
+        terminal.wait("NO RESET: nobody answered (an observer's certificate may not reset)")
         terminal.press("Space")
         terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying on")
         with Gateway(tmp_path, {**PATIENT, **listen}) as again:  # what nobody received is sent again
@@ -217,6 +221,10 @@ def test_it_waits_for_a_gateway_that_is_not_there_yet_and_asks_one_that_publishe
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with watching(tmp_path, "--connect", endpoint, "--timeout", "0.3") as terminal:
         terminal.wait("WAITING", endpoint, "no gateway answers on", "trying again")
+        terminal.press("t")
+        terminal.wait("Drive?")
+        terminal.press("y")
+        terminal.wait("NOT DONE: there is no connection")
         terminal.press("Space")
         terminal.wait("NOT STOPPED, NOBODY ANSWERED")
         with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}, "telemetry": {"state_hz": 0}}):
@@ -282,6 +290,13 @@ def test_it_shows_the_holder_asks_takes_and_lets_go_at_its_end(
             terminal.press("a")
             terminal.wait("anna is asked, and may hand over", f"{me()[:10]}")
             assert asked.wait(LATE_S)
+            assert anna.estop().accepted
+            terminal.wait("ESTOPPED")
+            terminal.press("r")
+            terminal.wait("Leave the emergency stop?")
+            terminal.press("y")
+            terminal.wait("NO RESET: not_holder: ")
+            assert anna.reset().accepted
             terminal.press("t")
             terminal.wait("Take it from anna? All six legs stop first.")
             terminal.press("n")

@@ -198,7 +198,7 @@ def test_what_others_wrote_cannot_steer_the_terminal() -> None:
     evil = "\x1b[2J\x1b]0;owned\x07\r\n\u202e"
     model.received_event(rejected(f"a{evil}", f"b{evil}"), 0, WALL)
     model.received_event(event(Kind.ESTOP_ENGAGED, f"c{evil}", f"d{evil}"), 0, WALL)
-    model.reset_answered(Ack(accepted=False, reason=Reason.INVALID, detail=f"e{evil}"), 0)
+    model.answered(Tone.BAD, f"e{evil}", 0)
     shown = screen(model, height=40)
     assert all(char.isprintable() for char in shown.replace("\n", ""))
     assert "[2J" in shown  # it is shown, and does nothing
@@ -307,22 +307,6 @@ def test_nothing_to_reset() -> None:
     assert "no emergency stop is engaged" in screen(model)
 
 
-@pytest.mark.parametrize(
-    ("ack", "tone", "text"),
-    [
-        (Ack(accepted=True), Tone.GOOD, "reset; nothing moves until it is started again"),
-        (Ack(accepted=False, reason=Reason.STOPPING, detail="it ends"), Tone.BAD, "NO RESET: stopping: it ends"),
-        (None, Tone.BAD, "NO RESET: nobody answered"),
-    ],
-)
-def test_what_became_of_the_reset(ack: Ack | None, tone: Tone, text: str) -> None:
-    model = Model()
-    model.reset_confirmed(1)
-    model.reset_answered(ack, 2)
-    assert model.remark is not None
-    assert (model.remark.tone, model.remark.text[: len(text)]) == (tone, text)
-
-
 # ---- who is driving, in `watch`: the top line, and the questions behind its keys
 
 
@@ -396,7 +380,7 @@ def test_what_became_of_a_take() -> None:
     model.ask(Question.TAKE, 0)
     model.take_confirmed(2)
     assert model.asking(2) is None
-    model.lease_answered(Tone.BAD, "NOT DONE: lease_denied: no\x1b", 4)
+    model.answered(Tone.BAD, "NOT DONE: lease_denied: no\x1b", 4)
     assert model.remark is not None
     assert (model.remark.tone, model.remark.text) == (Tone.BAD, "NOT DONE: lease_denied: no�")
 

@@ -332,16 +332,6 @@ class Model:
         self._reset_ns = now_ns
         self.remark = Remark(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
 
-    def reset_answered(self, ack: Ack | None, now_ns: int) -> None:
-        """What became of the reset; None: nobody answered."""
-        if ack is None:
-            text = "NO RESET: nobody answered (an observer's certificate may not reset)"
-            self.remark = Remark(Tone.BAD, text, now_ns)
-        elif ack.accepted:
-            self.remark = Remark(Tone.GOOD, "reset; nothing moves until it is started again", now_ns)
-        else:
-            self.remark = Remark(Tone.BAD, f"NO RESET: {ack.reason}: {visible(ack.detail or '')}", now_ns)
-
     # ---- who is driving
 
     @property
@@ -354,8 +344,8 @@ class Model:
         self._question = None
         self.remark = Remark(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
 
-    def lease_answered(self, tone: Tone, text: str, now_ns: int) -> None:
-        """What became of a key about the lease."""
+    def answered(self, tone: Tone, text: str, now_ns: int) -> None:
+        """What became of a reset, or of a key about the lease."""
         self.remark = Remark(tone, visible(text), now_ns)
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
+from functools import partial
 from typing import Final
 
 from rich.text import Text
@@ -21,6 +22,7 @@ from gateway.people.tools import kept_lease
 from gateway.people.tools.watch.model import Model, Presence, Question, Tone
 from gateway.people.tools.watch.view import picture
 from schemas import keys as wire
+from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, GatewayState
 
 STOP_KEYS: Final = frozenset(" eE")
@@ -91,25 +93,42 @@ class Screen(screen.Screen, Receiver):
             match asking, key:
                 case Question.RESET, "y":
                     model.reset_confirmed(now_ns)
-                    self._on_thread(self._reset, estop)
+                    self._begin(partial(self._reset, estop=estop), "NO RESET", "reset")
                 case Question.TAKE, "y":
                     model.take_confirmed(now_ns)
-                    self._on_thread(self._lease_key, self._take, holder)
+                    self._begin(partial(self._take, holder=holder))
                 case Question(), _:
                     model.declined(now_ns)
                 case None, "r":
                     model.ask(Question.RESET, now_ns)
                 case None, "t" if model.drives:
-                    self._on_thread(self._lease_key, self._release, holder)
+                    self._begin(self._release)
                 case None, "t":
                     model.ask(Question.TAKE, now_ns)
                 case None, "a":
-                    self._on_thread(self._lease_key, self._ask, holder)
+                    self._begin(partial(self._ask, holder=holder))
 
-    def _on_thread(self, do: Callable[..., None], *arguments: object) -> None:
-        threading.Thread(target=do, args=arguments, name="key", daemon=True).start()
+    def _begin(self, do: Callable[[Client], str], failed: str = "NOT DONE", may_not: str = "drive") -> None:
+        """Ask the gateway for what a key wants, on a thread, and show what came of it."""
 
-    # ---- the emergency stop and the reset
+        def run() -> None:
+            tone, text = Tone.BAD, f"{failed}: there is no connection"
+            try:
+                if self._link.client is not None:
+                    tone, text = Tone.GOOD, do(self._link.client)
+            except RejectedError as error:
+                text = f"{failed}: {error.reason}: {error.detail}"
+            except ERRORS:
+                text = f"{failed}: nobody answered (an observer's certificate may not {may_not})"
+            self._remark(tone, text)
+
+        threading.Thread(target=run, name="key", daemon=True).start()
+
+    def _remark(self, tone: Tone, text: str) -> None:
+        with self._changes():
+            self.model.answered(tone, text, time.monotonic_ns())
+
+    # ---- the emergency stop
 
     def _stop(self) -> None:
         """Request the emergency stop, at once and without waiting, and again until it is confirmed."""
@@ -133,27 +152,22 @@ class Screen(screen.Screen, Receiver):
                 self._note_others(client, wire.ESTOP)
         return wanted
 
-    def _reset(self, estop: int | None) -> None:
-        ack = None
-        with suppress(*ERRORS):
-            ack = self._client().reset(estop)
-        with self._changes():
-            self.model.reset_answered(ack, time.monotonic_ns())
-
     def _client(self) -> Client:
         if self._link.client is None:
             raise ZenohError("there is no connection")
         return self._link.client
 
-    # ---- the lease
+    # ---- the reset and the lease: what is asked, and the sentence for what came of it
+
+    def _reset(self, client: Client, estop: int | None) -> str:
+        _check_accepted(client.reset(estop))
+        return "reset; nothing moves until it is started again"
 
     def _ask(self, client: Client, holder: str | None) -> str:
         """Tell the holder that we would like to drive."""
         if holder is None:
             return "nobody drives, so there is nobody to ask"
-        ack = client.ask_for_lease(kept_lease.me())
-        if not ack.accepted:
-            raise RejectedError(ack.reason or "", ack.detail or "")
+        _check_accepted(client.ask_for_lease(kept_lease.me()))
         return f"{holder} is asked, and may hand over"
 
     def _take(self, client: Client, holder: str | None) -> str:
@@ -165,29 +179,13 @@ class Screen(screen.Screen, Receiver):
         self._drives(True)
         return f"{lease.holder} drives: `send` of this user counts, until t is pressed again"
 
-    def _release(self, _client: Client, _holder: str | None) -> str:
+    def _release(self, _client: Client) -> str:
         self._lease.close()
         return "released: commands are taken from anyone again"
 
     def _lost(self, error: LeaseLostError) -> None:
         self._lease.close()
         self._remark(Tone.BAD, f"LOST: {error.detail}")
-
-    def _lease_key(self, do: Callable[[Client, str | None], str], holder: str | None) -> None:
-        """Do it, and show what came of it."""
-        tone, text = Tone.BAD, "NOT DONE: there is no connection"
-        try:
-            if self._link.client is not None:
-                tone, text = Tone.GOOD, do(self._link.client, holder)
-        except RejectedError as error:
-            text = f"NOT DONE: {error.reason}: {error.detail}"
-        except ERRORS:
-            text = "NOT DONE: nobody answered (an observer's certificate may not drive)"
-        self._remark(tone, text)
-
-    def _remark(self, tone: Tone, text: str) -> None:
-        with self._changes():
-            self.model.lease_answered(tone, text, time.monotonic_ns())
 
     def _drives(self, drives: bool) -> None:
         with self._lock:
@@ -246,3 +244,8 @@ class Screen(screen.Screen, Receiver):
 
 def _wall() -> datetime:
     return datetime.now().astimezone()
+
+
+def _check_accepted(ack: Ack | LeaseAck) -> None:
+    if not ack.accepted:
+        raise RejectedError(ack.reason or "", ack.detail or "")
