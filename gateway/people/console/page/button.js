@@ -47,6 +47,7 @@ export class StopButton {
     this.stopLine = "";
     /** @type {{id: number, atMs: number} | null} not confirmed yet */
     this.stopping = null;
+    this.stoppedAtMs = Infinity;
     /** @type {{id: number, sentMs: number} | null} what is under way */
     this.asked = null;
     this.buzzedMs = -Infinity;
@@ -88,6 +89,7 @@ export class StopButton {
     navigator.vibrate?.(60);
     this.stopping ??= { id: this.link.nextId(), atMs: performance.now() };
     this.stopLine = "STOPPING …";
+    this.stoppedAtMs = Infinity;
     this.#press(this.stopping.id);
     this.#refresh();
   }
@@ -144,9 +146,13 @@ export class StopButton {
     if (message.type === "hello") this.looks = message.role === "observer";
     else if (message.type === "state") {
       this.mode = message.state.mode;
-      if (this.mode !== "estopped" && !this.stopping) this.stopLine = "";
+      const newer = performance.now() - message.age_ms > this.stoppedAtMs;
+      if (this.mode !== "estopped" && newer) this.stopLine = ""; // somebody has reset it
     } else if (message.type === "stop" && message.id === this.stopping?.id) {
-      if (message.answered) this.stopping = null;
+      if (message.answered) {
+        this.stopping = null;
+        this.stoppedAtMs = performance.now();
+      }
       this.stopLine = message.answered ? `${message.stop_frames} Stops written` : `NOT STOPPED: ${message.error ?? "no answer yet"}`;
     } else if (message.type === "button") this.#answered(message);
     this.#refresh();

@@ -32,8 +32,6 @@ export class Pad {
     /** The trigger was seen released, so that its next pull is meant. */
     this.ready = false;
     this.stopping = true;
-    /** The sticks were seen in the middle, so that their next push is meant. */
-    this.centred = false;
     this.pressing = true;
     window.addEventListener("gamepaddisconnected", () => this.#look());
     setInterval(() => this.#look(), WATCH_MS);
@@ -60,8 +58,8 @@ export class Pad {
     const pad = connected();
     show(byId("gamepad"), pad !== null);
     if (!pad) {
-      this.ready = this.centred = false;
-      this.walk.steer({ x: 0, y: 0, turn: 0 });
+      this.ready = false;
+      this.walk.pad.release();
       if (this.held) {
         this.held = false;
         this.hold.drop("the gamepad has gone");
@@ -87,12 +85,8 @@ export class Pad {
 
   /** @param {Gamepad} pad @param {boolean} pulled */
   #walk(pad, pulled) {
-    const [x, y, turn] = [beyond(pad.axes[0]), -beyond(pad.axes[1]), beyond(pad.axes[2])];
-    const pushed = x !== 0 || y !== 0 || turn !== 0;
-    if (pulled) this.centred = false;
-    else if (!pushed) this.centred = true;
-    const walks = this.centred && !pulled;
-    this.walk.steer(walks ? { x, y, turn } : { x: 0, y: 0, turn: 0 });
+    if (pulled) this.walk.pad.release();
+    else this.walk.steer(beyond(pad.axes[0]), -beyond(pad.axes[1]), beyond(pad.axes[2]));
     const [stand, sit] = [STAND_BUTTON, SIT_BUTTON].map((button) => pad.buttons[button]?.pressed ?? false);
     if ((stand || sit) && !this.pressing) this.walk.go(sit);
     this.pressing = stand || sit;

@@ -62,3 +62,24 @@ export class Stick {
     this.knob.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
   }
 }
+
+/** What a gamepad's sticks say. */
+export class Sticks {
+  constructor() {
+    this.x = this.y = this.turn = 0;
+    /** They were seen in the middle, so that their next push is meant. */
+    this.centred = false;
+  }
+
+  /** @param {number} x @param {number} y @param {number} turn */
+  take(x, y, turn) {
+    if (!x && !y && !turn) this.centred = true;
+    if (this.centred) [this.x, this.y, this.turn] = [x, y, turn];
+  }
+
+  /** What is held counts no more; it has to be pushed anew. */
+  release() {
+    this.centred = false;
+    this.x = this.y = this.turn = 0;
+  }
+}

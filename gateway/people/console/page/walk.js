@@ -10,7 +10,7 @@
 import { attribute, byId, enable, show, text } from "./dom.js";
 import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
-import { Stick } from "./stick.js";
+import { Stick, Sticks } from "./stick.js";
 
 /** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {{x: number, y: number, turn: number}} Deflection */
 
@@ -48,8 +48,7 @@ export class Walk {
     /** When the wishes were sent whose use is not reported yet. @type {Map<number, number>} */
     this.sentMs = new Map();
     this.answerMs = NaN;
-    /** What a gamepad's sticks say. @type {Deflection} */
-    this.pad = { x: 0, y: 0, turn: 0 };
+    this.pad = new Sticks();
     this.thumb = new Stick("pad", true, () => this.#held());
     this.turn = new Stick("turn", false, () => this.#held());
     this.keys = new Keys(() => this.#held());
@@ -85,11 +84,10 @@ export class Walk {
     this.#press(sits);
   }
 
-  /** A gamepad's sticks. @param {Deflection} deflection */
-  steer(deflection) {
-    const began = !moves(this.pad) && moves(deflection);
-    this.pad = deflection;
-    if (began) this.#held();
+  /** A gamepad's sticks are there. @param {number} x @param {number} y @param {number} turn */
+  steer(x, y, turn) {
+    this.pad.take(x, y, turn);
+    this.#held();
   }
 
   /** Nothing that is held counts any more; something has to be pressed anew. @param {string} why */
@@ -124,6 +122,10 @@ export class Walk {
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) this.told.say(`Slower than that: ${message.limit}.`);
     else if (message.posture !== before?.posture && message.posture) this.told.say(`${WORDS[message.posture] ?? message.posture}.`);
+    if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
+      if (message.detail) this.#letGo();
+      else this.drop("the console did not hear this page for a moment");
+    }
     if (message.posture === null && message.press >= this.press) {
       this.#letGo();
       clearInterval(this.timer);
@@ -222,7 +224,7 @@ export class Walk {
     this.thumb.release();
     this.turn.release();
     this.keys.release();
-    this.pad = { x: 0, y: 0, turn: 0 };
+    this.pad.release();
     this.moved = false;
   }
 
