@@ -1,10 +1,11 @@
 """The console's page in a real browser, as a person uses it."""
 
+import re
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from re import Pattern
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
@@ -39,8 +40,26 @@ document.dispatchEvent(new Event("visibilitychange"));
 GAMEPAD: Final = """
 window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
                buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
-navigator.getGamepads = () => [window.pad];
+window.looks = 0;
+navigator.getGamepads = () => ((window.looks += 1), [window.pad]);
 """
+"""And counts how often it was looked at."""
+
+LINES: Final = """
+addEventListener("DOMContentLoaded", () => {
+  let began = false;
+  const { dataset } = document.body;
+  for (const place of document.querySelectorAll("#said, #stop-known, #word")) {
+    new MutationObserver(() => {
+      began ||= dataset.live === "yes" || dataset.tone === "watches";
+      if (began) console.debug(place.textContent);
+    }).observe(place, { childList: true, characterData: true, subtree: true });
+  }
+});
+"""
+"""Notes each line that a page says once it has begun, also one that another replaces before anybody reads it."""
+HELD_UP: Final = re.compile("was frozen|the newest state is|stale|did not hear|use the switch|NOT HEARD|is lost")
+"""What a page says where it, the console or the gateway stood still."""
 
 expect.set_options(timeout=LATE_MS)
 
@@ -53,27 +72,48 @@ def put_to_rest(gateway: Gateway) -> None:
 
 
 class Visitor(AbstractContextManager["Visitor"]):
-    """Opens pages of one console, each in a browser profile of its own; all are closed at the end."""
+    """Opens pages of one console, each in a profile of its own; at the end all are closed, and the robot rests."""
 
-    def __init__(self, browser: Browser, url: str, session: SignedIn) -> None:
+    lines: ClassVar[list[str]] = []
+    """What all pages of this test have said."""
+    faults: ClassVar[list[str]] = []
+    """What they complained of; a connection that ends is no complaint."""
+    _idle: ClassVar[dict[str, list["Opened"]]] = {}
+    """Pages that tests before have left, by their console: one that is loaded again begins in half the time."""
+
+    def __init__(self, browser: Browser, url: str, session: SignedIn, gateway: Gateway | None = None) -> None:
         self._browser = browser
+        self._gateway = gateway
         self._url = url
         self._name, _, self._value = session.cookie.partition("=")
         self._keep_key = KEEP_KEY % (url, session.key)
         self._stack = ExitStack()
-        self.faults: list[str] = []
-        """What the pages complained of; a connection that ends is no complaint."""
+        for other in self._idle.keys() - {url}:
+            for page in self._idle.pop(other):
+                page.context.close()
 
     def open(
         self, *, webgl: bool = False, script: str = "", context: BrowserContext | None = None, **options: Any
     ) -> "Opened":
         """A page that shows the robot. Without WebGL unless it is wanted: drawing takes a processor."""
-        if context is None:
-            context = self._browser.new_context(**options)
-            self._stack.callback(context.close)
+        is_plain = not (webgl or script or context or options)
+        if is_plain and self._idle.get(self._url):
+            opened = self._idle[self._url].pop()
+        else:
+            opened = self._new(webgl, script, context or self._browser.new_context(**options))
+        if is_plain:
+            self._stack.callback(self._keep, opened)
+        elif context is None:
+            self._stack.callback(opened.context.close)
+        opened.page.goto(self._url)
+        opened.expect_live()
+        return opened
+
+    def _new(self, webgl: bool, script: str, context: BrowserContext) -> "Opened":
         context.set_default_timeout(LATE_MS)
         context.add_init_script(self._keep_key)
         context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
+        context.add_init_script(LINES)
         if not webgl:
             context.add_init_script(WITHOUT_WEBGL)
         if script:
@@ -81,18 +121,29 @@ class Visitor(AbstractContextManager["Visitor"]):
         page = context.new_page()
         page.on("pageerror", lambda error: self.faults.append(str(error)))
         page.on("console", self._heard)
-        page.goto(self._url)
-        opened = Opened(context, page)
-        opened.expect_live()
-        return opened
+        return Opened(context, page)
+
+    def _keep(self, opened: "Opened") -> None:
+        if opened.leave():
+            self._idle.setdefault(self._url, []).append(opened)
+        else:
+            opened.context.close()
 
     def renderers(self) -> set[int]:
         """The process ids of those that run pages."""
         processes = self._browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
         return {each["id"] for each in processes if each["type"] == "renderer"}
 
+    def close(self) -> None:
+        """Close all pages; of a `gateway`, whatever they left behind is ended."""
+        self._stack.close()
+        if self._gateway is not None:
+            put_to_rest(self._gateway)
+
     def _heard(self, message: ConsoleMessage) -> None:
-        if (
+        if message.type == "debug":
+            self.lines.append(message.text)
+        elif (
             message.type == "error"
             and "ERR_CONNECTION" not in message.text
             and "WebSocket" not in message.text
@@ -106,7 +157,7 @@ class Visitor(AbstractContextManager["Visitor"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.close()
+        self.close()
         if kind is None:
             assert not self.faults, self.faults
 
@@ -117,6 +168,16 @@ class Opened:
     def __init__(self, context: BrowserContext, page: Page) -> None:
         self.context = context
         self.page = page
+        self._has_focus = True
+
+    def leave(self) -> bool:
+        """Let go of all and leave the console; whether another test may have this page."""
+        if self.page.is_closed() or not self._has_focus:
+            return False
+        self.page.mouse.up()
+        self.page.keyboard.up("h")
+        self.page.goto("about:blank")
+        return True
 
     def __getitem__(self, name: str) -> Locator:
         """The element with this id."""
@@ -169,6 +230,7 @@ class Opened:
 
     def lose_focus(self) -> None:
         """Another window comes to the front."""
+        self._has_focus = False
         self.devtools().send("Emulation.setFocusEmulationEnabled", {"enabled": False})
         other = self.context.new_page()
         self.context.new_cdp_session(other).send("Emulation.setFocusEmulationEnabled", {"enabled": False})

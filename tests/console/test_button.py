@@ -72,7 +72,7 @@ def watching(visitor: Visitor, watcher: Client, script: str = "", **options: Any
 
 def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
     page = watching(visitor, watcher, PHONE, **LANDSCAPE)
-    assert page.page.evaluate("document.fullscreenElement !== null && window.wakes === 1")
+    page.page.wait_for_function("() => document.fullscreenElement !== null && window.wakes === 1")
     start = visitor.open()
     expect(start["buttons"]).to_have_text("1 alive")
     page["button"].tap()

@@ -4,7 +4,7 @@ import os
 import re
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +14,7 @@ from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.robot.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
-from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor, put_to_rest
+from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 from tests.support.console_process import Console
@@ -25,21 +25,28 @@ pytestmark = [pytest.mark.browser, pytest.mark.hil]
 
 TIMEOUT_MS: Final = 1000.0
 """Four times the default: on a busy machine the page itself is silent for longer than that, which ends a hold."""
-LEEWAY_MS: Final = 50.0
+LEEWAY_MS: Final = 2000.0
+"""So long this machine may hold the gateway up; how long its watchdog takes is measured on the device alone."""
 NS_PER_MS: Final = 1e6
+HOLDS: Final = 5
+RUN_OR_ENDED: Final = """(legs) => document.getElementById("hold").dataset.held === "no"
+  || document.querySelectorAll("#run-chooser [data-runs]").length === legs"""
 
 
 class Robot:
     """A gateway on the emulated device, and a console that reaches it over a link that can be cut."""
 
-    def __init__(self, folder: Path) -> None:
-        with ExitStack() as stack:
-            self.bed = stack.enter_context(SpiTestbed())
-            self.gateway = stack.enter_context(Gateway(folder, patient(TIMEOUT_MS), bed=self.bed))
-            self.link = stack.enter_context(CutLink(self.gateway.endpoint))
-            self.console = stack.enter_context(Console(folder, "--connect", self.link.endpoint))
-            self.session = self.console.sign_in()
-            self.close = stack.pop_all().close
+    def __init__(self, folder: Path, bed: SpiTestbed, gateway: Gateway, link: CutLink) -> None:
+        self._folder = folder
+        self.bed = bed
+        self.gateway = gateway
+        self.link = link
+        self.console = self.begin_console()
+        self.session = self.console.sign_in()
+
+    def begin_console(self, port: int | None = None) -> Console:
+        self.console = Console(self._folder, "--connect", self.link.endpoint, port=port)
+        return self.console
 
     def wait_for(self, leg: int, op: Op, angles: tuple[float, float, float], since: int = 0) -> None:
         """Wait for exactly this frame on the wire."""
@@ -75,27 +82,34 @@ def _moves(transfer: Transfer, leg: int) -> bool:
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
-    running = Robot(tmp_path_factory.mktemp("robot"))
-    yield running
-    running.close()
+    folder = tmp_path_factory.mktemp("robot")
+    with (
+        SpiTestbed() as bed,
+        Gateway(folder, patient(TIMEOUT_MS), bed=bed) as gateway,
+        CutLink(gateway.endpoint) as link,
+    ):
+        running = Robot(folder, bed, gateway, link)
+        yield running
+        running.console.close()
 
 
 @pytest.fixture
 def pages(browser: Browser, robot: Robot) -> Iterator[Visitor]:
     """Opens pages on a robot that is at rest."""
-    with Visitor(browser, robot.console.url, robot.session) as visitor:
+    with Visitor(browser, robot.console.url, robot.session, robot.gateway) as visitor:
         yield visitor
-    put_to_rest(robot.gateway)
 
 
 def hold(page: Opened, robot: Robot, *legs: int) -> int:
-    """Drive these legs by holding H; from which transfer on they run."""
+    """Drive these legs by holding H, anew where a busy machine ends that; from which transfer on they run."""
     page.drive(*legs)
-    since = len(robot.bed.transfers)
-    page.page.keyboard.down("h")
-    expect(page.said).to_contain_text("while you hold")
-    for leg in legs:
-        robot.wait_for(leg, Op.SET, (90, 90, 90), since)
+    for _ in range(HOLDS):
+        since = len(robot.bed.transfers)
+        page.page.keyboard.down("h")
+        page.page.wait_for_function(RUN_OR_ENDED, arg=len(legs))
+        if page["hold"].get_attribute("data-held") == "yes":
+            break
+        page.page.keyboard.up("h")
     return since
 
 
@@ -104,11 +118,9 @@ def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(pages: V
     page.select(3)
     page["joint-1"].fill("45")
     page["joint-3"].fill("45")
-    page.drive(3, 5)
     page.page.get_by_label("Joint 2, degrees, typed").fill("77.25")
     page.page.get_by_label("Joint 2, degrees, typed").press("Enter")
-    since = len(robot.bed.transfers)
-    page.page.keyboard.down("h")
+    since = hold(page, robot, 3, 5)
     robot.wait_for(3, Op.START, (45, 77.25, 45), since)
     robot.wait_for(5, Op.START, (90, 90, 90), since)
     page["joint-3"].fill("120")
@@ -196,7 +208,7 @@ def test_another_tab_hides_the_page_and_stops_the_legs(playwright: Playwright, r
     try:
         address = chromium.wait_for_output("DevTools listening on ").split()[-1]
         browser = _connected(playwright, address)
-        with Visitor(browser, robot.console.url, robot.session) as visitor:
+        with Visitor(browser, robot.console.url, robot.session, robot.gateway) as visitor:
             page = visitor.open(context=browser.contexts[0])
             since = hold(page, robot, 1, 4)
             page.context.new_page()
@@ -206,7 +218,6 @@ def test_another_tab_hides_the_page_and_stops_the_legs(playwright: Playwright, r
             expect(page.said).to_contain_text(re.compile("this page is hidden|this window has lost the focus"))
     finally:
         chromium.close()
-    put_to_rest(robot.gateway)
 
 
 def test_a_page_that_is_closed_stops_nothing_itself(pages: Visitor, robot: Robot) -> None:
@@ -264,24 +275,16 @@ def test_a_cut_link_stops_the_legs_and_what_waited_moves_nothing(pages: Visitor,
     robot.expect_stopped(1, 4, since=since)
 
 
-def test_a_console_that_is_killed_and_a_gateway_that_ends_stop_the_legs(browser: Browser, tmp_path: Path) -> None:
-    robot = Robot(tmp_path)
+def test_a_console_that_is_killed_stops_the_legs_and_the_next_one_has_its_pages(pages: Visitor, robot: Robot) -> None:
+    page = pages.open()
+    since = hold(page, robot, 1, 4)
+    robot.console.close()
     try:
-        with Visitor(browser, robot.console.url, robot.session) as pages:
-            page = pages.open()
-            since = hold(page, robot, 1, 4)
-            robot.console.child.kill()
-            robot.expect_stopped(1, 4, since=since)
-            expect(page.said).to_contain_text("the connection to the console is lost")
-            expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
-            with Console(tmp_path, "--connect", robot.gateway.endpoint, port=robot.console.port):
-                page.expect_live()
-                page.page.keyboard.up("h")
-                since = hold(page, robot, 1, 4)
-                robot.gateway.child.terminate()
-                robot.expect_stopped(1, 4, since=since)
-                expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
-                page.page.keyboard.press("Escape")
-                expect(page["stop-known"]).to_contain_text("asked again once connected")
+        robot.expect_stopped(1, 4, since=since)
+        expect(page.said).to_contain_text("the connection to the console is lost")
+        expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
+        page.page.keyboard.press("Escape")
+        expect(page["stop-known"]).to_contain_text("asked again once connected")
     finally:
-        robot.close()
+        robot.begin_console(robot.console.port)
+    expect(page["stop-known"]).to_contain_text("6 Stops written within")

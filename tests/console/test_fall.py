@@ -7,7 +7,6 @@ from typing import Final
 from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
-from gateway.geometry import load
 from tests.console.browser import Visitor
 from tests.support.console_process import Console
 from tests.support.fixtures import patient
@@ -78,34 +77,3 @@ def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None
         assert client.stop().accepted
         page["set-upright"].click()
         expect(page["said"]).to_have_text("It stands on its feet again.")
-
-
-def test_legs_that_begin_to_run_are_drawn_as_commanded_beside_where_they_are(visitor: Visitor) -> None:
-    """So many points has the line: each of six legs has four parts, with two ends."""
-    page = visitor.open(webgl=True)
-    page.insist_on_three_dimensions()
-    points = page.module(
-        "scene",
-        """(m, geometry) => {
-            const scene = new m.Scene(document.createElement("div"), geometry, () => {});
-            const poses = (status) => new Map([1, 2, 3, 4, 5, 6].map((leg) =>
-                [leg, { degrees: [90, 90, 90], trueDegrees: [90, 60, 90], status, selected: false }]));
-            const body = { position_m: [0, 0, 0.1], orientation_xyzw: [0, 0, 0, 1], terrain: "flat" };
-            const floor = { crossing: () => [0, 0], turned: 0 };
-            const counts = ["rests", "runs"].map((status) => {
-                scene.update(poses(status), floor, body);
-                return scene.ghost.geometry.getAttribute("position").count;
-            });
-            scene.dispose();
-            return counts;
-        }""",
-        load().model_dump(mode="json"),
-    )
-    assert points == [0, 48]
-
-
-def test_without_physics_there_is_nobody_to_set_upright(visitor: Visitor) -> None:
-    page = visitor.open()
-    expect(page["mode"]).to_have_text("idle")
-    expect(page["see-title"]).to_have_text("As commanded")
-    expect(page["set-upright"]).to_be_hidden()

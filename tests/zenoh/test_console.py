@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -20,7 +21,7 @@ from schemas.robot import LEGS
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
-from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
@@ -29,9 +30,7 @@ SET = {"servos": [{"op": "set", "angle_deg": angle} for angle in (91, 46, 121)]}
 STOP = {"servos": [{"op": "stop"}] * 3}
 
 
-gateway = gateway_fixture()
-
-
+gateway = gateway_fixture(patient())
 console = console_fixture()
 session = session_fixture()
 
@@ -55,8 +54,12 @@ def test_a_page_sees_and_drives(page: Page) -> None:
     assert page.ask(LEG_3, START)["ack"] == {"accepted": True}
     leg = page.state(lambda state: state["mode"] == "active")["legs"][2]
     assert leg["source"] == page.hello["source"]
-    page.put(LEG_3, SET)
-    page.state(lambda state: [servo["angle_deg"] for servo in state["legs"][2]["servos"]] == [91, 46, 121])
+
+    def is_there(state: dict[str, Any]) -> bool:
+        page.put(LEG_3, SET)  # again with each state, as one may be late on its way
+        return [servo["angle_deg"] for servo in state["legs"][2]["servos"]] == [91, 46, 121]
+
+    page.state(is_there)
     assert page.ask(LEG_3, STOP)["ack"]["accepted"]
     page.state(lambda state: state["mode"] == "idle")
 
@@ -82,8 +85,8 @@ def test_what_was_delayed_on_its_way_is_rejected(page: Page) -> None:
     ack = page.ask(LEG_3, START, sent_ms=page.now_ms() - 3000)["ack"]
     assert (ack["accepted"], ack["reason"]) == (False, "stale")
     page.put(LEG_3, START, sent_ms=page.now_ms() - 3000)
-    event = page.wait("event", lambda message: message["event"]["reason"] == "stale")["event"]
-    assert (event["source"], event["key"]) == (page.hello["source"], LEG_3)
+    mine = (page.hello["source"], LEG_3, "stale")
+    page.wait("event", lambda message: tuple(message["event"][name] for name in ("source", "key", "reason")) == mine)
     assert page.ask(LEG_3, STOP, sent_ms=page.now_ms() - 3000)["ack"]["accepted"]
     assert page.state()["mode"] == "idle"
 

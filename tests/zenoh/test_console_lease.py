@@ -8,17 +8,16 @@ from typing import Any, Final
 
 import pytest
 
-from tests.support.console_process import Console, Page, SignedIn
-from tests.support.fixtures import console_fixture, gateway_fixture, session_fixture
+from tests.support.console_process import TRIES, Console, Page, SignedIn
+from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 
 LEG_3: Final = "hexapod/leg/3/cmd"
 START: Final = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
 STOP: Final = {"servos": [{"op": "stop"}] * 3}
-TTL_MS: Final = 1500
+TTL_MS: Final = 3000
 
 
-# A busy machine's pages can keep its lease.
-gateway = gateway_fixture({"lease": {"ttl_ms": TTL_MS}, "watchdog": {"timeout_ms": 5000}})
+gateway = gateway_fixture(patient(5000, lease={"ttl_ms": TTL_MS}))
 console = console_fixture()
 session = session_fixture()
 
@@ -40,11 +39,14 @@ def bert(console: Console, session: SignedIn) -> Iterator[Page]:
 NUMBERS: Final = itertools.count(1000)
 
 
-def lease(page: Page, do: str, **more: Any) -> dict[str, Any]:
-    """Ask for something about the lease; the answer."""
-    number = next(NUMBERS)
-    page.send(type="lease", id=number, do=do, **more)
-    return page.wait("lease", lambda message: message["id"] == number)
+def lease(page: Page, do: str) -> dict[str, Any]:
+    """Ask for something about the lease, again where a busy gateway did not answer in time; the answer."""
+    for number in itertools.islice(NUMBERS, TRIES):
+        page.send(type="lease", id=number, do=do)
+        answer = page.answer("lease", number)
+        if answer["accepted"] is not None:
+            break
+    return answer
 
 
 def test_one_page_drives_and_all_stop(anna: Page, bert: Page) -> None:
@@ -81,7 +83,8 @@ def test_who_was_taken_over_is_told_and_moves_nothing(anna: Page, bert: Page) ->
     assert lease(anna, "acquire")["mine"]
     assert anna.ask(LEG_3, START)["ack"]["accepted"]
     assert lease(bert, "take")["mine"]
-    assert not bert.state()["legs"][2]["servos"][0]["running"], "all legs are stopped first"
+    taken = bert.state(lambda state: state["lease"]["holder"] == bert.hello["source"])
+    assert not taken["legs"][2]["servos"][0]["running"], "all legs are stopped first"
     assert anna.ask(LEG_3, START)["ack"]["reason"] == "not_holder"
     lost = anna.wait("lease", lambda message: message["id"] is None)
     assert (lost["mine"], lost["reason"]) == (False, "not_holder")

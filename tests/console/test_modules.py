@@ -1,0 +1,97 @@
+"""What the modules of the page compute, asked of one page that is open."""
+
+import math
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser
+
+from gateway import geometry
+from gateway.geometry.kinematics import foot_m
+from schemas.robot import LEGS, SERVO_IDS
+from tests.console.browser import Opened, Visitor
+from tests.support.console_process import Console, SignedIn
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, console: Console, session: SignedIn) -> Iterator[Opened]:
+    with Visitor(browser, console.url, session) as visitor:
+        yield visitor.open(webgl=True)
+
+
+def test_the_page_puts_each_foot_where_the_geometry_does(page: Opened) -> None:
+    robot = geometry.load()
+    degrees = {servo: (37.0 * servo) % 180 for servo in SERVO_IDS}
+    joints = {servo: robot.joint_rad(servo, degrees[servo]) for servo in SERVO_IDS}
+    drawn = page.module(
+        "kinematics",
+        "(m, [geometry, degrees]) => m.LEGS.map((leg) =>"
+        " m.legPoints(geometry, leg, m.JOINTS.map((joint) => degrees[leg * 10 + joint]))[4])",
+        [robot.model_dump(mode="json"), {str(servo): deg for servo, deg in degrees.items()}],
+    )
+    for leg, foot in zip(LEGS, drawn, strict=True):
+        assert foot == pytest.approx(foot_m(robot, leg, joints), abs=1e-9)
+    assert math.dist(drawn[0], drawn[1]) > 0.01
+
+
+def test_how_late_a_state_is_shows_although_clocks_differ(page: Opened) -> None:
+    """States that waited in a frozen page, or behind it, are as old as they are, not as new as their arrival."""
+    late = page.module(
+        "model",
+        "(m, heard) => { const lateness = new m.Lateness(); return heard.map(([up, at]) => lateness.heard(up, at)); }",
+        [[1000, 5000], [1100, 5100], [1200, 6300], [1300, 6301], [2400, 6400], [50, 6500], [150, 6601]],
+    )
+    assert late == [0, 0, 1100, 1001, 0, 0, 1]
+
+
+def test_the_floor_goes_as_the_feet_that_stand_do(page: Opened) -> None:
+    """Four feet on the ground go back and turn about the body; two swing."""
+    feet = {1: (0.2, 0.2, -0.1), 2: (0.2, -0.2, -0.1), 3: (-0.2, 0.2, -0.1), 4: (-0.2, -0.2, -0.1)}
+    angle, back = math.radians(-2), -0.01
+
+    def turned(x: float, y: float) -> tuple[float, float]:
+        return math.cos(angle) * x - math.sin(angle) * y + back, math.sin(angle) * x + math.cos(angle) * y
+
+    after = {leg: (*turned(x, y), z) for leg, (x, y, z) in feet.items()}
+    air = {5: (0.0, 0.3, -0.06), 6: (0.0, -0.3, -0.07)}
+    flown = {5: (0.05, 0.3, -0.06), 6: (0.05, -0.3, -0.07)}
+    x, y, heading = page.module(
+        "odometry",
+        "(m, steps) => { const floor = new m.Odometry();"
+        " for (const feet of steps) floor.update(new Map(feet)); return [floor.x, floor.y, floor.turned]; }",
+        [list({**feet, **air}.items()), list({**after, **flown}.items())],
+    )
+    assert (x, y, heading) == pytest.approx((back, 0.0, angle), abs=1e-9)
+
+
+def test_a_hands_slider_moves_a_servo_no_faster_than_60_degrees_a_second(page: Opened) -> None:
+    sent = page.module(
+        "targets",
+        "(m) => { const targets = new m.Targets(); targets.set(11, 100);"
+        " return [90, 90, 90].map((commanded) => targets.approach(11, 3, commanded)); }",
+    )
+    assert sent == [93, 96, 99]
+
+
+def test_legs_that_begin_to_run_are_drawn_as_commanded_beside_where_they_are(page: Opened) -> None:
+    """So many points has the line: each of six legs has four parts, with two ends."""
+    points = page.module(
+        "scene",
+        """(m, geometry) => {
+            const scene = new m.Scene(document.createElement("div"), geometry, () => {});
+            const poses = (status) => new Map([1, 2, 3, 4, 5, 6].map((leg) =>
+                [leg, { degrees: [90, 90, 90], trueDegrees: [90, 60, 90], status, selected: false }]));
+            const body = { position_m: [0, 0, 0.1], orientation_xyzw: [0, 0, 0, 1], terrain: "flat" };
+            const floor = { crossing: () => [0, 0], turned: 0 };
+            const counts = ["rests", "runs"].map((status) => {
+                scene.update(poses(status), floor, body);
+                return scene.ghost.geometry.getAttribute("position").count;
+            });
+            scene.dispose();
+            return counts;
+        }""",
+        geometry.load().model_dump(mode="json"),
+    )
+    assert points == [0, 48]
