@@ -19,12 +19,12 @@ from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord
 from tests.falls.__main__ import LANDING, MOST_SPEED_M_S, MOST_TILT_DEG, USUAL, WORLDS, most_speed_m_s
 from tests.falls.fall import AFTER_S, Fall, fall, looked_at
-from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, STAND, Angles, Moment, moments, run
+from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, STAND, Angles, Moment, moments
 from tests.falls.ways import SLACK, WAYS, landed
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import frames
-from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, drive, sent_by
+from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, drive, run, sent_by
 
 
 @cache

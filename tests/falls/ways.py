@@ -11,8 +11,8 @@ from gateway.people.walking import Engine, Velocity
 from gateway.robot.core.landing import landing
 from gateway.robot.settings import Settings
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from tests.falls.stride import TICK_S, Angles, Moment, angles_of, velocity
-from tests.walking.physics import Sent
+from tests.falls.stride import Angles, Moment, velocity
+from tests.walking.physics import TICK_S, Sent, angles_of
 
 STOP_SERVOS_S: Final = 0.4
 """From a gateway's death to `stop-servos` (docs/stops.md)."""

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import jsonschema
+from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
 from gateway.people.recordings.drawing import DRAWN
@@ -18,8 +18,10 @@ def checked(path: Path) -> Iterator[tuple[str, Any]]:
     """Of each message its topic, and its JSON or its ROS 2 message."""
     with path.open("rb") as file:
         attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
-        schemas = {
-            name.removesuffix(_SUFFIX): json.loads(data) for name, data in attached.items() if name.endswith(_SUFFIX)
+        validators = {
+            name.removesuffix(_SUFFIX): Draft202012Validator(json.loads(data))
+            for name, data in attached.items()
+            if name.endswith(_SUFFIX)
         }
         file.seek(0)
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -30,5 +32,5 @@ def checked(path: Path) -> Iterator[tuple[str, Any]]:
             else:
                 assert channel.message_encoding == "json"
                 content = json.loads(message.data)
-                jsonschema.validate(content, schemas[channel.topic])
+                validators[channel.topic].validate(content)
                 yield channel.topic, content

@@ -17,9 +17,12 @@ from gateway.people.physics.assumed import FRICTION, TORQUE_NM
 from gateway.people.physics.assumed import Assumed as Assumptions
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.world import World as Simulated
+from gateway.people.walking import STILL, Engine, Posture, Velocity
 from gateway.robot.protocol.frames import Op, decode
+from schemas.robot import JOINTS
 from schemas.telemetry import FrameRecord
 
+TICK_S: Final = 0.02
 LOOK_S: Final = 0.02
 FALLEN_DEG: Final = 30.0
 SUNK_M: Final = 0.092
@@ -113,6 +116,37 @@ def drive(world: Simulated, angles: Mapping[int, float | None], geometry: Geomet
     """Send servos there, in angles of this geometry."""
     for servo_id, angle_deg in angles.items():
         world.drive(servo_id, None if angle_deg is None else geometry.joint_rad(servo_id, angle_deg))
+
+
+def run(world: Simulated, seconds: float) -> None:
+    """Simulate that long."""
+    for _ in range(round(seconds / TIMESTEP_S)):
+        world.step()
+
+
+def walk(world: Simulated, engine: Engine, geometry: Geometry, wanted: Velocity, seconds: float = TICK_S) -> None:
+    """As a gateway passes its setpoints on, 50 a second, and the time until the next."""
+    for _ in range(round(seconds / TICK_S)):
+        engine.step(wanted, TICK_S)
+        drive(world, angles_of(engine), geometry)
+        run(world, TICK_S)
+
+
+def stand_up(world: Simulated, engine: Engine, geometry: Geometry) -> None:
+    """By its walk, and half a second longer."""
+    engine.stand()
+    while engine.posture is not Posture.STANDING:
+        walk(world, engine, geometry, STILL)
+    walk(world, engine, geometry, STILL, 0.5)
+
+
+def angles_of(engine: Engine) -> dict[int, float]:
+    """Where it sends the legs that are not lost, in degrees as commands name them."""
+    return {
+        10 * leg + joint: angle_deg
+        for leg, angles in engine.pose.items()
+        for joint, angle_deg in zip(JOINTS, angles, strict=True)
+    }
 
 
 class World:

@@ -13,41 +13,21 @@ from gateway.geometry import load
 from gateway.geometry.kinematics import about, rotated
 from gateway.geometry.masses import MASSES
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
-from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.pace import MOST_BEHIND_S, WINDOW_S, Pace
 from gateway.people.physics.process import Simulated
 from gateway.people.physics.world import World
-from gateway.people.walking import Engine, Posture, Robot, Velocity
+from gateway.people.walking import Engine, Robot, Velocity
 from gateway.robot.core.calibration import Calibration, ServoCalibration
 from schemas.robot import SERVO_IDS
-from tests.walking.physics import SINKS_S, SUNK_M
+from tests.walking.physics import SINKS_S, SUNK_M, run, stand_up, walk
 
 GEOMETRY = load()
-TICK_S = 0.02
-
-
-def simulate(world: World, seconds: float) -> None:
-    for _ in range(round(seconds / TIMESTEP_S)):
-        world.step()
 
 
 def stood_up(world: World) -> Engine:
-    """By its walk, as a gateway would have it."""
     engine = Engine(Robot(GEOMETRY))
-    engine.stand()
-    while engine.posture is not Posture.STANDING:
-        walk(world, engine, Velocity(), TICK_S)
-    simulate(world, 0.5)
+    stand_up(world, engine, GEOMETRY)
     return engine
-
-
-def walk(world: World, engine: Engine, wanted: Velocity, seconds: float) -> None:
-    """As a gateway passes its setpoints on, 50 a second."""
-    for _ in range(round(seconds / TICK_S)):
-        for leg, angles in engine.step(wanted, TICK_S).items():
-            for joint, angle_deg in enumerate(angles, start=1):
-                world.drive(10 * leg + joint, GEOMETRY.joint_rad(10 * leg + joint, angle_deg))
-        simulate(world, TICK_S)
 
 
 def stop(world: World) -> None:
@@ -73,9 +53,9 @@ def test_it_stands_up_and_without_its_servos_it_sinks() -> None:
     carried_nm = sum(abs(torque_nm) for torque_nm in standing.torques_nm.values())
     assert carried_nm > 1
     stop(world)
-    simulate(world, 0.15)
+    run(world, 0.15)
     assert world.body().velocity_m_s[2] < -0.1, "it falls"
-    simulate(world, SINKS_S)
+    run(world, SINKS_S)
     fallen = world.body()
     assert fallen.position_m[2] < SUNK_M
     assert "base" in touches_the_floor(world), "its legs alone do not carry it"
@@ -103,12 +83,12 @@ def test_the_weight_is_the_one_that_is_named() -> None:
 def test_a_servo_goes_no_faster_than_its_motor_and_ends_at_its_stop() -> None:
     world = World(GEOMETRY)
     world.drive(11, GEOMETRY.joint_rad(11, 90))
-    simulate(world, 0.5)
+    run(world, 0.5)
     world.drive(11, GEOMETRY.joint_rad(11, 150))
-    simulate(world, 0.1)
+    run(world, 0.1)
     assert 95 < GEOMETRY.servos[11].servo_deg(world.body().joints_rad[11]) < 90 + 36
     world.drive(11, GEOMETRY.joint_rad(11, 250))
-    simulate(world, 1.0)
+    run(world, 1.0)
     assert GEOMETRY.servos[11].servo_deg(world.body().joints_rad[11]) < 185
 
 
@@ -116,7 +96,7 @@ def test_a_servo_goes_no_faster_than_its_motor_and_ends_at_its_stop() -> None:
 def test_it_lies_on_every_ground(text: str) -> None:
     world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(text)))
     assert str(Terrain.parsed(text)) == text
-    simulate(world, 1.0)
+    run(world, 1.0)
     body = world.body()
     assert body.upright
     assert body.tilt_deg < 10
@@ -130,7 +110,7 @@ def test_it_walks_over_every_ground(text: str) -> None:
     world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(text)))
     engine = stood_up(world)
     begun = world.body()
-    walk(world, engine, Velocity(0.08), 2.5)
+    walk(world, engine, GEOMETRY, Velocity(0.08), 2.5)
     gone = world.body()
     ahead_m, up_m = (gone.position_m[axis] - begun.position_m[axis] for axis in (0, 2))
     assert ahead_m > 0.12
@@ -143,9 +123,9 @@ def test_it_slides_down_a_slope_of_ice_and_does_not_creep_down_one_of_wood() -> 
     slid_m = []
     for friction in (0.05, 0.8):
         world = World(GEOMETRY, Assumed(friction=friction, terrain=Terrain.parsed("slope:20")))
-        simulate(world, 1.5)
+        run(world, 1.5)
         lay_m = world.body().position_m[0]
-        simulate(world, 3.0)
+        run(world, 3.0)
         slid_m.append(lay_m - world.body().position_m[0])
     assert slid_m[0] > 0.5
     assert abs(slid_m[1]) < 0.002
@@ -163,13 +143,13 @@ def test_a_robot_on_its_back_lies_there_until_it_is_set_upright() -> None:
     world = World(GEOMETRY)
     x, y, z, w = about((1, 0, 0), math.pi)
     world.data.qpos[:7] = 0.3, 0.2, 0.15, w, x, y, z
-    simulate(world, 1.0)
+    run(world, 1.0)
     body = world.body()
     assert not body.upright
     assert body.tilt_deg > 150
     assert body.position_m[:2] == pytest.approx((0.3, 0.2), abs=0.05)
     world.set_upright()
-    simulate(world, 1.0)
+    run(world, 1.0)
     body = world.body()
     assert body.upright
     assert body.tilt_deg < 10
@@ -178,13 +158,13 @@ def test_a_robot_on_its_back_lies_there_until_it_is_set_upright() -> None:
 
 def test_an_explosion_is_reported_with_its_joint_and_the_robot_lies_down_anew() -> None:
     world = World(GEOMETRY)
-    simulate(world, 0.5)
+    run(world, 0.5)
     assert world.fault() is None
     world.data.qvel[6 + SERVO_IDS.index(32)] = 1234
     sentence = world.fault()
     assert sentence is not None
     assert "joint 32 turned at 1234 rad/s" in sentence
-    simulate(world, 1.0)
+    run(world, 1.0)
     assert world.fault() is None
     assert world.body().upright
 
@@ -198,7 +178,7 @@ def test_an_explosion_names_the_leg_that_is_inside_something() -> None:
     assert overlap is not None
     assert "leg 3 is in leg 5 25 mm deep" in overlap
     assert World(GEOMETRY).overlap() is None
-    simulate(world, 0.5)
+    run(world, 0.5)
     assert world.fault() is None
     world.data.qvel[0] = math.nan
     world.step()
@@ -224,7 +204,7 @@ def test_where_it_is_counts_as_commands_do() -> None:
     mounted.drive({servo_id: 180 - 60.0 + 10 if servo_id == 11 else None for servo_id in SERVO_IDS})
     mounted.calibrate(Calibration(1, {11: ServoCalibration(trim_cdeg=1000, inverted=True)}))
     for each in (as_drawn, mounted):
-        simulate(each.world, 1.0)
+        run(each.world, 1.0)
         report = each.report(1.0)
         assert report.servos["11"].angle_deg == pytest.approx(60, abs=1)
         assert report.servos["12"].torque_nm == 0

@@ -332,11 +332,10 @@ def test_a_piece_has_its_seconds_and_what_holds_for_all_of_it(path: Path) -> Non
 
 
 def test_of_a_killed_writer_all_but_the_newest_messages_are_there(path: Path) -> None:
-    recording = recorded(path, 6000)  # and nobody closes it
-    whole = sum(1 for _ in reports(6000))
+    recording = recorded(path, 2000)  # and nobody closes it
     found = [message for message in read(path) if message.topic in REPORTS]
-    assert len(found) >= 0.97 * whole
-    expected = [(topic, without_nulls(report), time_ns) for topic, report, time_ns in reports(6000)]
+    assert len(found) >= 2000 - 151, "those of half a second"
+    expected = [(topic, without_nulls(report), time_ns) for topic, report, time_ns in reports(2000)]
     assert [(each.topic, each.content, each.time_ns) for each in found] == expected[: len(found)]
     recording.close()
 
@@ -368,7 +367,7 @@ def test_a_file_cut_off_anywhere_is_repaired_with_all_that_it_still_has(path: Pa
     data = path.read_bytes()
     assert not is_cut_off(path)
     chance = random.Random(1)  # noqa: S311
-    for end in (*(chance.randrange(begun, len(data)) for _ in range(40)), len(data) - 1, len(data) - 8):
+    for end in (*(chance.randrange(begun, len(data)) for _ in range(20)), len(data) - 1, len(data) - 8):
         path.write_bytes(data[:end])
         assert is_cut_off(path)
         expected = list(read(path))
