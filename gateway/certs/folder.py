@@ -19,7 +19,6 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
 from gateway.certs import (
-    CA_DAYS,
     CONSOLE_DAYS,
     LAPTOP_ROLES,
     LEAF_DAYS,
@@ -96,10 +95,6 @@ def init(
         raise ConfigError(
             "name at least one host by which laptops reach the robot: --host robot.local --host 192.0.2.7"
         )
-    _check_days(days)
-    check_size(size)
-    if not 1 <= port <= 65535:
-        raise ConfigError(f"port {port} is not between 1 and 65535")
     if namespace and not _NAME.fullmatch(namespace):
         raise ConfigError(f"{namespace!r} cannot be a namespace: use letters, digits, - and _ (up to 63)")
     if os.path.lexists(directory / "ca.key") or os.path.lexists(directory / "ca.pem"):
@@ -141,7 +136,6 @@ def issue(
             f"unknown role {role!r}: choose operator (commands and watches), observer (only watches) or button (stops "
             "and watches, and moves nothing)"
         )
-    _check_days(days)
     ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
     hosts, (port, namespace) = authority.hosts_of(gateway), _port_and_namespace(directory / "gateway.json5")
@@ -178,7 +172,6 @@ def console(
     """
     now = now or now_utc()
     _check_name(name)
-    _check_days(days)
     names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
     if not names:
         raise ConfigError("name at least one host by which browsers reach the console: --host robot.local")
@@ -200,7 +193,6 @@ def add_robots(
     and robots dial the first of them.
     """
     now = now or now_utc()
-    _check_days(days)
     ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
     host, port = authority.hosts_of(gateway)[0], _port_and_namespace(directory / "gateway.json5")[0]
@@ -237,7 +229,6 @@ def renew(
     `hosts`: further names and addresses for the robot's, or a console's.
     """
     now = now or now_utc()
-    _check_days(days)
     if name != authority.GATEWAY:
         _check_name(name)
     own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else authority.CA
@@ -324,12 +315,6 @@ def listed_names(config: Path) -> set[str]:
 def port_of(directory: Path) -> int:
     """The port that the robot of this folder listens on."""
     return _port_and_namespace(directory / "gateway.json5")[0]
-
-
-def check_size(size: int) -> None:
-    """Raises ConfigError for a pool of another size than one may have."""
-    if not 1 <= size <= pool.MOST:
-        raise ConfigError(f"a pool of {size} common names will not do: choose 1 to {pool.MOST}")
 
 
 def _free_common_name(directory: Path, ca: KeyPair, role: str, robot: str) -> str:
@@ -457,11 +442,6 @@ def _check_name(name: str) -> None:
             f"{name!r} cannot name a laptop: use letters, digits, - and _ (up to 63, a letter or digit first), "
             f"and not {', '.join(_RESERVED)}"
         )
-
-
-def _check_days(days: int) -> None:
-    if not 1 <= days <= CA_DAYS:
-        raise ConfigError(f"--days {days} is not between 1 and {CA_DAYS}, the days a CA lives")
 
 
 def now_utc() -> dt.datetime:

@@ -108,7 +108,8 @@ def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
 
     What else is written there stays. Names that are listed are never taken away.
     """
-    folder.check_size(size)
+    if size > pool.MOST:
+        raise ConfigError(f"a pool of {size} common names will not do: {pool.MOST} at most")
     config = directory / "gateway.json5"
     listed = [pool.holder(name).number for name in folder.listed_names(config)]
     size = max(size, *(number + 1 for number in listed if number is not None), 1)

@@ -31,6 +31,8 @@ Days = Annotated[
     int,
     typer.Option(
         metavar="N",
+        min=1,
+        max=certs.CA_DAYS,
         help="How many days the certificate is good for (never longer than its CA, 10 years). Example: --days 90",
     ),
 ]
@@ -56,7 +58,9 @@ def init(
             "Laptops reject it under any other. Example: --host robot.local --host 192.0.2.7",
         ),
     ],
-    port: Annotated[int, typer.Option(metavar="N", help="The port the robot listens on. Example: --port 7447")] = 7447,
+    port: Annotated[
+        int, typer.Option(metavar="N", min=1, max=65535, help="The port the robot listens on. Example: --port 7447")
+    ] = 7447,
     namespace: Annotated[
         str,
         typer.Option(
@@ -68,7 +72,11 @@ def init(
     size: Annotated[
         int,
         typer.Option(
-            "--pool", metavar="N", help="How many laptops of each role the rules know in advance. Example: --pool 256"
+            "--pool",
+            metavar="N",
+            min=1,
+            max=pool.MOST,
+            help="How many laptops of each role the rules know in advance. Example: --pool 256",
         ),
     ] = pool.SIZE,
     days: Days = certs.LEAF_DAYS,
@@ -246,17 +254,10 @@ def show(directory: Directory) -> None:
 
     now = dt.datetime.now(dt.UTC)
     head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE")
+    found = [(each, each.days_left(now), state) for each, state in certs.moving.states(directory, now)]
     rows = [
-        (
-            found.name,
-            found.role,
-            f"{found.not_after:%Y-%m-%d}",
-            str(found.days_left(now)),
-            found.serial,
-            found.common_name,
-            state,
-        )
-        for found, state in certs.moving.states(directory, now)
+        (each.name, each.role, f"{each.not_after:%Y-%m-%d}", str(left), each.serial, each.common_name, state)
+        for each, left, state in found
     ]
     console = Console()
     if not console.is_terminal:
@@ -271,10 +272,9 @@ def show(directory: Directory) -> None:
             overflow="fold",
             no_wrap=title != "SERIAL",
         )
-    for row in rows:
-        left = int(row[3])
-        style = "yellow" if left < expiry.WARN_DAYS or row[-1] in ("older CA", "replaced") else None
-        table.add_row(*row, style="red" if row[-1] in ("expired", "revoked") else style)
+    for row, (_, left, state) in zip(rows, found, strict=True):
+        style = "yellow" if left < expiry.WARN_DAYS or state in ("older CA", "replaced") else None
+        table.add_row(*row, style="red" if state in ("expired", "revoked") else style)
     console.print(table)
 
 
@@ -350,9 +350,10 @@ def reissue(
 @app.command("pool", epilog="Example: sudo hexapod-gateway certs pool --dir /etc/hexapod-gateway/zenoh")
 def set_pool(
     directory: Directory,
-    size: Annotated[int, typer.Option(metavar="N", help="How many laptops of each role. Example: --size 128")] = (
-        pool.SIZE
-    ),
+    size: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, max=pool.MOST, help="How many laptops of each role. Example: --size 128"),
+    ] = pool.SIZE,
 ) -> None:
     """Let the rules in gateway.json5 know so many common names of each role, so that each laptop can have its own.
 

@@ -252,6 +252,13 @@ def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
         assert len(text.splitlines()) == 1
 
 
+@pytest.mark.parametrize("option", ["--days=0", "--days=3651", "--port=0", "--port=65536", "--pool=0", "--pool=1001"])
+def test_numbers_out_of_range(tmp_path: Path, option: str) -> None:
+    code, text = run("init", "--dir", str(tmp_path / "D"), "--host", "robot.local", option)
+    assert (code, option.partition("=")[0] in text) == (2, True)
+    assert names(tmp_path) == set()
+
+
 @pytest.mark.parametrize(
     "command", ["init", "issue", "console", "list", "renew", "revoke", "reissue", "pool", "replace-ca", "drop-ca"]
 )

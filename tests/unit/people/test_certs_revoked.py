@@ -93,6 +93,7 @@ def test_a_larger_pool_and_one_that_is_used_up(tmp_path: Path) -> None:
     certs.moving.set_pool(tmp_path / "D", 200)
     assert issue(tmp_path / "D", "carl") == ["operator-02"]
     assert len(operators(tmp_path / "D")) == 201
+    assert "1000 at most" in fault(lambda: certs.moving.set_pool(tmp_path / "D", 1001))
     certs.moving.set_pool(tmp_path / "D", 3)
     assert len(operators(tmp_path / "D")) == 201
 
