@@ -155,8 +155,10 @@ def run(
     found = settings.load(config, simulated=sim is not None)
     if sim is Sim.PHYSICS:
         from gateway.people.physics.assumed import assumed
+        from gateway.people.tools.body_process import BodyProcess
 
-        serve.run_with_physics(found, geometry, assumed(mass_kg, servo_torque_nm, friction, terrain))
+        with BodyProcess(geometry, assumed(mass_kg, servo_torque_nm, friction, terrain)) as body:
+            serve.run(found, simulated=True, body=body)
     else:
         serve.run(found, simulated=sim is not None)
 

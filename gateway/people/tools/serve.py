@@ -1,11 +1,9 @@
 """`run`: the service, and what it prints once it is ready."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import zenoh
 
-from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import say, this_command
 from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
@@ -14,18 +12,14 @@ from gateway.robot.settings import Settings
 from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
 
 
-def run(settings: Settings, *, simulated: bool) -> None:
-    """Run the service and, once it is ready, say where it is and what to try next."""
-    _serve(settings, "a simulated controller" if simulated else settings.spi.device, simulated=simulated)
+def run(settings: Settings, *, simulated: bool, body: BodyProcess | None = None) -> None:
+    """Run the service and, once it is ready, say where it is and what to try next.
 
+    `body`: what the servos of a simulated controller move.
+    """
+    controller = "a simulated controller" if simulated else settings.spi.device
+    robot = controller if body is None else "a simulated robot"
 
-def run_with_physics(settings: Settings, geometry: Path | None, assumed: Assumed) -> None:
-    """The same with a simulated controller, whose servos move a body in another process. Raises ConfigError."""
-    with BodyProcess(geometry, assumed) as body:
-        _serve(settings, "a simulated robot", simulated=True, body=body)
-
-
-def _serve(settings: Settings, robot: str, *, simulated: bool, body: BodyProcess | None = None) -> None:
     def ready(config: zenoh.Config) -> None:
         if body is not None:
             body.connect(config)
