@@ -46,10 +46,8 @@ def token_of(client: Client) -> str | None:
     return None
 
 
-@contextmanager
-def kept(client: Client, token: str) -> Iterator[None]:
+def _keep(file: Path, token: str) -> None:
     """Keep a token for the other commands of this person. Raises ConfigError."""
-    file = _file(client)
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor, new = tempfile.mkstemp(dir=file.parent)  # for its owner only
@@ -58,10 +56,6 @@ def kept(client: Client, token: str) -> Iterator[None]:
         Path(new).replace(file)
     except OSError as error:
         raise ConfigError(f"cannot keep the lease in {file}: {error.strerror}") from error
-    try:
-        yield
-    finally:
-        forget(client, token)
 
 
 @contextmanager
@@ -76,10 +70,12 @@ def acquired(
     """Hold the lease, and keep its token meanwhile: `send` and `reset` of this person drive. See `Client.lease`."""
     lease = client.lease(take=take, wait_s=wait_s, source=me(), on_lost=on_lost, on_asked=on_asked)
     lease.acquire()
+    token = lease.token or ""
     try:
-        with kept(client, lease.token or ""):
-            yield lease
+        _keep(_file(client), token)
+        yield lease
     finally:
+        forget(client, token)
         lease.release()
 
 
