@@ -66,7 +66,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand(
             "an emergency stop's answer waits behind an asker who does not read",
             "        self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))",
-            "        self._estops.append(_received(item, ESTOP, received_ns, self._replies))",
+            "        self._estops.append(_received(self._replies, ESTOP, item, received_ns))",
         ),
     ),
     "gateway/robot/edge/receiver.py": (
@@ -116,7 +116,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand(
             "where time passes in an instant, a start overtakes a Stop, and a reset an emergency stop",
             "        self.legs.begin(now_ns if instant_ns is None else instant_ns)\n",
-            "        self.legs.instant_ns = now_ns\n",
+            "        self.legs.begin(now_ns)\n",
         ),
         ByHand(
             "a reset that was sent before the second emergency stop leaves it",

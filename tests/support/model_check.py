@@ -32,12 +32,21 @@ from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Mode
 from tests.support.buttons_history import ButtonsHistory
-from tests.support.buttons_model import button_requests, buttons_key, copied_buttons
 from tests.support.calibration_history import CalibrationHistory
-from tests.support.calibration_model import calibrating_key, changes, copy_calibrating
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
 from tests.support.lease_history import LeaseHistory
-from tests.support.lease_model import copied_lease, lease_key, lease_requests, tokens
+from tests.support.model_parts import (
+    button_requests,
+    buttons_key,
+    calibrating_key,
+    changes,
+    copied_buttons,
+    copied_lease,
+    copy_calibrating,
+    lease_key,
+    lease_requests,
+    tokens,
+)
 from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Configuration

@@ -13,7 +13,7 @@ from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.faulty_controller import FaultyController
-from tests.support.transfers import on_wire, preamble_of
+from tests.support.transfers import on_wire
 from tests.unit.robot.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED
@@ -103,12 +103,6 @@ def test_an_announcement_and_its_body_are_in_one_batch() -> None:
     assert passes(PREFIXED, ZERO, b"\x0e", STOP_1, ZERO)
 
 
-@given(st.lists(frames, max_size=5))
-def test_all_that_a_framing_makes_passes(sent: list[Frame]) -> None:
-    for framing in Framing:
-        assert passes(framing, *preamble_of(framing), *on_wire(framing, *sent))
-
-
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("vector", ILLEGAL, ids=lambda vector: vector["why"])
 def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, vector: dict[str, str]) -> None:
@@ -160,11 +154,6 @@ def test_no_stop_is_rejected_for_its_angle() -> None:
 def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
     with pytest.raises(IllegalTransferError, match="06 02 20 02 00 00"):
         Guard(Recorder(), Framing.PLAIN).transfer([(STOP_WITH_ANGLE, 0)])
-
-
-def test_plain_has_no_preamble_and_no_announcements() -> None:
-    for data in (ZERO, bytes(16), b"\x0e", b"\x06", b""):
-        assert not passes(Framing.PLAIN, data)
 
 
 @pytest.mark.parametrize("zeros", [bytes(length) for length in range(2, 20)], ids=len)

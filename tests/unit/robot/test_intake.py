@@ -8,14 +8,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.robot.core import intake
-from gateway.robot.core.intake import Rejection, decode, deleted, echo_of, intent_of, too_large
+from gateway.robot.core.intake import Rejection, decode, echo_of, intent_of, too_large
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import Intent
 from gateway.robot.protocol.frames import STOP as STOP_OP
 from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ESTOP, CommandKey, servo_command
-from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
 from tests.fuzz.targets import ENCODINGS, KEYS, MAX_DETAIL, check_intake
 from tests.support.bad_commands import FAULTS
@@ -223,19 +222,6 @@ def test_what_is_no_command(key: CommandKey, payload: object, detail: str) -> No
     answer = rejection(key, payload)
     assert answer == Rejection(Reason.INVALID, detail)
     check_intake(key, b"", answer)
-
-
-# ---- deletes
-
-
-def test_a_delete_stops_what_its_key_names() -> None:
-    assert deleted(SERVO_32) == Intent(((32, STOP_OP),))
-    assert deleted(LEG_3) == Intent(((31, STOP_OP), (32, STOP_OP), (33, STOP_OP)))
-    assert deleted(LEGS_KEY) == Intent(tuple((servo_id, STOP_OP) for servo_id in SERVO_IDS))
-
-
-def test_a_delete_never_resets() -> None:
-    assert deleted(RESET_KEY) == Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")
 
 
 # ---- anything at all

@@ -220,10 +220,12 @@ def test_the_other_way_round_it_wins_as_well() -> None:
     assert robot.running == []
 
 
-def test_one_channels_own_order_is_known() -> None:
+def test_one_channels_own_order_is_known_and_no_others_however_long_an_instant_takes() -> None:
     robot = Steps()
-    robot.command(130, leg_to(1, "stop"), "leg/1")
-    assert robot.command(130, leg_to(1, "start 90"), "leg/1") == ["command 1 start 90", "completed 2"]
+    robot.instant_ms = 130
+    robot.command(130.5, leg_to(1, "stop"), "put leg/1")
+    assert robot.command(131, leg_to(1, "start 90"), "get leg/1") == ["rejected 2 servo_stopped"]
+    assert robot.command(131.5, leg_to(1, "start 90"), "put leg/1") == ["command 1 start 90", "completed 3"]
 
 
 def test_all_who_stop_in_an_instant_count() -> None:

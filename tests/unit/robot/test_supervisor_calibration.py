@@ -3,35 +3,15 @@
 Each step is judged by the oracle.
 """
 
-from dataclasses import dataclass, replace
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.robot.core.calibration import Calibration, Change, ServoCalibration, ServoChange
-from gateway.robot.core.events import (
-    Announce,
-    BusFailed,
-    BusOpened,
-    Command,
-    Effect,
-    EmergencyStop,
-    Event,
-    Kept,
-    Reset,
-    StoppedOutside,
-    TimePassed,
-    Transmit,
-)
+from gateway.robot.core.events import Announce, Kept, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
-from gateway.robot.core.supervisor import IllegalEvent, Supervisor
-from gateway.robot.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
-from schemas.robot import LEGS, SERVO_IDS
+from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Kind, Mode
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
-from tests.support.transitions import TRANSITIONS
 
 MIRRORED = Calibration(3, {32: ServoCalibration(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
 """90 is 97 on its wire, and 10 is 177."""
@@ -279,91 +259,3 @@ def test_the_default_is_what_is_accepted_and_not_what_was_loaded() -> None:
     steps.calibrate(0, Change({11: ServoChange(trim_cdeg=1_00)}, {}), accept_default=True)
     steps.kept(1)
     assert steps.supervisor.calibrating.in_force == Calibration(4, {11: ServoCalibration(1_00)})
-
-
-# ---- whatever comes: a calibration changes nothing but the angles on the wire
-
-
-MOST_TRIM_CDEG = 20_00
-RULES = (
-    Rules(),
-    Rules(landing_ns=500 * NS_PER_MS, landing_cdeg={11: 90_00, 23: 20_00, 62: 160_00}),
-    Rules(max_speed_cdeg_s=dict.fromkeys(SERVO_IDS, 100_00), landing_ns=300 * NS_PER_MS, landing_cdeg={32: 90_00}),
-    Rules(joint_limits_cdeg={11: (30_00, 150_00)}, start_pause_ns=30 * NS_PER_MS, whole_robot=True),
-)
-within_reach = st.integers(MOST_TRIM_CDEG, 180_00 - MOST_TRIM_CDEG)
-"""Angles that a servo with so much trim has, whichever way it turns."""
-ops = st.builds(ServoOp, st.sampled_from((Op.START, Op.START, Op.SET)), within_reach) | st.just(STOP)
-targets = st.one_of(
-    st.dictionaries(st.sampled_from(SERVO_IDS), ops, min_size=1, max_size=4).map(lambda each: tuple(each.items())),
-    st.builds(lambda leg, op: tuple((servo_id, op) for servo_id in servo_ids_of(leg)), st.sampled_from(LEGS), ops),
-    st.builds(lambda op: tuple((servo_id, op) for servo_id in SERVO_IDS), ops),
-)
-commands = st.builds(Command, st.just(0), st.sampled_from(("put", "get")), targets)
-happenings = st.one_of(
-    commands,
-    commands,
-    commands,
-    st.just(TimePassed()),
-    st.sampled_from((EmergencyStop(), Reset(0), BusFailed("EIO"), BusOpened(), StoppedOutside(False))),
-)
-streams = st.lists(st.tuples(st.sampled_from((0, 1, 6, 20, 100, 260)), happenings), max_size=60)
-trimmed = st.dictionaries(
-    st.sampled_from(SERVO_IDS),
-    st.builds(
-        ServoCalibration, st.integers(-MOST_TRIM_CDEG, MOST_TRIM_CDEG), st.booleans(), st.just(0), st.just(180_00)
-    ),
-    max_size=8,
-)
-
-
-@dataclass
-class _Numbered:
-    """The events of a stream as a supervisor takes them: only those that may come, each command with its number."""
-
-    supervisor: Supervisor
-    number: int = 0
-
-    def take(self, event: Event, now_ns: int) -> list[Effect]:
-        if type(event) not in TRANSITIONS[self.supervisor.mode]:
-            return []
-        self.number += 1
-        if isinstance(event, Command):
-            event = Command(self.number, event.channel, event.targets)
-        elif isinstance(event, Reset):
-            event = Reset(self.number, estop=self.supervisor.estops)
-        return self.supervisor.step(event, now_ns)
-
-
-def as_users_count(effects: list[Effect], calibration: Calibration) -> list[Effect]:
-    return [
-        replace(effect, frame=calibration.user_frame(decode(effect.frame.to_bytes())))
-        if isinstance(effect, Transmit)
-        else effect
-        for effect in effects
-    ]
-
-
-@given(st.sampled_from(RULES), streams, trimmed, st.booleans())
-def test_a_calibration_changes_nothing_but_the_angles_on_the_wire(
-    rules: Rules, stream: list[tuple[int, Event]], servos: dict[int, ServoCalibration], wakes: bool
-) -> None:
-    """Beside a robot that no calibration was ever loaded for: the same frames, answers and times."""
-    plain, calibrated = _Numbered(Supervisor(rules)), _Numbered(Supervisor(rules))
-    calibration = Calibration(4, servos)
-    calibrated.supervisor.calibrating.load(calibration)
-    now_ns = 1
-    for wait_ms, event in ((0, BusOpened()), *stream):
-        until_ns = now_ns + wait_ms * NS_PER_MS
-        while wakes and (due_ns := plain.supervisor.due_ns) is not None and due_ns <= until_ns:
-            now_ns = max(now_ns, due_ns)
-            _agree(plain, calibrated, calibration, TimePassed(), now_ns)
-        now_ns = until_ns
-        _agree(plain, calibrated, calibration, event, now_ns)
-
-
-def _agree(plain: _Numbered, calibrated: _Numbered, calibration: Calibration, event: Event, now_ns: int) -> None:
-    effects = plain.take(event, now_ns)
-    assert as_users_count(calibrated.take(event, now_ns), calibration) == effects
-    assert calibrated.supervisor.due_ns == plain.supervisor.due_ns
-    assert calibrated.supervisor.mode == plain.supervisor.mode

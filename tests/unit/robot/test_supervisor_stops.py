@@ -257,14 +257,6 @@ def test_of_one_instant_an_emergency_stop_is_the_newer_however_long_it_takes_to_
     assert robot.reset(102) == ["announce estop_reset", "completed 2"]
 
 
-def test_a_start_is_rejected_after_a_stop_of_the_same_instant_that_took_time() -> None:
-    robot = Steps()
-    robot.instant_ms = 100
-    robot.command(100.5, leg_to(1, "stop"), "put leg")
-    assert robot.command(101, leg_to(1, "start 90"), "get leg") == ["rejected 2 servo_stopped"]
-    assert robot.command(101.5, leg_to(1, "start 90"), "put leg") == ["command 1 start 90", "completed 3"]
-
-
 def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None:
     robot = Steps()
     assert robot.supervisor.estops == 0

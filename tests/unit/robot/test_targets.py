@@ -45,8 +45,10 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
     target = COMMAND_KEYS[key]
     assert servos_of(target) == set(servos), "without one, a message would never be done, but for a reset"
     assert follows(target) == set(followed), "an older Start on another key must not come after a Stop on this one"
-    assert stops_of(target) == tuple((servo_id, STOP) for servo_id in servos)
-    assert isinstance(deleted(target), Rejection if key == keys.RESET else Intent)
+    stops = tuple((servo_id, STOP) for servo_id in servos)
+    assert stops_of(target) == stops
+    no_reset = Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")
+    assert deleted(target) == (no_reset if key == keys.RESET else Intent(stops))
     for count, rejected in ((fields + 64, False), (fields + 65, True)) if fields else ():
         answer = decode(target, as_json({f"x{number}": 0 for number in range(count)}), "application/json")
         assert isinstance(answer, Rejection)

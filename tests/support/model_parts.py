@@ -1,0 +1,134 @@
+"""The lease, the buttons and the calibration in the model check: what may be asked of them, how they are copied, and
+what of them tells states apart."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from gateway.robot.core.buttons import Buttons
+from gateway.robot.core.calibration import Calibration, Change
+from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, Do, Event, Kept, LeaseRequest
+from gateway.robot.core.lease import Lease
+from gateway.robot.core.pacing import NS_PER_MS
+from gateway.robot.core.supervisor import Supervisor
+from tests.support.buttons_history import ButtonsHistory
+from tests.support.calibration_history import CalibrationHistory
+from tests.support.history import cloned
+from tests.support.lease_history import LeaseHistory
+
+# ---- the lease
+
+
+def copied_lease(lease: Lease) -> Lease:
+    """A copy that shares nothing that changes."""
+    return cloned(lease, _askers=dict(lease._askers), changes=lease.changes.copy())
+
+
+def lease_key(lease: Lease, now_ns: int) -> tuple[object, ...]:
+    """What of it can still matter; one token is as good as another."""
+    left_ns = None if lease.due_ns is None else lease.due_ns - now_ns
+    return lease.holder, lease._token is not None, left_ns, lease.guards, tuple(lease._askers)
+
+
+def tokens(drivers: Sequence[str], lease: LeaseHistory) -> Iterator[tuple[str, str | None]]:
+    """What a command may carry: no token, that of the lease, or that of a lease that has ended."""
+    yield "", None
+    if drivers and lease.token is not None:
+        yield " of the holder", lease.token
+    if drivers and lease.old_token is not None:
+        yield " of a former holder", lease.old_token
+
+
+def lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> Iterator[tuple[str, Event]]:
+    """Everything that each of them may want of it; a new token is one that nobody had."""
+    fresh = f"token {number}"
+    for name in drivers:
+        for do in (Do.ACQUIRE, Do.ASK, Do.TAKE):
+            yield f"{name} wants to {do}", LeaseRequest(do, name, fresh_token=fresh)
+    for whose, token in tokens(drivers, lease):
+        if token is not None:
+            yield f"renewal{whose}", LeaseRequest(Do.RENEW, token=token)
+            yield f"release{whose}", LeaseRequest(Do.RELEASE, token=token)
+            yield f"handover{whose}", LeaseRequest(Do.RELEASE, token=token, to=drivers[-1])
+
+
+# ---- the buttons
+
+
+def copied_buttons(buttons: Buttons) -> Buttons:
+    """A copy that shares nothing that changes."""
+    by_token = {token: replace(button) for token, button in buttons._by_token.items()}
+    return cloned(buttons, _by_token=by_token, changes=buttons.changes.copy())
+
+
+def buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:
+    """What of them can still matter; one token, and one count, is as good as another."""
+    each = tuple(
+        (button.name, button.until_ns and button.until_ns - now_ns, button.silent, button.offset_ns)
+        for button in buttons._by_token.values()
+    )
+    return each, buttons.closed, buttons.due_ns and buttons.due_ns - now_ns
+
+
+def button_requests(
+    names: Sequence[str], number: int, now_ns: int, delays_ns: Sequence[int], buttons: ButtonsHistory
+) -> Iterator[tuple[str, Event]]:
+    """Everything that each of them may want `now`; a new token is one that nobody had.
+
+    A check-in is the next one, or the latest one again; it says when it was sent (so long ago), or does not.
+    """
+    for name in names:
+        register = ButtonRequest(ButtonDo.REGISTER, now_ns, name, fresh_token=f"token {number}")
+        yield f"{name} registers", register
+        for delay_ns in delays_ns:
+            yield f"{name} registers, {delay_ns} late", replace(register, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
+    tokens = [*buttons.known, *([] if buttons.old_token is None else [buttons.old_token])]
+    for token in tokens if names else ():
+        whose = buttons.known[token].name if token in buttons.known else "a former button"
+        count = buttons.known[token].count if token in buttons.known else number
+        alive = ButtonRequest(ButtonDo.ALIVE, now_ns, token=token, count=count + 1)
+        yield f"{whose} is alive", alive
+        yield f"a check-in of {whose} once more", replace(alive, count=count)
+        for delay_ns in delays_ns:
+            yield f"{whose} was alive {delay_ns} ago", replace(alive, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
+        yield f"{whose} leaves", ButtonRequest(ButtonDo.LEAVE, now_ns, token=token)
+
+
+# ---- the calibration
+
+
+def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:
+    """Give `other` a calibration of its own, that of `supervisor`; to be called once it has its own legs."""
+    other._reach = other.legs._reach = cloned(supervisor._reach)
+    other.calibrating = cloned(supervisor.calibrating, _reach=other._reach)
+
+
+def _key(calibration: Calibration) -> tuple[object, ...]:
+    """One revision is as good as another."""
+    return tuple(sorted(calibration.servos.items())), tuple(sorted(calibration.landing_cdeg.items()))
+
+
+def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
+    """What of it can still matter."""
+    calibrating, reach = supervisor.calibrating, supervisor._reach
+    way = calibrating._on_its_way
+    return (
+        _key(reach.calibration),
+        reach.wire is not None,
+        reach.limited,
+        calibrating.fault,
+        calibrating.guards,
+        way and (_key(way.calibration), way.servos, way.event.accept_default),
+    )
+
+
+def changes(wanted: Sequence[Change], number: int, history: CalibrationHistory) -> Iterator[tuple[str, Event]]:
+    """Everything that may be asked of the calibration, and what the disk may answer."""
+    revision = history.whole.revision
+    for which, change in enumerate(wanted):
+        yield f"calibration {which}", Calibrate(number, change, revision, accept_default=not history.trusted)
+    if wanted:
+        yield "calibration of an older one", Calibrate(number, wanted[0], revision - 1)
+        yield "another default accepted", Calibrate(number, Change({}, {}), accept_default=history.trusted)
+    if history.on_its_way is not None:
+        yield "calibration kept", Kept(history.on_its_way.number)
+        yield "calibration not kept", Kept(history.on_its_way.number, "the disk is full")
