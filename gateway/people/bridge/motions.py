@@ -11,18 +11,16 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final, Protocol
 
-from gateway.errors import GatewayError, StoppedError, UnansweredError, WalkError
+from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.geometry import Geometry
 from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
-from gateway.people.client.walk import Walk
+from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.joints import Degrees, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.walking import Posture, Robot, Velocity, Walker
-from gateway.people.walking.robot import ranges
+from gateway.people.walking import Posture, Velocity, Walker
 from schemas.robot import LEGS
 
 HZ: Final = 50.0
@@ -181,11 +179,8 @@ class Following:
         """What lies down from where the legs are; None where it cannot: then they are stopped as they are."""
         if self._started != frozenset(LEGS):
             return None
-        state, calibration = self._client.state(), None
-        with suppress(UnansweredError):  # an older gateway has none
-            calibration = self._client.calibration()
         try:
-            robot = Robot(self._geometry, ranges(state.limits, calibration))
+            robot = robot_of(self._client, self._geometry, self._client.state())
             walker = Walker(robot, angles_deg=legs_deg(self._geometry, self._at_rad))
         except WalkError:
             return None

@@ -377,20 +377,29 @@ class Stream:
 
     def _check(self) -> None:
         """Raise what has happened since the latest call."""
-        events = []
-        while self._events:
-            events.append(self._events.popleft())
-        # What is older than the start was the end of something that is over.
-        fresh = [event for event in events if self._since is not None and event.time > self._since]
-        for event in fresh:
-            if event.kind != Kind.COMMAND_REJECTED:
-                legs = sorted(self._started.intersection(event.legs)) or self._started
-                raise StoppedError(f"{event.detail}; {_AGAIN}", legs)
+        fresh = self._fresh_events()
+        if (error := self._reported_stop(fresh)) is not None:
+            raise error
         if fresh:
             self._ask()  # which knows better why nothing runs, if so
             raise RejectedError(fresh[0].reason or "", fresh[0].detail)
         if self._in_doubt():
             self._ask()
+
+    def _fresh_events(self) -> list[Event]:
+        """Those since the latest call. What is older than the start was the end of something that is over."""
+        events = []
+        while self._events:
+            events.append(self._events.popleft())
+        return [event for event in events if self._since is not None and event.time > self._since]
+
+    def _reported_stop(self, events: Iterable[Event]) -> StoppedError | None:
+        """What has stopped this stream's legs, if an event states it."""
+        for event in events:
+            if event.kind != Kind.COMMAND_REJECTED:
+                legs = sorted(self._started.intersection(event.legs)) or self._started
+                return StoppedError(f"{event.detail}; {_AGAIN}", legs)
+        return None
 
     def _ask(self) -> GatewayState:
         """Raise unless the gateway reports that all that is started runs."""
@@ -441,28 +450,14 @@ class Stream:
                 why = "the gateway ends, or starts; when it takes commands,"
             case _ if expired:
                 why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms;"
-            case _ if (overflow := self._overflow(state, legs)) is not None:
-                why = f"{overflow.detail};"
             case _ if any(each.source is not None for each in state.legs if each.leg in legs):
                 why = f"somebody else stopped {names};"
             case _:
+                self._received_stop.wait(_EVENT_S)
+                if (error := self._reported_stop(self._fresh_events())) is not None:
+                    return error
                 why = f"the gateway stopped {names} by itself (its events say why), or a Stop without a name did;"
         return StoppedError(f"{why} {_AGAIN}", legs)
-
-    def _overflow(self, state: GatewayState, legs: frozenset[int]) -> Event | None:
-        """What has stopped legs that nobody's command has stopped, if it is that."""
-        if any(each.source is not None for each in state.legs if each.leg in legs):
-            return None
-        self._received_stop.wait(_EVENT_S)
-        since = self._since
-        return next(
-            (
-                event
-                for event in list(self._events)
-                if event.kind == Kind.OVERFLOW and (since is None or event.time > since)
-            ),
-            None,
-        )
 
 
 def checked_hz(hz: float) -> float:

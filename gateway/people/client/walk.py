@@ -15,7 +15,7 @@ from gateway.people.walking import HOLD_S, REST_S, Body, Posture, Robot, Velocit
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.robot import check_mirrored_once, ranges
 from schemas.robot import LEGS
-from schemas.telemetry import Reason
+from schemas.telemetry import GatewayState, Reason
 
 if TYPE_CHECKING:
     from gateway.people.client.blocking import Client
@@ -247,10 +247,7 @@ class Walk:
     def _found(self) -> Walker:
         """The robot as it is now: its limits, its calibration, and where the legs are that run."""
         state = self._client.state()
-        calibration = None
-        with suppress(UnansweredError):  # an older gateway has none
-            calibration = self._client.calibration()
-        check_mirrored_once(self._geometry, calibration)
+        robot = robot_of(self._client, self._geometry, state)
         self._revision = state.calibration.revision
         rate_hz = state.limits.leg_rate_hz
         self._rate_hz = self._hz if self._hz <= rate_hz else _SLOWER * rate_hz
@@ -260,7 +257,6 @@ class Walk:
             if len(angles) == len(leg.servos):
                 pose[leg.leg] = angles[0], angles[1], angles[2]
         self._legs_found = frozenset(pose)
-        robot = Robot(self._geometry, ranges(state.limits, calibration))
         return Walker(robot, self._gait, pose, hold_s=self._hold_s, rest_s=self._rest_s)
 
     def _using(self) -> Walker:
@@ -370,6 +366,15 @@ class Walk:
             self._error = error
             self._wanted = False
             self._changed.notify_all()
+
+
+def robot_of(client: "Client", geometry: Geometry, state: GatewayState) -> Robot:
+    """This robot within the limits and the calibration that are in force. Raises WalkError where both mirror it."""
+    calibration = None
+    with suppress(UnansweredError):  # an older gateway has none
+        calibration = client.calibration()
+    check_mirrored_once(geometry, calibration)
+    return Robot(geometry, ranges(state.limits, calibration))
 
 
 def _seconds(seconds: float) -> float:
