@@ -24,17 +24,14 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
-from gateway.zenoh_config import DEFAULT_ENDPOINT, connect_endpoints, first_expiry, get
+from gateway.people.client.requests import Identity
+from gateway.zenoh_config import DEFAULT_ENDPOINT, connect_endpoints, first_expiry
 
 TIMEOUT_S: Final = 1.0
 """What all looks together may take."""
 _ALERT_S: Final = 0.3
 """A server reports what is wrong with a client's certificate after the handshake: at once, so a round trip later."""
 _ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
-_CA: Final = "transport/link/tls/root_ca_certificate"
-_CERTIFICATE: Final = "transport/link/tls/connect_certificate"
-_KEY: Final = "transport/link/tls/connect_private_key"
-_VERIFY_NAME: Final = "transport/link/tls/verify_name_on_connect"
 _OLDEST_YEAR: Final = 2024
 """No certificate of ours is older: a clock before it was never set."""
 
@@ -65,26 +62,6 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.step}: {self.sentence}" + (f" → {self.fix}" if self.fix else "")
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """What a client shows and trusts, of its Zenoh configuration."""
-
-    ca: Path | None = None
-    certificate: Path | None = None
-    key: Path | None = None
-    verify_name: bool = True
-
-    @classmethod
-    def of(cls, config: zenoh.Config) -> "Identity":
-        """Of a configuration whose paths are absolute."""
-        named = {
-            name: Path(value)
-            for name, key in (("ca", _CA), ("certificate", _CERTIFICATE), ("key", _KEY))
-            if isinstance(value := get(config, key), str)
-        }
-        return cls(**named, verify_name=get(config, _VERIFY_NAME) is not False)
 
 
 def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:

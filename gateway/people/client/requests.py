@@ -33,18 +33,31 @@ _TLS: Final = "transport/link/tls"
 
 @dataclass(frozen=True)
 class Identity:
-    """A client's certificate and key, as its Zenoh file names them."""
+    """What a client shows, and whom it trusts, as its Zenoh file names it."""
 
-    certificate: Path
-    key: Path
+    certificate: Path | None = None
+    key: Path | None = None
+    ca: Path | None = None
+    verify_name: bool = True
 
     @classmethod
-    def of(cls, config: zenoh.Config) -> "Identity | None":
-        """Of a configuration whose paths are absolute; None where it names none."""
-        certificate, key = get(config, f"{_TLS}/connect_certificate"), get(config, f"{_TLS}/connect_private_key")
-        if isinstance(certificate, str) and isinstance(key, str):
-            return cls(Path(certificate), Path(key))
-        return None
+    def of(cls, config: zenoh.Config) -> "Identity":
+        """Of a configuration whose paths are absolute."""
+        named = {
+            name: Path(value)
+            for name, setting in (
+                ("certificate", "connect_certificate"),
+                ("key", "connect_private_key"),
+                ("ca", "root_ca_certificate"),
+            )
+            if isinstance(value := get(config, f"{_TLS}/{setting}"), str)
+        }
+        return cls(**named, verify_name=get(config, f"{_TLS}/verify_name_on_connect") is not False)
+
+    @property
+    def proves(self) -> bool:
+        """Whether it can prove who it is."""
+        return self.certificate is not None and self.key is not None
 
     def person(self) -> str:
         """Whose certificate it is: its organizational unit. Raises ConfigError."""
@@ -66,12 +79,18 @@ class Identity:
 
         from schemas.lease import signed_text
 
-        signature = _sign(self.key, (text or signed_text)(do, source, nonce))
+        signature = _sign(_named(self.key), (text or signed_text)(do, source, nonce))
         pem = self._read().public_bytes(serialization.Encoding.PEM).decode()
         return {"nonce": nonce, "certificate": pem, "signature": base64.b64encode(signature).decode()}
 
     def _read(self) -> "x509.Certificate":
-        return certs.files.read_certificate(self.certificate)
+        return certs.files.read_certificate(_named(self.certificate))
+
+
+def _named(file: Path | None) -> Path:
+    if file is None:
+        raise ConfigError("no certificate is given: get one from `hexapod-gateway certs issue NAME`")
+    return file
 
 
 def _sign(file: Path, data: bytes) -> bytes:
@@ -98,7 +117,7 @@ class Get(Protocol):
 class _Requests(ABC, Generic[A]):
     """Questions on one key. All raise DisconnectedError where nobody answers in time."""
 
-    def __init__(self, get: Get, identity: Identity | None, name: str) -> None:
+    def __init__(self, get: Get, identity: Identity, name: str) -> None:
         """`name` is ours without a certificate."""
         self._get = get
         self._identity = identity
@@ -106,14 +125,14 @@ class _Requests(ABC, Generic[A]):
 
     def person(self, name: str | None = None) -> str:
         """Who we are: our certificate's person, else `name`, else the client's. Raises ConfigError."""
-        return (name or self._name) if self._identity is None else self._identity.person()
+        return self._identity.person() if self._identity.proves else (name or self._name)
 
     def _proved(
         self, do: str, name: str | None, text: Callable[[str, str, str], bytes] | None = None
     ) -> dict[str, Any]:
         """The request, proved where we have a certificate. Raises ConfigError for a key that cannot."""
         request: dict[str, Any] = {"do": do, "source": self.person(name)}
-        if self._identity is not None:
+        if self._identity.proves:
             nonce = self._ask({"do": "challenge"}).nonce
             if nonce is not None:
                 request["proof"] = self._identity.prove(do, request["source"], nonce, text)

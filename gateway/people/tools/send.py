@@ -41,7 +41,7 @@ def person_of(connect: str | None, zenoh_config: Path | None) -> str:
     """The certificate's person; without one, the user of this machine."""
     if zenoh_config is not None:
         identity = Identity.of(client_config(connect, zenoh_config))
-        if identity is not None:
+        if identity.proves:
             with suppress(ConfigError):
                 return identity.person()
     return me()

@@ -10,7 +10,8 @@ from gateway.certs import LAPTOP_ROLES
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.diagnosis import Finding, Identity, Step
+from gateway.people.client.diagnosis import Finding, Step
+from gateway.people.client.requests import Identity
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.telemetry import GatewayState

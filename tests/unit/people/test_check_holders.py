@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.people.client.diagnosis import Identity
+from gateway.people.client.requests import Identity
 from gateway.people.tools.check import holders
 from gateway.people.tools.check.result import Result, Verdict
 from gateway.robot.edge import revoked
@@ -25,7 +25,7 @@ def robot(directory: Path) -> list[Result]:
 
 
 def laptop(directory: Path, name: str) -> list[Result]:
-    return list(holders.on_the_laptop(Identity(directory / "ca.pem", directory / f"{name}.pem")))
+    return list(holders.on_the_laptop(Identity(directory / f"{name}.pem", ca=directory / "ca.pem")))
 
 
 def test_the_layout_before_is_named_with_the_command_that_moves_it(tmp_path: Path) -> None:

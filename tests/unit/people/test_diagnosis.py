@@ -13,7 +13,8 @@ import pytest
 from gateway import certs
 from gateway.certs import authority
 from gateway.certs.files import read_certificate, read_key
-from gateway.people.client.diagnosis import Identity, Step, look, validity
+from gateway.people.client.diagnosis import Step, look, validity
+from gateway.people.client.requests import Identity
 from gateway.people.tools import why
 
 BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
@@ -68,7 +69,7 @@ def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
                 context.wrap_socket(connection, server_side=True)
 
         threading.Thread(target=shake_hands, daemon=True).start()
-        identity = Identity(tmp_path / "ca.pem", tmp_path / "anna.pem", tmp_path / "anna.key")
+        identity = Identity(tmp_path / "anna.pem", tmp_path / "anna.key", tmp_path / "ca.pem")
         *_, last = look(f"tls/127.0.0.1:{robot.getsockname()[1]}", identity, time.monotonic() + 10)
     assert last.sentence == "the robot's certificate has expired"
     assert "hexapod-gateway certs renew gateway" in last.fix

@@ -31,11 +31,11 @@ def anna(folder: Path) -> Identity:
 
 def test_it_is_the_person_of_the_certificate_that_the_zenoh_file_names(folder: Path) -> None:
     config = zenoh.Config()
-    assert Identity.of(config) is None
+    assert not Identity.of(config).proves
     for name, file in (("connect_certificate", "anna.pem"), ("connect_private_key", "anna.key")):
         config.insert_json5(f"transport/link/tls/{name}", json.dumps(str(folder / file)))
     found = Identity.of(config)
-    assert found == anna(folder)
+    assert (found, found.proves) == (anna(folder), True)
     assert found.person() == "anna"
 
 

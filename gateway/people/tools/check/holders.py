@@ -9,7 +9,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import pool
 from gateway.errors import ConfigError
-from gateway.people.client.diagnosis import Identity
+from gateway.people.client.requests import Identity
 from gateway.people.terminal import this_command
 from gateway.people.tools.check.result import Result, ok, warning
 from gateway.robot.edge import revoked

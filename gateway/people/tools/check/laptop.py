@@ -9,7 +9,8 @@ from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.diagnosis import Finding, Identity, Step
+from gateway.people.client.diagnosis import Finding, Step
+from gateway.people.client.requests import Identity
 from gateway.people.tools import why
 from gateway.people.tools.check import holders, machine
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning

@@ -20,7 +20,8 @@ from gateway.certs import expiry
 from gateway.errors import ConfigError, GatewayError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.diagnosis import Identity, Step
+from gateway.people.client.diagnosis import Step
+from gateway.people.client.requests import Identity
 from gateway.people.tools.check import service_user
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.edge.session import service_config
