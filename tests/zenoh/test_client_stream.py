@@ -1,8 +1,8 @@
-"""A gait's stream against a real gateway: what it sends, and how it ends."""
+"""A gait's stream against a real gateway: what it sends, how it ends, and whose legs that end stops."""
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -12,11 +12,12 @@ import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
 from gateway.people.tools.drill.cut_link import CutLink
+from gateway.robot.protocol.frames import decode
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Event, Kind, Mode, Reason
+from schemas.telemetry import Cause, Event, FrameRecord, Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import events, frames, running, states
+from tests.support.heard import Heard, events, frames, running, states
 
 HZ = 50
 POSE = (90, 45, 120)
@@ -28,6 +29,8 @@ TIMEOUT_MS = 1000
 gateway = gateway_fixture(patient(TIMEOUT_MS, telemetry={"frames": True}, **{"limits.servos.61": {"max_deg": 100}}))
 watcher = client_fixture("somebody else", rests=True)
 robot = client_fixture(None)
+anna = client_fixture("anna", rests=True)
+bert = client_fixture("bert")
 
 
 def go_on(stream: Stream, *legs: int, until: Callable[[], bool] = lambda: False) -> None:
@@ -305,3 +308,92 @@ def test_ready_is_waited_for(robot: Client, watcher: Client) -> None:
         robot.wait_ready(0.3)
     watcher.reset()
     assert robot.wait_ready().mode == Mode.IDLE
+
+
+# ---- whose legs the end of a stream stops: its own, also where nobody knows whether they run, and nobody else's
+
+
+def stops(written: Heard[FrameRecord]) -> list[str]:
+    """Stops that somebody commanded."""
+    return [
+        record.bytes
+        for record in written.all
+        if record.cause is Cause.COMMAND and decode(bytes.fromhex(record.bytes)).is_stop
+    ]
+
+
+def both_go_on(ends: Stream, its: Iterable[int], goes_on: Stream, others: Iterable[int]) -> None:
+    """Set both, until the first raises; for ten seconds at most."""
+    for _ in range(10 * HZ):
+        ends.set(dict.fromkeys(its, POSE))
+        goes_on.set(dict.fromkeys(others, POSE))
+
+
+def test_a_rejected_bystander_stops_nobody(gateway: Gateway, anna: Client, bert: Client) -> None:
+    """One that gives up, and one that does not."""
+    with gateway.client() as watcher, anna.lease(), anna.stream(HZ) as stream:
+        happened, written = events(watcher), frames(watcher)
+        stream.set({1: POSE, 2: POSE})
+        with pytest.raises(RejectedError, match="anna holds the lease"), bert.stream(HZ) as rejected:
+            rejected.set({1: POSE, 6: POSE})
+        with bert.stream(HZ) as rejected:
+            for _ in range(3):
+                with pytest.raises(RejectedError, match="anna holds the lease"):
+                    rejected.set({1: POSE, 6: POSE})
+                rejected.start_again()
+        for _ in range(10):
+            stream.set({1: POSE, 2: POSE})
+        assert running(watcher) == [1, 2]
+        assert not stops(written)
+        assert not [event for event in happened.all if event.kind == Kind.SOURCE_CHANGED]
+
+
+def test_who_drove_before_a_takeover_stops_nothing_of_the_new_holder(anna: Client, bert: Client) -> None:
+    """Without a lease of its own: the takeover stopped its legs, and what runs now is the holder's."""
+    with bert.stream(HZ) as before:
+        before.set({1: POSE, 2: POSE})
+        with anna.lease(take=True), anna.stream(HZ) as stream:
+            stream.set({1: POSE, 3: POSE})
+            with pytest.raises((RejectedError, StoppedError)):
+                both_go_on(before, (1, 2), stream, (1, 3))
+            before.close()
+            for _ in range(10):
+                stream.set({1: POSE, 3: POSE})
+            assert running(anna) == [1, 3]
+
+
+def test_who_is_rejected_while_its_own_legs_run_stops_them(anna: Client, bert: Client) -> None:
+    """Somebody acquires the lease while it was free: nothing was stopped, and the legs are still this program's."""
+    with anna.stream(HZ) as other, bert.stream(HZ) as stream:
+        other.set({4: POSE})
+        stream.set({1: POSE})
+        with anna.lease():
+            with pytest.raises(RejectedError, match="anna holds the lease"):
+                both_go_on(stream, (1,), other, (4,))
+            assert 1 in running(anna)
+            stream.close()
+            assert running(anna) == [4]
+
+
+def test_a_start_that_nobody_answered_is_stopped(gateway: Gateway, anna: Client) -> None:
+    """It may still be on its way, and arrive later."""
+    written = frames(anna)
+    with CutLink(gateway.endpoint) as link, Client(link.endpoint, source="bert", timeout_s=0.3) as bert:
+        with bert.stream(HZ) as stream:
+            link.hold()
+            with pytest.raises(DisconnectedError):
+                stream.set({5: POSE})
+            link.fix()
+            written.wait(lambda record: record.cause is Cause.COMMAND)
+        assert running(anna) == []
+    assert len(stops(written)) == 1
+
+
+def test_a_leg_that_somebody_else_stopped_and_started_is_theirs(anna: Client, bert: Client) -> None:
+    with bert.stream(HZ) as stream:
+        stream.set({1: POSE, 2: POSE})
+        assert anna.stop(1).accepted
+        with pytest.raises(StoppedError, match="leg 1"):
+            go_on(stream, 1, 2)
+        assert anna.start_leg(1, *POSE).accepted
+    assert running(anna) == [1]
