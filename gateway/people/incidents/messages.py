@@ -3,6 +3,7 @@
 from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Final
 
@@ -167,9 +168,11 @@ def _noted(wall_ns: int, what: str, detail: str) -> Message:
 def _message(
     record: form.Record, decided: form.Record | None, time: datetime, *, is_told: bool
 ) -> tuple[str, Report] | None:
+    source: str | None = None
+    key: str | None = None
     match record.content:
         case form.CommandRecord() as command:
-            return _topic(command.key), CommandInBox(
+            return command.key if command.key in keys.COMMAND_KEYS else RECORDER, CommandInBox(
                 time=time,
                 number=command.number,
                 verb=command.verb,
@@ -184,10 +187,6 @@ def _message(
                 verdict=None if decided is None else _verdict(decided),
                 decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
             )
-        case form.Decision() as decision if not is_told and decision.number == 0:
-            return RECORDER, Note(
-                time=time, what="rejected", detail=decision.verdict, source=decision.source, key=decision.key
-            )
         case form.FrameWritten() as frame:
             return keys.FRAME, FrameInBox(
                 time=time,
@@ -200,40 +199,25 @@ def _message(
         case form.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration
         case form.EventTold() as event:
-            return keys.EVENT, Event(
-                time=time,
-                kind=event.kind,
-                source=event.source,
-                key=event.key,
-                reason=event.reason,
-                detail=event.detail,
-                left_out=event.left_out,
-            )
-        case _:
-            return _note(record, time)
-
-
-def _note(record: form.Record, time: datetime) -> tuple[str, Report] | None:
-    match record.content:
+            return keys.EVENT, Event(time=time, **asdict(event))
+        case form.Decision(number=0, verdict=detail, key=key, source=source) if not is_told:
+            what = "rejected"
         case form.Start(facts=facts):
-            shown = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
-            return RECORDER, Note(time=time, what="start", detail=shown)
-        case form.End(why=why):
-            return RECORDER, Note(time=time, what="end", detail=why)
-        case form.ModeChange(mode=mode):
-            return RECORDER, Note(time=time, what="mode", detail=mode)
+            what = "start"
+            detail = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
+        case form.End(why=detail):
+            what = "end"
+        case form.ModeChange(mode=detail):
+            what = "mode"
         case form.Lag(lag_ns=lag_ns):
-            return RECORDER, Note(time=time, what="lag", detail=f"{lag_ns / 1e6:.1f} ms")
+            what, detail = "lag", f"{lag_ns / 1e6:.1f} ms"
         case _:
             return None
+    return RECORDER, Note(time=time, what=what, detail=detail, source=source, key=key)
 
 
 def _verdict(record: form.Record) -> str:
     return record.content.verdict if isinstance(record.content, form.Decision) else ACCEPTED
-
-
-def _topic(key: str) -> str:
-    return key if key in keys.COMMAND_KEYS else RECORDER
 
 
 def _time(wall_ns: int) -> datetime:
