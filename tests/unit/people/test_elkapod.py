@@ -88,15 +88,6 @@ def test_with_the_calibration_each_servo_stands_where_the_robots_own_software_pu
             assert calibration.of(servo_id).wire_cdeg(user_cdeg) / 100 == pytest.approx(own_deg, abs=0.011)
 
 
-def test_on_the_wire_the_walk_is_in_the_robots_own_angles(calibration: Calibration) -> None:
-    servos, users = load(), load(gait.GEOMETRY)
-    for _, pose in walked()[::7]:
-        for servo_id, angle_deg in servos_deg(pose).items():
-            own_deg = servos.servos[servo_id].servo_deg(users.joint_rad(servo_id, angle_deg))
-            wire_deg = calibration.of(servo_id).wire_cdeg(centidegrees(angle_deg)) / 100
-            assert wire_deg == pytest.approx(own_deg, abs=0.011)
-
-
 def test_the_feet_that_stand_are_on_the_ground_and_push_the_body_forward() -> None:
     """By the geometry alone: where they are in the body's frame follows from the angles that are sent."""
     geometry = load(gait.GEOMETRY)
