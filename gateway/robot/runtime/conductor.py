@@ -286,7 +286,7 @@ class Conductor:
         effects = self.supervisor.step(BusFailed(str(fault)), self._clock())
         again, self._in_fault = self._in_fault, True
         if again:
-            effects = [effect for effect in effects if not isinstance(effect, Announce)]
+            effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is Kind.BUS_FAULT)]
         self._executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)

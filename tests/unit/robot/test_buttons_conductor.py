@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from gateway.errors import SpiError
 from gateway.robot.edge.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
@@ -74,6 +75,21 @@ async def test_a_check_in_counts_from_when_it_was_sent() -> None:
     assert robot.conductor.state().buttons.alive == 1
     await asyncio.sleep(0.6)
     assert robot.conductor.state().buttons.alive == 0
+
+
+async def test_one_that_falls_silent_while_the_bus_goes_on_failing_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It opens again and again, and each of its Stops takes time to fail: that is when a deadline passes."""
+    robot, _ = await watched()
+
+    def fail(_: bytes) -> None:
+        robot.sleep_through(0.05)
+        raise SpiError("told to fail")
+
+    monkeypatch.setattr(robot.controller, "take", fail)
+    robot.put(LEG_3, START)
+    await asyncio.sleep(3)
+    assert [event.source for event in robot.events(Kind.BUTTON_SILENT)] == ["kitchen"]
+    assert len(robot.events(Kind.BUS_FAULT)) == 1
 
 
 async def test_what_is_rejected_is_told_with_its_reason() -> None:
