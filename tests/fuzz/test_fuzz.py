@@ -7,23 +7,17 @@ import random
 import shutil
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 import pytest
 
-from gateway.robot.core.intake import Rejection
-from gateway.robot.core.targets import Intent
-from gateway.robot.protocol import frames
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import KEPT_TRANSFERS, SimulatedController
-from schemas.telemetry import Reason
 from tests.fuzz.ring import COUNTED, MEASURED, READING, bounded
 from tests.fuzz.run import MAX_GROWTH_MB, fuzz
-from tests.fuzz.targets import TARGETS, check_intake
-from tests.support.commands import RESET_KEY, SERVO_32, as_json
+from tests.fuzz.targets import TARGETS
 
 ROOT = Path(__file__).parents[2]
 RUNS = {
@@ -90,45 +84,6 @@ def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str
 
 
 # ---- the checks see what they are for
-
-GOOD = as_json({"op": "start", "angle_deg": 90})
-GOOD_ANSWER = Intent(((32, frames.ServoOp(frames.Op.START, 90_00)),))
-BAD_ANSWERS: list[object] = [
-    None,
-    replace(GOOD_ANSWER, targets=()),
-    replace(GOOD_ANSWER, targets=((31, GOOD_ANSWER.targets[0][1]),)),
-    replace(GOOD_ANSWER, targets=((32, frames.ServoOp(frames.Op.SET, 90_00)),)),
-    replace(GOOD_ANSWER, targets=((32, frames.ServoOp(frames.Op.START, 90_01)),)),
-    replace(GOOD_ANSWER, targets=((32, frames.STOP),)),
-    replace(GOOD_ANSWER, source=""),
-    replace(GOOD_ANSWER, sent_ms=-1.0),
-    replace(GOOD_ANSWER, sent_ms=float("inf")),
-    Rejection(Reason.INVALID, ""),
-    Rejection(Reason.INVALID, "two\nlines"),
-    Rejection(Reason.INVALID, "\x1b[2J"),
-    Rejection(Reason.INVALID, "x" * 201),
-    Rejection(Reason.STALE, "the intake does not know"),
-]
-
-
-@pytest.mark.parametrize("answer", BAD_ANSWERS, ids=repr)
-def test_a_wrong_answer_of_the_intake_is_a_finding(answer: object) -> None:
-    assert check_intake(SERVO_32, GOOD, GOOD_ANSWER) == "intent"
-    with pytest.raises(AssertionError):
-        check_intake(SERVO_32, GOOD, answer)
-
-
-RESET_PAYLOAD = as_json({"estop": 3, "source": "anna", "sent_ms": 5})
-RESET_ANSWER = Intent((), "anna", 5.0, 3)
-
-
-@pytest.mark.parametrize(
-    "change", [{"estop": None}, {"estop": 4}, {"source": None}, {"sent_ms": None}, {"sent_ms": 6.0}], ids=repr
-)
-def test_a_reset_that_is_read_in_another_way_is_a_finding(change: dict[str, Any]) -> None:
-    assert check_intake(RESET_KEY, RESET_PAYLOAD, RESET_ANSWER) == "intent"
-    with pytest.raises(AssertionError):
-        check_intake(RESET_KEY, RESET_PAYLOAD, replace(RESET_ANSWER, **change))
 
 
 def _endless(_: bytes) -> None:

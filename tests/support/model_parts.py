@@ -20,7 +20,7 @@ from tests.support.lease_history import LeaseHistory
 
 def copied_lease(lease: Lease) -> Lease:
     """A copy that shares nothing that changes."""
-    return cloned(lease, _askers=dict(lease._askers), changes=lease.changes.copy())
+    return cloned(lease, _askers=dict(lease._askers))
 
 
 def lease_key(lease: Lease, now_ns: int) -> tuple[object, ...]:
@@ -57,7 +57,7 @@ def lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> 
 def copied_buttons(buttons: Buttons) -> Buttons:
     """A copy that shares nothing that changes."""
     by_token = {token: replace(button) for token, button in buttons._by_token.items()}
-    return cloned(buttons, _by_token=by_token, changes=buttons.changes.copy())
+    return cloned(buttons, _by_token=by_token)
 
 
 def buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:

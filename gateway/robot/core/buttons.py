@@ -14,7 +14,6 @@ included, and whatever a later one takes longer is its delay. Without `sent_ms` 
 While fewer are alive than `buttons_required`, the supervisor starts and sets nothing, and stops what runs.
 """
 
-from collections import Counter
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Final
@@ -77,8 +76,6 @@ class Buttons:
         """How many check in."""
         self.due_ns: int | None = None
         """When the next of them falls silent."""
-        self.changes: Counter[Kind] = Counter()
-        """How often what has happened to them."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -167,7 +164,6 @@ class Buttons:
         self, kind: Kind, what: str, name: str, at_ns: int, then: str = "", key: str | None = keys.BUTTON
     ) -> list[Effect]:
         """Something has happened to one of them; the legs are those that stop for it."""
-        self.changes[kind] += 1
         fell = self._look(at_ns) and bool(then)
         detail = f"{what}; {self._count()}{f'; {then}' if fell else ''}"
         return [Announce(kind, detail, name, key, _ALL if fell else ())]

@@ -14,7 +14,6 @@ their way. Stops, deletes and emergency stops are not asked for a token.
 """
 
 import hmac
-from collections import Counter
 from typing import Final
 
 from gateway.robot.core.events import Announce, Answer, Decision, Do, Effect, LeaseRequest
@@ -44,8 +43,6 @@ class Lease:
         self._token: str | None = None
         self._askers: dict[str, bool] = {}
         """Who has asked, in this order, and whether the name is verified."""
-        self.changes: Counter[Kind] = Counter()
-        """How often what has happened to it."""
 
     @property
     def _handed_over(self) -> bool:
@@ -90,7 +87,6 @@ class Lease:
             detail = f"{self.holder} did not acquire the lease within {ttl} of its handover; it is free"
         else:
             detail = f"{self.holder} was silent for {ttl} and has lost the lease"
-        self.changes[Kind.LEASE_EXPIRED] += 1
         effects: list[Effect] = [Announce(Kind.LEASE_EXPIRED, detail, self.holder)]
         self.end()
         return effects
@@ -124,7 +120,7 @@ class Lease:
             where = "handed over to" if self._handed_over else "held by"
             return [], Answer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
         self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
-        return self._told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
+        return _told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
 
     def _take(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, before = request.source, self.holder
@@ -134,9 +130,9 @@ class Lease:
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
         if before is None:
             detail = f"{name} has stopped all legs and acquired the lease"
-            return self._told(Kind.LEASE_ACQUIRED, detail, name, self._token)
+            return _told(Kind.LEASE_ACQUIRED, detail, name, self._token)
         detail = f"{name} has stopped all legs and taken the lease from {before}"
-        return self._told(Kind.LEASE_TAKEN, detail, name, self._token)
+        return _told(Kind.LEASE_TAKEN, detail, name, self._token)
 
     def _ask(self, request: LeaseRequest) -> Decision:
         if self.holder is None:
@@ -148,7 +144,7 @@ class Lease:
         if len(self._askers) == MOST_ASKERS:
             del self._askers[next(iter(self._askers))]
         self._askers[name] = request.verified
-        return self._told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
+        return _told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
 
     def _renew(self, request: LeaseRequest, now_ns: int) -> Decision:
         if not self._holds(request.token):
@@ -162,11 +158,11 @@ class Lease:
             return [], Answer(Reason.NOT_HOLDER, _ENDED)
         if to is None:
             self.end()
-            return self._told(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
+            return _told(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
         if to not in self._askers:
             return [], Answer(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
         self._give(to, None, now_ns, verified=self._askers[to])
-        return self._told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
+        return _told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
 
     # ----
 
@@ -181,9 +177,9 @@ class Lease:
         self._askers = {}
         self.guards = holder is not None or self._rules.lease_required
 
-    def _told(self, kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
-        self.changes[kind] += 1
-        return [Announce(kind, detail, source, keys.LEASE)], Answer(token=token)
+
+def _told(kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
+    return [Announce(kind, detail, source, keys.LEASE)], Answer(token=token)
 
 
 _ENDED: Final = "this is not the token of the lease as it is now"

@@ -78,6 +78,7 @@ class Executor:
                 case Announce(kind=Kind.BUS_RECOVERED) if outcome.fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been published
                 case Announce():
+                    self._metrics.events[effect.kind] += 1
                     self._events.announce(effect)
                 case Answer():
                     outcome.answer = effect

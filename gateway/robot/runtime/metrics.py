@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from gateway.robot.core.latency import Latency
-from schemas.telemetry import Cause, Reason
+from schemas.telemetry import Cause, Kind, Reason
 
 
 @dataclass(slots=True)
@@ -19,6 +19,8 @@ class Metrics:
     """Messages that were then passed over without being decoded: at least so many were lost."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
+    events: Counter[Kind] = field(default_factory=Counter)
+    """What the supervisor has announced, published or not."""
     watchdog_stops: Latency = field(default_factory=Latency)
     """Deadline → its Stop written."""
     emergency_stops: Latency = field(default_factory=Latency)

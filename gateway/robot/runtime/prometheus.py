@@ -96,14 +96,14 @@ class _Numbers(Collector):
         yield holder
         changes = CounterMetricFamily(f"{_PREFIX}_lease_changes", "What happened to the lease", labels=["kind"])
         for kind in LEASE_KINDS:
-            changes.add_metric([kind], lease.changes[kind])
+            changes.add_metric([kind], metrics.events[kind])
         yield changes
         buttons = self._conductor.supervisor.buttons
         yield GaugeMetricFamily(f"{_PREFIX}_buttons_alive", "Stop buttons that check in", buttons.alive)
         yield GaugeMetricFamily(f"{_PREFIX}_buttons_required", "How many must, for anything to move", buttons.required)
         changes = CounterMetricFamily(f"{_PREFIX}_button_changes", "What happened to stop buttons", labels=["kind"])
         for kind in BUTTON_KINDS:
-            changes.add_metric([kind], buttons.changes[kind])
+            changes.add_metric([kind], metrics.events[kind])
         yield changes
         calibrating = self._conductor.supervisor.calibrating
         revision = calibrating.in_force.revision

@@ -313,7 +313,6 @@ def test_its_end_without_a_supervisor() -> None:
     assert lease.expire(99) == []
     lease.grant(LeaseRequest(Do.ASK, "bert"), 50)
     assert (len(lease.expire(100)), lease.holder, lease.asked_by) == (1, None, None)
-    assert lease.changes == {Kind.LEASE_ACQUIRED: 1, Kind.LEASE_ASKED: 1, Kind.LEASE_EXPIRED: 1}
 
 
 # ---- the table, and secrets

@@ -109,14 +109,6 @@ def test_a_way_across_angles_that_are_never_sent_waits_before_them_until_it_woul
     assert not [angle for angle in said if 1 <= angle < 4]
 
 
-def test_a_target_among_them_is_rejected() -> None:
-    steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)))
-    assert steps.command(1, servo_to(31, "start 3.99")) == ["rejected 1 joint_limit"]
-    assert steps.command(2, servo_to(31, "start 1")) == ["rejected 2 joint_limit"]
-    assert steps.command(3, servo_to(31, "start 4"))[0] == "command 31 start 4"
-    assert steps.command(50, servo_to(31, "set 0.99"))[0] == "command 31 set 0.99"
-
-
 @pytest.mark.parametrize("word", ["stop", "estop", "silence"])
 def test_a_stop_ends_it(word: str) -> None:
     steps = speed_steps(10)
