@@ -194,16 +194,24 @@ def test_after_an_emergency_stop_nothing_walks_until_somebody_says_so(robot: Cli
     assert not running(watcher)
 
 
-def test_a_lost_lease_ends_a_walk(robot: Client, watcher: Client) -> None:
+def test_a_lost_lease_ends_a_walk_until_it_is_had_again(robot: Client, watcher: Client) -> None:
     with robot.walk() as walk:
         walk.stand()
         with watcher.lease(take=True):
             with pytest.raises(LeaseLostError, match="watcher"):
                 walks(walk, 500)
             assert not running(watcher)
-            walk.start_again()
+            with pytest.raises(LeaseError, match="held by watcher"):
+                walk.start_again()
             with pytest.raises(LeaseLostError, match="watcher"):
                 walk.stand()
+            assert not running(watcher)
+        walk.start_again()
+        assert not running(watcher)
+        walk.stand()
+        assert running(watcher) == [1, 2, 3, 4, 5, 6]
+        assert watcher.state().lease.holder == "walker"
+    assert watcher.state().lease.holder is None
 
 
 def test_two_walkers_are_one_too_many(robot: Client, watcher: Client) -> None:

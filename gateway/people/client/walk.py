@@ -132,13 +132,21 @@ class Walk:
             self._using().walk_as(gait, time.monotonic())
 
     def start_again(self) -> None:
-        """Go on after an error, which a person decides. Lost legs start where they were; else it begins anew, lying."""
+        """Go on after an error, which a person decides. Lost legs start where they were; else it begins anew, lying.
+
+        A lease of its own that was lost is acquired again. Raises LeaseError where somebody else drives.
+        """
         with self._changed:
-            error, self._error = self._error, None
-            if error is None:
+            if self._error is None:
                 return
             walker = self._using()
-            if walker.engine.lost and self._stream is not None:
+            has_lost_lease = self._lease is not None and self._lease.lost is not None
+            if has_lost_lease:
+                lease = self._client.lease()
+                lease.acquire()
+                self._lease = lease
+            self._error = None
+            if walker.engine.lost and self._stream is not None and not has_lost_lease:
                 walker.engine.resume()
                 return
             self._end_stream()
