@@ -65,26 +65,20 @@ def start(folder: Path, namespace: str = "", **overrides: object) -> Iterator[Se
         yield SecuredRobot(gateway, zid, folder, port)
 
 
-@pytest.fixture(scope="module")
-def alice(robot: SecuredRobot) -> Iterator[Remote]:
-    with Remote() as laptop:
-        robot.join(laptop, "alice")
-        assert laptop.matching("hexapod/leg/1/cmd")
-        yield laptop
+def laptop(name: str, *commands: str) -> Any:
+    """A fixture: the laptop of that name, in reach of the keys it commands on."""
+
+    @pytest.fixture(scope="module", name=name)
+    def joined(robot: SecuredRobot) -> Iterator[Remote]:
+        with Remote() as made:
+            robot.join(made, name)
+            assert all(map(made.matching, commands))
+            yield made
+
+    return joined
 
 
-@pytest.fixture(scope="module")
-def carol(robot: SecuredRobot) -> Iterator[Remote]:
-    with Remote() as laptop:
-        robot.join(laptop, "carol")
-        yield laptop
-
-
-@pytest.fixture(scope="module")
-def kitchen(robot: SecuredRobot) -> Iterator[Remote]:
-    with Remote() as laptop:
-        robot.join(laptop, "kitchen")
-        yield laptop
+alice, carol, kitchen = laptop("alice", "hexapod/leg/1/cmd"), laptop("carol"), laptop("kitchen")
 
 
 @pytest.fixture(autouse=True)
