@@ -132,34 +132,38 @@ def test_the_reset_asks_first(gateway: Gateway, terminal: Terminal) -> None:
         assert "Drive?" not in shown
 
 
-@pytest.mark.parametrize("answers", [True, False], ids=["confirmed", "nobody is there"])
+@pytest.mark.parametrize(
+    ("program", "answers"),
+    [("watch", True), ("watch", False), ("walk", True), ("button", True)],
+    ids=["watch", "watch, and nobody answers", "walk", "button"],
+)
 def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
-    gateway: Gateway, answers: bool
+    gateway: Gateway, program: str, answers: bool
 ) -> None:
     """A terminal that nobody reads: drawing blocks in the middle of a picture, and the key still stops the robot."""
     endpoint = gateway.endpoint if answers else f"tcp/127.0.0.1:{free_port()}"
     master, slave = pty.openpty()
     os.set_blocking(master, True)
     with gateway.client() as client:
-        command = [*COMMAND, "watch", "--connect", endpoint]
-        watch = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
+        command = [*COMMAND, program, "--connect", endpoint]
+        shown = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
         try:
             os.close(slave)
             # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
             assert os.read(master, 1)
-            wait_for_stuck_writer(watch.pid)
+            wait_for_stuck_writer(shown.pid)
             os.write(master, b" ")
             if answers:
                 wait_for_state(client, lambda state: state.mode is Mode.ESTOPPED)
             deadline = time.monotonic() + LATE_S
-            while watch.poll() is None and time.monotonic() < deadline:
-                os.write(master, b"q")  # one that is read together with the stop does not count
+            while shown.poll() is None and time.monotonic() < deadline:
+                os.write(master, b"\x03")  # Ctrl-C; one that is read together with the stop does not count
                 with suppress(subprocess.TimeoutExpired):
-                    watch.wait(0.2)
-            assert watch.returncode == 0
+                    shown.wait(0.2)
+            assert shown.returncode == 0
         finally:
-            watch.kill()
-            watch.wait()
+            shown.kill()
+            shown.wait()
             os.close(master)
 
 
