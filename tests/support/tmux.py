@@ -13,6 +13,8 @@ from typing import Final, Self
 
 import pytest
 
+from tests.support.gateway_process import COMMAND
+
 LACK: Final = "Debian package missing: tmux"
 POLL_S: Final = 0.05
 RESIZED_S: Final = 2.0
@@ -21,22 +23,20 @@ LATE_S: Final = 30.0
 """For what takes milliseconds on a machine that is not busy."""
 
 
-def need_tmux() -> None:
-    """Skip or, in CI, fail in one line that names the package."""
-    if shutil.which("tmux"):
-        return
-    if os.environ.get("CI") == "true":
-        pytest.fail(LACK, pytrace=False)
-    pytest.skip(LACK)
-
-
 _ENDED: Final = "ended with status"
 
 
 class Terminal:
-    """One command in a terminal of 80 columns and 24 rows; after it, `stty -a` says how it left the terminal."""
+    """One command in a terminal of 80 columns and 24 rows; after it, `stty -a` says how it left the terminal.
+
+    Without tmux the test is skipped or, in CI, fails in one line that names the package.
+    """
 
     def __init__(self, folder: Path, command: Sequence[str], *, columns: int = 80, rows: int = 24) -> None:
+        if shutil.which("tmux") is None:
+            if os.environ.get("CI") == "true":
+                pytest.fail(LACK, pytrace=False)
+            pytest.skip(LACK)
         self._socket = folder / "tmux"  # a path, so that no server of somebody else's is met
         options = folder / "tmux.conf"
         options.write_text('set -g default-terminal "screen-256color"\n')
@@ -125,6 +125,11 @@ class Terminal:
         env = {**os.environ, "LC_ALL": "C.UTF-8"}
         env.pop("TMUX", None)
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LATE_S, env=env).stdout
+
+
+def at_terminal(folder: Path, program: str, endpoint: str, *, columns: int = 80, rows: int = 24) -> Terminal:
+    """One of our programs, with its options, which dials this endpoint."""
+    return Terminal(folder, [*COMMAND, *program.split(), "--connect", endpoint], columns=columns, rows=rows)
 
 
 def _words(screen: str) -> str:

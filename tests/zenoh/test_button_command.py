@@ -10,9 +10,9 @@ import pytest
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Mode
 from tests.support.fixtures import patient
-from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import states
-from tests.support.tmux import Terminal, need_tmux
+from tests.support.tmux import Terminal, at_terminal
 
 READY = "ANY KEY STOPS THE ROBOT"
 SETTINGS = patient(10_000, buttons={"required": 1, "timeout_ms": 2000})
@@ -20,7 +20,6 @@ SETTINGS = patient(10_000, buttons={"required": 1, "timeout_ms": 2000})
 
 @pytest.fixture
 def gateway(tmp_path: Path) -> Iterator[Gateway]:
-    need_tmux()
     with Gateway(tmp_path, {**SETTINGS, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}) as running:
         yield running
 
@@ -33,7 +32,7 @@ def watcher(gateway: Gateway) -> Iterator[Client]:
 
 def button(folder: Path, gateway: Gateway, columns: int = 80) -> Terminal:
     folder.mkdir(exist_ok=True)
-    return Terminal(folder, [*COMMAND, "button", "--name", "kitchen", "--connect", gateway.endpoint], columns=columns)
+    return at_terminal(folder, "button --name kitchen", gateway.endpoint, columns=columns)
 
 
 def alive(watcher: Client, *wanted: str) -> GatewayState:

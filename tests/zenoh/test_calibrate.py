@@ -13,9 +13,9 @@ from gateway.people.tools.attended import calibrate
 from gateway.robot.core.calibration import ServoCalibration, calibration_of
 from schemas.calibration import ServoChange
 from tests.support.fixtures import patient
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, states
-from tests.support.tmux import Terminal, need_tmux
+from tests.support.tmux import Terminal, at_terminal
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +42,7 @@ def anna(gateway: Gateway) -> Iterator[Client]:
 
 @contextmanager
 def guided(folder: Path, gateway: Gateway) -> Iterator[Terminal]:
-    need_tmux()
-    with Terminal(folder, [*COMMAND, "calibrate", "--connect", gateway.endpoint]) as terminal:
+    with at_terminal(folder, "calibrate", gateway.endpoint) as terminal:
         terminal.wait("Servo: _", "you drive")
         yield terminal
 
@@ -119,15 +118,13 @@ def test_what_somebody_else_wrote_while_the_lease_was_lost(gateway: Gateway, ann
 
 
 def test_it_begins_at_rest_and_with_the_lease(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
-    need_tmux()
-    command = [*COMMAND, "calibrate", "--connect", gateway.endpoint]
     for name, words in (("moves", "a servo runs; stop it first"), ("driven", "rejected: lease_held")):
         folder = tmp_path / name
         folder.mkdir()
         with anna.lease():
             assert anna.stop().accepted
             assert name == "driven" or anna.start_leg(1, 90, 90, 90).accepted
-            with Terminal(folder, command) as terminal:
+            with at_terminal(folder, "calibrate", gateway.endpoint) as terminal:
                 assert terminal.wait_for_end() == 1
                 assert words in terminal.words
 
@@ -192,14 +189,13 @@ def test_the_landing_pose_under_this_users_own_lease(gateway: Gateway, anna: Cli
 
 
 def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_so(tmp_path: Path) -> None:
-    need_tmux()
     kept = tmp_path / "calibration.toml"
     kept.write_text("half a fi")
     with Gateway(tmp_path, {"calibration": {"path": str(kept)}}) as gateway:
         asked = gateway.run("calibrate", "--accept-default")
         assert asked.returncode == 1
         assert "calibration.toml: is not TOML" in asked.stdout
-        with Terminal(tmp_path, [*COMMAND, "calibrate", "--connect", gateway.endpoint]) as terminal:
+        with at_terminal(tmp_path, "calibrate", gateway.endpoint) as terminal:
             assert terminal.wait_for_end() == 1
             assert "calibrate --accept-default" in terminal.words
         end = gateway.run("calibrate", "--accept-default", "--yes")

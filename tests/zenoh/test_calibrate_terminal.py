@@ -18,7 +18,7 @@ from schemas.telemetry import GatewayState
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
-from tests.support.tmux import LATE_S, Terminal, need_tmux
+from tests.support.tmux import LATE_S, Terminal, at_terminal
 
 # Its watchdog has nothing to do with what is stopped within ten seconds.
 gateway = gateway_fixture(patient(10_000))
@@ -27,12 +27,7 @@ quick = gateway_fixture()  # as it is by default: 250 ms
 
 @pytest.fixture(autouse=True)
 def _login(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_tmux()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-
-def command(endpoint: str) -> list[str]:
-    return [*COMMAND, "calibrate", "--connect", endpoint]
 
 
 def runs(state: GatewayState) -> bool:
@@ -51,7 +46,7 @@ def start_servo(terminal: Terminal) -> None:
 @contextmanager
 def calibrating(folder: Path, endpoint: str) -> Iterator[Terminal]:
     """`calibrate`, while servo 32 runs."""
-    with Terminal(folder, command(endpoint)) as terminal:
+    with at_terminal(folder, "calibrate", endpoint) as terminal:
         start_servo(terminal)
         yield terminal
 
@@ -96,7 +91,8 @@ def test_a_terminal_that_takes_no_more(gateway: Gateway) -> None:
     master, slave = pty.openpty()
     with gateway.client() as client:
         heard = states(client)
-        calibrate = subprocess.Popen(command(gateway.endpoint), stdin=slave, stdout=slave, stderr=slave)
+        command = [*COMMAND, "calibrate", "--connect", gateway.endpoint]
+        calibrate = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
         os.close(slave)
         reads = threading.Event()
         reads.set()

@@ -11,8 +11,8 @@ import zenoh
 
 from schemas import keys
 from tests.support.command import run_here
-from tests.support.gateway_process import COMMAND, free_port
-from tests.support.tmux import Terminal, need_tmux
+from tests.support.gateway_process import free_port
+from tests.support.tmux import at_terminal
 from tests.unit.test_wire import WIRE, from_the_future
 
 STATE = json.loads((WIRE / "1.0" / "state.jsonl").read_text().splitlines()[0])
@@ -80,8 +80,7 @@ def test_send_and_estop_show_answers_in_words_that_they_do_not_know(tomorrow: To
 
 
 def test_watch_shows_new_words_and_believes_the_answer_to_its_stop(tomorrow: Tomorrow, tmp_path: Path) -> None:
-    need_tmux()
-    with Terminal(tmp_path, [*COMMAND, "watch", "--connect", tomorrow.endpoint]) as terminal:
+    with at_terminal(tmp_path, "watch", tomorrow.endpoint) as terminal:
         terminal.wait("HOVERING")
         tomorrow.tell()
         terminal.wait("lifted", "two hands")

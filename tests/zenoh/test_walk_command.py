@@ -16,9 +16,9 @@ from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, states
-from tests.support.tmux import Terminal, need_tmux
+from tests.support.tmux import at_terminal
 
 gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 watcher = client_fixture("watcher")
@@ -116,9 +116,7 @@ def test_what_it_cannot_do_ends_it_with_a_sentence(gateway: Gateway, watcher: Cl
 
 
 def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
-    need_tmux()
-    command = [*COMMAND, "walk", "--connect", gateway.endpoint]
-    with Terminal(tmp_path, command) as terminal:
+    with at_terminal(tmp_path, "walk", gateway.endpoint) as terminal:
         terminal.wait("Nothing moves before you press a key.", "drives", "lying")
         assert watcher.state().mode == Mode.IDLE
         terminal.press("t")
@@ -144,8 +142,7 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
 
 
 def test_ctrl_c_stops_it_at_once(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
-    need_tmux()
-    with Terminal(tmp_path, [*COMMAND, "walk", "--connect", gateway.endpoint]) as terminal:
+    with at_terminal(tmp_path, "walk", gateway.endpoint) as terminal:
         terminal.wait("Nothing moves before you press a key.")
         terminal.press("t")
         once(watcher, lambda state: state.mode == Mode.ACTIVE)
@@ -158,8 +155,7 @@ def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_th
     tmp_path: Path, gateway: Gateway, watcher: Client
 ) -> None:
     """Also in a small terminal."""
-    need_tmux()
-    with Terminal(tmp_path, [*COMMAND, "walk", "--connect", gateway.endpoint], columns=40, rows=12) as terminal:
+    with at_terminal(tmp_path, "walk", gateway.endpoint, columns=40, rows=12) as terminal:
         terminal.wait("Nothing moves before you press a key.", "SPACE or x EMERGENCY STOP")
         gateway.child.send_signal(signal.SIGSTOP)
         terminal.press("Space")

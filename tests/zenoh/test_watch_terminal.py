@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,7 @@ from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events
-from tests.support.tmux import LATE_S, Terminal, need_tmux
+from tests.support.tmux import LATE_S, Terminal
 
 PATIENT = patient(10_000, watchdog={"repeats": 0})
 """So that a leg that was started once runs while the test looks at it, and nothing is written that nobody asked for."""
@@ -29,7 +29,6 @@ PATIENT = patient(10_000, watchdog={"repeats": 0})
 
 @pytest.fixture(autouse=True)
 def _at_rest(gateway: Gateway) -> None:
-    need_tmux()
     with gateway.client() as client:
         client.reset()
         assert client.stop().accepted
@@ -38,10 +37,8 @@ def _at_rest(gateway: Gateway) -> None:
 gateway = gateway_fixture(PATIENT)
 
 
-@contextmanager
-def watching(folder: Path, *arguments: str) -> Iterator[Terminal]:
-    with Terminal(folder, [*COMMAND, "watch", *arguments]) as terminal:
-        yield terminal
+def watching(folder: Path, *arguments: str) -> Terminal:
+    return Terminal(folder, [*COMMAND, "watch", *arguments])
 
 
 @pytest.fixture
