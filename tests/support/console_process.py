@@ -35,12 +35,13 @@ class Console(Closing):
         self,
         folder: Path,
         *arguments: str,
+        address: str = "127.0.0.1",
         port: int | None = None,
         prefix: Sequence[str] = (),
         env: Mapping[str, str] | None = None,
     ) -> None:
         self.port = free_port() if port is None else port
-        self.listen = ("--listen", f"127.0.0.1:{self.port}")
+        self.listen = ("--listen", f"{address}:{self.port}")
         self.env = {**os.environ, "STATE_DIRECTORY": str(folder), **(env or {})}
         self._folder = folder
         self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
