@@ -67,6 +67,19 @@ class PagePresses(Closing):
         self.child.close()
 
 
+@contextmanager
+def strangers(kind: str, host: str, port: int, count: int, *plain: str, prefix: Sequence[str] = ()) -> Iterator[Child]:
+    """Somebody without a session is at that door; `prefix` goes before the command."""
+    program = [sys.executable, "-m", "tests.attack.strangers", kind, host, str(port), str(count), *plain]
+    child = Child([*prefix, *program], os.environ)
+    try:
+        child.wait_for_output("made ", 20)
+        yield child
+    finally:
+        child.kill()
+        child.close()
+
+
 class DoorStand(Closing):
     """The robot with gateway and console, and a page that is signed in."""
 
@@ -104,14 +117,8 @@ class DoorStand(Closing):
     def attacked(self, kind: str, count: int) -> Iterator[Child]:
         """Strangers are at it."""
         address = self.network.robot_address(STRANGERS)
-        program = [sys.executable, "-m", "tests.attack.strangers", kind, address, str(PORT), str(count)]
-        child = Child([*self.network.laptop(STRANGERS), *program], os.environ)
-        try:
-            child.wait_for_output("made ", 20)
+        with strangers(kind, address, PORT, count, prefix=self.network.laptop(STRANGERS)) as child:
             yield child
-        finally:
-            child.kill()
-            child.close()
 
     @contextmanager
     def flooded(self, kind: str, count: int) -> Iterator[list[Child]]:

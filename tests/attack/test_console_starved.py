@@ -4,8 +4,6 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,9 @@ import pytest
 from gateway.people.client.stops import AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.register import Register
-from tests.support.child import Child
+from tests.attack.console_door import strangers
+from tests.benchmarks.processes import threads
+from tests.support.closing import Closing
 from tests.support.console_process import Page, sign_in
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 
@@ -22,7 +22,7 @@ PAGES = 8
 STOP = {"servos": [{"op": "stop"}] * 3}
 
 
-class BareConsole:
+class BareConsole(Closing):
     """A console without anybody who reads what it writes: both pipes are full from the beginning."""
 
     def __init__(self, folder: Path, endpoint: str, *limits: str) -> None:
@@ -47,13 +47,18 @@ class BareConsole:
         )
         os.close(write)
         self.pid = self._popen.pid
+        try:
+            self._wait()
+        except BaseException:
+            self.close()
+            raise
 
     def page(self) -> Page:
         """A page that is signed in."""
         session = sign_in(Register(self._folder, self.port).new_link())
         return Page(self.url, session)
 
-    def wait(self) -> None:
+    def _wait(self) -> None:
         """Until it listens, and has written where links are made."""
         made = self._folder / f"console-{self.port}.json"
         program = (
@@ -68,36 +73,11 @@ class BareConsole:
         free = min(set(range(1000)) - taken)
         resource.prlimit(self.pid, resource.RLIMIT_NOFILE, (free, free))
 
-    def threads(self) -> int:
-        """How many it has."""
-        return len(os.listdir(f"/proc/{self.pid}/task"))
-
     def close(self) -> None:
         """Kill it."""
         self._popen.kill()
         self._popen.wait(5)
         os.close(self._read)
-
-
-@contextmanager
-def running(folder: Path, endpoint: str, *limits: str) -> Iterator[BareConsole]:
-    console = BareConsole(folder, endpoint, *limits)
-    try:
-        console.wait()
-        yield console
-    finally:
-        console.close()
-
-
-@contextmanager
-def strangers(port: int, kind: str, count: int) -> Iterator[None]:
-    program = [sys.executable, "-m", "tests.attack.strangers", kind, "127.0.0.1", str(port), str(count), "plain"]
-    child = Child(program, os.environ)
-    try:
-        child.wait_for_output("made ", 20)
-        yield
-    finally:
-        child.close()
 
 
 def confirmed(page: Page, number: int) -> bool:
@@ -109,10 +89,10 @@ def confirmed(page: Page, number: int) -> bool:
 @pytest.mark.parametrize(("kind", "count"), [("garbage", 100), ("silent", 700)])
 def test_a_stderr_that_nobody_reads(tmp_path: Path, kind: str, count: int) -> None:
     """Also while there are no descriptors, which is what the console has to say most about."""
-    with Gateway(tmp_path) as gateway, running(tmp_path, gateway.endpoint) as console, console.page() as page:
+    with Gateway(tmp_path) as gateway, BareConsole(tmp_path, gateway.endpoint) as console, console.page() as page:
         page.state()
         console.use_up_descriptors()
-        with strangers(console.port, kind, count):
+        with strangers(kind, "127.0.0.1", console.port, count, "plain"):
             for _ in range(10):
                 assert page.stop_all()["stop_frames"] == 6
         assert page.stop_all()["stop_frames"] == 6
@@ -121,10 +101,10 @@ def test_a_stderr_that_nobody_reads(tmp_path: Path, kind: str, count: int) -> No
 def test_without_descriptors_and_with_the_link_lost(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listens = {"zenoh": {"listen": [endpoint]}}
-    with running(tmp_path, endpoint) as console, Gateway(tmp_path, listens) as gateway, console.page() as page:
+    with BareConsole(tmp_path, endpoint) as console, Gateway(tmp_path, listens) as gateway, console.page() as page:
         page.wait("link", lambda message: message["status"] == "connected", LATE_S)
         console.use_up_descriptors()
-        with strangers(console.port, "slow_headers", 100):
+        with strangers("slow_headers", "127.0.0.1", console.port, 100, "plain"):
             gateway.child.kill()
             page.wait("link", lambda message: message["status"] == "gone", LATE_S)
             page.send(type="stop_all", id=1)
@@ -138,7 +118,7 @@ def test_a_press_while_other_stops_wait(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listens = {"zenoh": {"listen": [endpoint]}}
     own = QUESTIONS_AT_ONCE + STOPS_AT_ONCE + AT_ONCE
-    with running(tmp_path, endpoint, f"--data={512 * 2**20}") as console:
+    with BareConsole(tmp_path, endpoint, f"--data={512 * 2**20}") as console:
         opened = [console.page() for _ in range(PAGES)]
         with Gateway(tmp_path, listens) as gateway:
             for page in opened:
@@ -153,7 +133,7 @@ def test_a_press_while_other_stops_wait(tmp_path: Path) -> None:
             for number in range(100, 115):
                 page.send(type="stop_all", id=number)
         assert not opened[-1].wait("stop", lambda message: message["attempts"] > 0, LATE_S)["answered"]
-        assert console.threads() < own + 3 * (STOPS_AT_ONCE + AT_ONCE) + 40, "some are Zenoh's"
+        assert threads(console.pid) < own + 3 * (STOPS_AT_ONCE + AT_ONCE) + 40, "some are Zenoh's"
         with Gateway(tmp_path, listens):
             for page in opened:
                 assert confirmed(page, 114)

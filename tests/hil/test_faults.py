@@ -214,19 +214,6 @@ def test_an_end_while_the_device_is_away_is_in_time_and_says_what_was_not_done(
         assert "no Stop can be sent" in at.gateway.child.stderr
 
 
-def test_an_end_as_the_device_comes_back_still_stops(tmp_path: Path, wire: Wire) -> None:
-    with scene(tmp_path, wire, log={"level": "debug"}) as at:
-        wire.bed.remove_node()
-        at.touch()
-        at.gateway.child.wait_for_output("does not answer yet")
-        wire.bed.restore_node()
-        at.gateway.child.send_signal(signal.SIGTERM)
-        assert at.gateway.child.wait(LATE_S) == 0
-        delivered = [each.data for each in wire.skip() if each.delivered]
-        stops = transfers_of(wire.framing, *STOPS)
-        assert delivered[-len(stops) :] == stops
-
-
 @pytest.mark.parametrize("short", [False, True], ids=["EIO", "short writes"])
 def test_the_last_attempt_outlasts_a_fault_that_begins_with_it(tmp_path: Path, wire: Wire, short: bool) -> None:
     """Each leg meets the fault by itself, and again: as long as there is time, all six are tried."""

@@ -23,7 +23,6 @@ from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
 from tests.hil.wire import (
     EACH_FRAMING,
     LATE_S,
-    QUIET,
     SET_3,
     START_3,
     STOPS,
@@ -91,19 +90,6 @@ def test_leg_and_servo_commands_byte_for_byte(gateway: Gateway, wire: Wire) -> N
         assert client.servo(32, "set", 90).reason is Reason.SERVO_STOPPED
         assert client.set_leg(1, 11, 12, 13).reason is Reason.SERVO_STOPPED  # two of the three never ran
         wire.expect_nothing()
-
-
-def test_a_legs_command_stops_first_and_then_moves(gateway: Gateway, wire: Wire) -> None:
-    with gateway.client() as client:
-        both = {"3": leg_payload("start", (90, 45, 120)), "4": leg_payload("start", (0, 0.01, 180))}
-        assert client.ask(keys.LEGS_COMMAND, {"legs": both}).accepted
-        wire.expect(START_3, "0e0129010000" + "2a010001" + "2b01b400")
-        one_each = {"3": leg_payload("set", (91, 45, 120)), "4": leg_payload("stop")}
-        assert client.ask(keys.LEGS_COMMAND, {"legs": one_each}).accepted
-        wire.expect(STOPS[3], SET_3)
-        assert client.ask(keys.LEGS_COMMAND, {"legs": {**one_each, "5": leg_payload("set", (1, 2, 3))}}).detail
-        assert client.stop().accepted
-        wire.expect(*STOPS)
 
 
 def test_bad_commands_reach_no_wire(gateway: Gateway, wire: Wire) -> None:
@@ -283,12 +269,6 @@ def test_a_second_gateway_on_the_same_device_is_rejected(tmp_path: Path, gateway
     wire.expect(START_3)
 
 
-def test_the_device_is_free_again_once_its_gateway_has_died(tmp_path: Path, gateway: Gateway, wire: Wire) -> None:
-    gateway.child.kill()
-    with start(tmp_path, wire):
-        wire.expect_nothing()
-
-
 @pytest.mark.parametrize("command", ["run", "stop-servos"])
 def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed, command: str) -> None:
     """The one that `spi.device` names."""
@@ -323,15 +303,3 @@ def test_speed_hz(tmp_path: Path, spi_testbed: SpiTestbed, speed_hz: int) -> Non
     wire.skip()
     with start(tmp_path, wire, spi={"speed_hz": speed_hz}):
         assert {each.speed_hz for each in spi_testbed.transfers} == {speed_hz}
-
-
-def test_frame_gap_us(tmp_path: Path, wire: Wire) -> None:
-    watchdog = {**QUIET, "repeats": 9, "repeat_interval_ms": 1}  # 60 frames: one of them meets an idle machine
-    least_us = []
-    for opening, gap_us in enumerate((1000, 0), 1):
-        with start(tmp_path, wire, watchdog=watchdog, spi={"frame_gap_us": gap_us}):
-            wire.expect_repeats(9, *STOPS)
-        arrivals_ns = [each.monotonic_ns for each in wire.bed.transfers if each.opening == opening]
-        least_us.append(min(after - before for before, after in pairwise(arrivals_ns)) / 1000)
-    assert least_us[0] >= 1000
-    assert least_us[1] < 1000
