@@ -8,8 +8,9 @@ def main() -> None:
     """The console script. `stop-servos` first: it must not wait for what only the other commands use."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
-            # It is closed, so the next file would get its number; the SPI device must never become stderr.
-            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+"))
+            # It is closed, so the next file would get its number; the SPI device must never become stderr, even once
+            # something else takes the place of this object. So the number stays taken.
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+", closefd=False))
     if sys.argv[1:2] == ["stop-servos"]:
         from gateway.people.tools import stop
 

@@ -31,7 +31,7 @@ from tests.mutants.exchange import MutatedImport, in_place, watched
 
 LIBRARIES: Final = (
     *("async_solipsism", "asyncio", "cryptography.x509", "hypothesis.stateful", "hypothesis.strategies"),
-    *("multiprocessing.pool", "prometheus_client", "pydantic", "rich", "structlog", "typer", "zenoh"),
+    *("multiprocessing.pool", "prometheus_client", "pydantic", "rich", "typer", "zenoh"),
     *("schemas.calibration", "schemas.command", "schemas.keys", "schemas.lease", "schemas.telemetry"),
 )
 """What takes long to import, and knows nothing of what is judged. None of it starts a thread: the process can fork."""
