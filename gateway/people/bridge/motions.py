@@ -190,11 +190,9 @@ class Following:
     def _present_rad(self) -> dict[int, float]:
         """Where the joints that run by it are now."""
         if self._walker is not None:
-            angles = self._walker.engine.pose
-            servos = self._geometry.servos
             self._at_rad = {
-                10 * leg + joint: servos[10 * leg + joint].joint_rad(angle_deg)
-                for leg, pose in angles.items()
+                10 * leg + joint: self._geometry.joint_rad(10 * leg + joint, angle_deg)
+                for leg, pose in self._walker.engine.pose.items()
                 for joint, angle_deg in enumerate(pose, start=1)
             }
         elif self._plan is not None:

@@ -1,7 +1,7 @@
 """Joint names and radians, as controllers of ROS 2 send them, to the degrees of whole legs. Pure."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name
@@ -62,13 +62,8 @@ def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degre
     """Leg → degrees of its servos, which turn from 0 to 180 and no further."""
     return {
         leg: (_deg(geometry, at_rad, leg, 1), _deg(geometry, at_rad, leg, 2), _deg(geometry, at_rad, leg, 3))
-        for leg in legs_of(at_rad)
+        for leg in sorted({servo_id // 10 for servo_id in at_rad})
     }
-
-
-def legs_of(servos: Iterable[int]) -> list[int]:
-    """The legs to which they belong, ascending."""
-    return sorted({servo_id // 10 for servo_id in servos})
 
 
 def _deg(geometry: Geometry, at_rad: Mapping[int, float], leg: int, joint: int) -> float:

@@ -65,15 +65,10 @@ class Trajectory:
         """When its last point is reached."""
         return self._begins_s + self._points[-1].at_s
 
-    @property
-    def servos(self) -> frozenset[int]:
-        """Those that it moves."""
-        return frozenset(self._points[0].positions_rad)
-
     def begin(self, present_rad: Mapping[int, float], now_s: float) -> None:
         """Go on from where the joints are now. One that is not in `present_rad` begins at the next point."""
         next_rad = self._points[self._next(now_s)].positions_rad
-        at_rad = {servo_id: present_rad.get(servo_id, next_rad[servo_id]) for servo_id in self.servos}
+        at_rad = {servo_id: present_rad.get(servo_id, next_rad[servo_id]) for servo_id in next_rad}
         self._from = Point(now_s - self._begins_s, at_rad)
 
     def at(self, now_s: float) -> dict[int, float]:
@@ -85,7 +80,7 @@ class Trajectory:
         length_s = after.at_s - before.at_s
         part = (now_s - self._begins_s - before.at_s) / length_s if length_s > 0 else 1.0
         part = min(max(part, 0.0), 1.0)
-        return {servo_id: _between(before, after, servo_id, part, length_s) for servo_id in self.servos}
+        return {servo_id: _between(before, after, servo_id, part, length_s) for servo_id in after.positions_rad}
 
     def _next(self, now_s: float) -> int:
         """The first point that is still to come, or the last."""
