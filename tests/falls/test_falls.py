@@ -88,8 +88,8 @@ def test_one_slack_leg_leaves_it_standing() -> None:
 
 # ---- what a real gateway writes
 
-WALKED_M: Final = 0.08
-"""In five seconds, of which it gets up in three, and then walks at 8 cm/s."""
+WALKED_M: Final = 0.04
+"""In four seconds, of which it gets up in three, and then walks at 8 cm/s."""
 DOWN_DEG: Final = {1: 90.0, 2: 162.0, 3: 108.0}
 
 
@@ -117,7 +117,7 @@ def test_a_real_gateways_frames_let_it_walk_and_land_as_computed(tmp_path: Path)
         heard = frames(client)
         walk = [*COMMAND, "walk", "--forward", "0.08", "--seconds", "60", "--connect", gateway.endpoint]
         walker = Child(walk, os.environ)
-        heard.wait(lambda frame: frame.cause == Cause.COMMAND, count=6 * 250, timeout_s=40)
+        heard.wait(lambda frame: frame.cause == Cause.COMMAND, count=6 * 200, timeout_s=40)
         walker.kill()
         last = heard.wait(lambda frame: is_stop(frame) and frame.cause == Cause.WATCHDOG, count=6)
         walker.close()
