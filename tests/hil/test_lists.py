@@ -1,6 +1,5 @@
 """Lists of transfers on the emulated device: what the kernel side of a batch sends, and what a driver makes of it."""
 
-import errno
 import itertools
 import json
 import sys
@@ -69,18 +68,6 @@ def test_a_batch_is_one_call_of_cycles_with_the_pauses_that_were_asked_for(spi_t
         assert after.monotonic_ns - before.monotonic_ns == lasts_ns
     assert write(child, [["0e", 0]]) == "written"
     assert spi_testbed.transfers[-1].kind == "write", "one transfer without a pause is a plain write"
-
-
-@pytest.mark.parametrize("place", range(6))
-def test_what_is_before_a_transfer_that_fails_is_on_the_wire_and_what_follows_is_not(
-    spi_testbed: SpiTestbed, place: int
-) -> None:
-    child = writer(spi_testbed)
-    spi_testbed.fail(errno.EIO, count=1, after=place)
-    assert "Input/output error" in write(child, [*ZEROS, *FRAME])
-    transfers = spi_testbed.transfers
-    assert [each.errno for each in transfers] == [0] * place + [errno.EIO]
-    assert write(child, FRAME) == "written"
 
 
 def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], int]:

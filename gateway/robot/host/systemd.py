@@ -29,19 +29,15 @@ class SystemdNotifier:
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)  # if systemd does not read, the loop must not wait
-        self._ping_period_s = _ping_period_s(environment) if path else None
-
-    @property
-    def ping_period_s(self) -> float | None:
+        self.ping_period_s: Final = _ping_period_s(environment) if path else None
         """How often to call `alive`, a quarter of systemd's watchdog period; None: there is no such watchdog."""
-        return self._ping_period_s
 
     def ready(self, status: str) -> None:
         """Commands are taken from now on, and systemd's watchdog has the period of the unit."""
         period = (
             ""
-            if self._ping_period_s is None
-            else f"\nWATCHDOG_USEC={round(self._ping_period_s * PINGS_PER_TIMEOUT * 1e6)}"
+            if self.ping_period_s is None
+            else f"\nWATCHDOG_USEC={round(self.ping_period_s * PINGS_PER_TIMEOUT * 1e6)}"
         )
         self._tell(f"READY=1\nSTATUS={status}{period}")
 
@@ -62,14 +58,14 @@ class SystemdNotifier:
         if not anew:
             self._tell("STOPPING=1")
             self._end_unless_alive()
-        elif self._ping_period_s is not None:
+        elif self.ping_period_s is not None:
             self._tell(f"RELOADING=1\nSTATUS=starts anew\nWATCHDOG_USEC={round(ANEW_S * 1e6)}\nWATCHDOG=1")
             signal.setitimer(signal.ITIMER_REAL, ANEW_S)  # a new program in this process keeps it
 
     def _end_unless_alive(self) -> None:
         """Let the kernel end this process if it is not called again in time: no thread of it has to go on for that."""
-        if self._ping_period_s is not None:
-            signal.setitimer(signal.ITIMER_REAL, self._ping_period_s * PINGS_PER_TIMEOUT * HANGS_AFTER)
+        if self.ping_period_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, self.ping_period_s * PINGS_PER_TIMEOUT * HANGS_AFTER)
 
     def close(self) -> None:
         """Close the socket; nothing more is sent."""

@@ -62,11 +62,6 @@ class End:
         """Until something ends it."""
         await self._event.wait()
 
-    @property
-    def exit_code(self) -> int:
-        """The process's."""
-        return 0 if self.failure is None else GatewayError.exit_code
-
     def because(self, failure: str) -> None:
         """End, and report `failure`."""
         with self._owner:
@@ -88,9 +83,10 @@ class End:
         """Leave the process, or let it start anew."""
         if self.starts_anew:
             start_anew()
-        if self.failure is not None:
-            sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
-        leave(self.exit_code)
+        if self.failure is None:
+            leave(0)
+        sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
+        leave(GatewayError.exit_code)
 
     def task_done(self, task: "asyncio.Task[None]") -> None:
         """A task of the service may be cancelled, but must not fail."""
