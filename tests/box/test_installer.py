@@ -16,11 +16,26 @@ CONFIG_TXT = "/boot/firmware/config.txt"
 STOCK = "#dtparam=i2c_arm=on\n#dtparam=spi=on\n\ndtoverlay=vc4-kms-v3d\n[cm4]\notg_mode=1\n"
 DROP_IN = f"/etc/systemd/system/{NAME}.service.d/simulated.conf"
 KEPT = "/opt/kept"
-_MOVE = """
-for venv in {venvs}; do
-    [ ! -e "$venv/complete" ] || [ -e "$1/${{venv##*/}}" ] || {{ mkdir -p "$1" && mv "$venv" "$1"; }}
-done
+DRY = ("--dry-run", "--force")
+_KEEP = f"""
+cd /opt/{NAME} && [ -e venv/complete ] && [ ! -e {KEPT} ] || exit 0
+mkdir {KEPT} && cp -a "$(readlink -e venv)" {KEPT}
 """
+_RESTORE = f"[ ! -e {KEPT} ] || {{ mkdir -p /opt/{NAME} && cp -a {KEPT}/* /opt/{NAME}; }}"
+_BUILD = f"""
+set -e
+kept=$(echo {KEPT}/venv-*) old=/opt/{NAME}/${{kept##*/}}
+cp -a "$kept" "$1"
+find "$1/bin" -type f -exec sed -i "1s|^#!$old/|#!$1/|" {{}} +
+init=$(echo "$1"/lib/python*/site-packages/gateway/__init__.py)
+printf '%s' "$2" >>"$init"
+"$1/bin/python" -m compileall -q "$init"
+cd "$1"
+rm complete
+list=$(find . -type f -print0 | sort -z | xargs -0 sha256sum)
+printf '%s\n' "$list" >complete
+"""
+"""What pip would make of another release's wheels, in the folder $1: its `gateway` has $2 besides."""
 
 
 class Machine:
@@ -30,13 +45,12 @@ class Machine:
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
         self.wheels = share(box, wheels)
-        self._venv = ""
         box.write(CONFIG_TXT, STOCK)
 
     def install(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
         """Run the installer from the wheels, with a framing; the lines that it printed."""
         lines = self.run("--framing", "plain", "--wheels", self.wheels, *options, check=check, python=python)
-        self._venv = self.box.run("readlink", f"/opt/{NAME}/venv", check=False).stdout.strip() or self._venv
+        self.box.run("sh", "-c", _KEEP)
         return lines
 
     def run(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
@@ -46,21 +60,20 @@ class Machine:
         assert check or done.returncode != 0, done.stdout
         return (done.stdout + done.stderr).splitlines()
 
-    def keep_venv(self) -> None:
-        """Set aside what pip has installed: it takes half a minute on a busy machine, and is always the same."""
-        self._move_venvs(f"/opt/{NAME}/venv-*", KEPT)
-
     def restore_venv(self) -> None:
-        """Put it back to where the installer finds it, and nothing else of an installation."""
-        self._move_venvs(f"{KEPT}/{Path(self._venv or 'none').name}", f"/opt/{NAME}")
+        """Put what pip installs, half a minute of work and always the same, to where the installer finds it."""
+        self.box.run("sh", "-c", _RESTORE)
 
-    def newer_release(self) -> str:
-        """Its wheels; its virtual environment is put back beside that of the installed one."""
-        self._move_venvs(f"{KEPT}/venv-*", f"/opt/{NAME}")
-        return other_wheels(self, "newer", "\n# newer\n")
-
-    def _move_venvs(self, venvs: str, to: str) -> None:
-        self.box.run("sh", "-c", _MOVE.format(venvs=venvs), "sh", to)
+    def release(self, name: str, change: str) -> str:
+        """The wheels of another release, which is installed but for the switch; its `gateway` has `change` besides."""
+        folder = f"/opt/{name}"
+        if not self.box.exists(folder):
+            self.box.run("sh", "-c", f"cp -r {self.wheels} {folder} && echo '# {name}' >>{folder}/requirements.txt")
+        (venv,) = re.findall(
+            f"^make (/opt/{NAME}/venv-[0-9a-f]+) ", "\n".join(self.run(*DRY, "--wheels", folder)), re.M
+        )
+        self.box.run("sh", "-c", _BUILD, "sh", venv, change)
+        return folder
 
     def simulate(self) -> None:
         """The simulated controller in place of SPI, as deploy/systemd/simulated.conf says."""
@@ -109,7 +122,6 @@ def installed_machine(machine: Machine) -> Iterator[Machine]:
 
 
 def clear(machine: Machine) -> None:
-    machine.keep_venv()
     machine.run("--uninstall", "--force")
     machine.box.run("rm", "-rf", f"/etc/{NAME}", str(Path(DROP_IN).parent))
     machine.box.run("systemctl", "daemon-reload")
@@ -195,30 +207,6 @@ def test_life(bare: Machine) -> None:
     ]
 
 
-def other_wheels(machine: Machine, name: str, change: str) -> str:
-    """The wheels of another release, whose service module begins with `change`."""
-    folder = f"/opt/{name}"
-    if machine.box.exists(folder):
-        return folder
-    machine.box.run("cp", "-r", machine.wheels, folder)
-    program = (
-        "import hashlib, pathlib, re, sys, zipfile\n"
-        "(wheel,) = pathlib.Path(sys.argv[1]).glob('hexapod_gateway-*.whl')\n"
-        "with zipfile.ZipFile(wheel) as old:\n"
-        "    files = {info.filename: old.read(info) for info in old.infolist()}\n"
-        "text = files['gateway/__init__.py'].decode()\n"
-        "files['gateway/__init__.py'] = (text + sys.argv[2]).encode()\n"
-        "with zipfile.ZipFile(wheel, 'w') as new:\n"
-        "    for name, data in files.items():\n"
-        "        new.writestr(name, data)\n"
-        "named = wheel.with_name('requirements.txt')\n"
-        "digest = hashlib.sha256(wheel.read_bytes()).hexdigest()\n"
-        "named.write_text(re.sub(r'(?m)^(hexapod_gateway==.*sha256:).*', r'\\g<1>' + digest, named.read_text()))\n"
-    )
-    machine.box.run("python3", "-c", program, folder, change)
-    return folder
-
-
 def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(with_venv: Machine) -> None:
     """Found out with a simulated controller, nothing is changed; found out by systemd, it goes back by itself."""
     machine, box = with_venv, with_venv.box
@@ -228,13 +216,13 @@ def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(with_venv: Ma
     first = box.run("readlink", f"/opt/{NAME}/venv").stdout
     pid = machine.unit.property("MainPID")
 
-    broken = other_wheels(machine, "broken", "\nimport sys\nif 'run' in sys.argv: raise SystemExit(7)\n")
+    broken = machine.release("broken", "\nimport sys\nif 'run' in sys.argv: raise SystemExit(7)\n")
     said = machine.run("--wheels", broken, check=False)
     assert any("does not start (above is why); the service stays as it was" in line for line in said), said
     assert (box.run("readlink", f"/opt/{NAME}/venv").stdout, machine.unit.property("MainPID")) == (first, pid)
 
     under = "\nimport os, sys\nif 'run' in sys.argv and 'NOTIFY_SOCKET' in os.environ: raise SystemExit(7)\n"
-    said = machine.run("--wheels", other_wheels(machine, "under-systemd", under), check=False)
+    said = machine.run("--wheels", machine.release("under-systemd", under), check=False)
     assert said[-1].endswith(f"so {first.strip()} runs again: journalctl -u {NAME} says why"), said
     assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
     assert machine.unit.property("ActiveState") == "active"
@@ -256,7 +244,7 @@ def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine
     machine.simulate()
     machine.unit.systemctl("start")
     first = box.run("readlink", f"/opt/{NAME}/venv").stdout
-    newer = machine.newer_release()
+    newer = machine.release("newer", "\n# newer\n")
     held = start_holding(machine, own)
     configuration = box.run("sha256sum", CONFIGURATION, f"/etc/{NAME}/zenoh/gateway.key").stdout
     running = machine.unit.property("MainPID")
@@ -303,7 +291,7 @@ def test_an_installation_that_was_ended_is_noticed(with_venv: Machine) -> None:
     machine.simulate()
     machine.unit.systemctl("start")
     old = machine.unit.property("MainPID")
-    newer = machine.newer_release()
+    newer = machine.release("newer", "\n# newer\n")
     box.write(
         "/run/kill/systemctl",
         '#!/bin/sh\ncase $1 in restart) kill -KILL $PPID; exit 1;; esac\nexec /bin/systemctl "$@"\n',
