@@ -20,7 +20,7 @@ from gateway import certs
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import ConfigError, UnansweredError, ZenohError
-from gateway.people.client import aio, blocking, lease, payloads, stream
+from gateway.people.client import aio, blocking, lease, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode
 from tests.support.child import Child
@@ -44,7 +44,7 @@ robot = client_fixture("test", rests=True)
 
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 9), (lease, 1), (aio, 10), (payloads, 3)],
+    [(client_module, 2), (blocking, 1), (stream, 9), (lease, 1), (aio, 10)],
 )
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})

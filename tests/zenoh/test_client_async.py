@@ -119,23 +119,6 @@ async def test_a_stream(robot: AsyncClient) -> None:
     assert await running(robot) == []
 
 
-async def test_a_task_that_is_cancelled_stops_its_robot(gateway: Gateway, robot: AsyncClient) -> None:
-    walking = asyncio.Event()
-
-    async def walk() -> None:
-        async with AsyncClient(gateway.endpoint, timeout_s=5) as own, own.stream(HZ) as stream:
-            while True:
-                await stream.set({1: POSE})
-                walking.set()
-
-    task = asyncio.create_task(walk())
-    await asyncio.wait_for(walking.wait(), 10)
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-    assert await running(robot) == []
-
-
 @pytest.mark.parametrize("turns", range(0, 12, 2))
 async def test_cancelled_anywhere_it_leaves_nothing_running(gateway: Gateway, robot: AsyncClient, turns: int) -> None:
     """Also in the middle of a start, of the Stop at the end, and twice."""
