@@ -43,6 +43,8 @@ export class Walk {
     this.pressedMs = -Infinity;
     /** Whether something was held at the last tick. */
     this.moved = false;
+    /** Whether it was said why what is held counts no more. */
+    this.dropped = false;
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
     /** When the wishes were sent whose use is not reported yet. @type {Map<number, number>} */
@@ -94,7 +96,9 @@ export class Walk {
   drop(why) {
     const moved = moves(this.deflection);
     this.#letGo();
-    if (this.active && moved) this.told.say(`It stands still: ${why}.`);
+    if (!this.active || !moved) return;
+    this.dropped = true;
+    this.told.say(`It stands still: ${why}.`);
   }
 
   /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
@@ -121,7 +125,9 @@ export class Walk {
       this.told.say(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`);
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) this.told.say(`Slower than that: ${message.limit}.`);
-    else if (message.posture !== before?.posture && message.posture) this.told.say(`${WORDS[message.posture] ?? message.posture}.`);
+    else if (message.posture !== before?.posture && message.posture && !(this.dropped && message.posture === "standing")) {
+      this.told.say(`${WORDS[message.posture] ?? message.posture}.`);
+    }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
       if (message.detail) this.#letGo();
       else this.drop("the console did not hear this page for a moment");
@@ -187,6 +193,7 @@ export class Walk {
     }
     this.press = this.link.nextId();
     this.pressedMs = nowMs;
+    this.dropped = false;
     this.sits = sits;
     if (!this.active) this.timer = setInterval(() => this.#tick(), PERIOD_MS);
     this.moved = moves(this.deflection);
