@@ -6,18 +6,19 @@ processes.
 
 import json
 import os
-import selectors
-import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 from zenoh.handlers import RingChannel
 
 from gateway.zenoh_config import load_config
+from tests.support.child import Child
+from tests.support.closing import Closing
 
 DEPTH = 1000
 POLL_S = 0.002  # several rings have no common wait; every loop below ends
@@ -28,49 +29,27 @@ class RemoteError(Exception):
     """The process answered with an error; its text is the error's."""
 
 
-class Remote:
+class Remote(Closing):
     """A process with an Actor; calling a method that is not here calls the Actor's."""
 
     def __init__(self) -> None:
-        repository = str(Path(__file__).parents[2])
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.zenoh_actor"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd="/",  # as a service: relative paths in a Zenoh file must not depend on it
-            env=os.environ | {"PYTHONPATH": repository},
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        try:
-            self._process.wait(ANSWER_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process.stdout.close()
+        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+        # As a service: relative paths in a Zenoh file must not depend on where it runs.
+        self._child = Child([sys.executable, "-m", "tests.support.zenoh_actor"], environment, Path("/"))
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         def call(*arguments: object) -> Any:
-            assert self._process.stdin is not None
-            assert self._process.stdout is not None
-            self._process.stdin.write(json.dumps([name, *arguments]) + "\n")
-            self._process.stdin.flush()
-            with selectors.DefaultSelector() as selector:
-                selector.register(self._process.stdout, selectors.EVENT_READ)
-                assert selector.select(ANSWER_S), f"no answer to {name}"
-            answer = json.loads(self._process.stdout.readline())
+            answer = json.loads(self._child.ask(json.dumps([name, *arguments]), ANSWER_S))
             if "error" in answer:
                 raise RemoteError(answer["error"])
             return answer["ok"]
 
         return call
+
+    def close(self) -> None:
+        """Close its session, and end it."""
+        with self._child, suppress(TimeoutError, BrokenPipeError):  # it may have ended
+            self._child.ask(json.dumps(["leave"]), ANSWER_S)
 
 
 class Actor:
@@ -190,7 +169,8 @@ class Actor:
         _wait(seen, seconds)
         return found[zid]
 
-    def close(self) -> None:
+    def leave(self) -> None:
+        """Closes the session; another may be opened."""
         if self._session is not None:
             self._session.close()
 
@@ -218,7 +198,7 @@ def main() -> None:
                 answer = {"error": f"{type(error).__name__}: {error}"}
             print(json.dumps(answer), flush=True)
     finally:
-        actor.close()
+        actor.leave()
 
 
 if __name__ == "__main__":

@@ -247,7 +247,7 @@ def test_a_certificate_without_a_role_receives_nothing(tmp_path: Path) -> None:
         for key in TELEMETRY:
             robot.gateway.put(key, "{}")
         assert set(keys(carol.taken(4))) == {*TELEMETRY, "hexapod/alive"}
-        robot.gateway.close()
+        robot.gateway.leave()
         assert stranger.wait_gone(robot.zid)  # all that was sent to it has been read by then
         assert stranger.taken() == []
 
@@ -266,7 +266,7 @@ def turned_away(robot: SecuredRobot, outsider: Remote, overrides: Mapping[str, o
     with pytest.raises(RemoteError, match="Unable to connect to any of"):
         outsider.open(str(robot.folder / f"{name}.json5"), {**absolute(robot.folder, name), **overrides}, False)
     zid = robot.join(outsider, "alice")
-    outsider.close()
+    outsider.leave()
     assert robot.gateway.wait_gone(zid)
 
 
@@ -303,7 +303,7 @@ def test_a_host_name_that_is_not_in_the_certificate(robot: SecuredRobot, outside
     # The name was all that was wrong.
     unverified = {**other, f"{TLS}/verify_name_on_connect": False}
     assert robot.join(outsider, "alice", **unverified)
-    outsider.close()
+    outsider.leave()
 
 
 def test_a_laptop_cannot_pose_as_the_gateway(robot: SecuredRobot, outsider: Remote) -> None:
