@@ -136,8 +136,9 @@ def test_a_way_across_angles_that_are_never_sent(
 
 def test_the_formula() -> None:
     assert Calibration(1, {11: ServoCalibration(-1)}).why_not(11, 0) is not None, "by a hundredth"
-    assert ServoCalibration(7_00, inverted=False).wire_cdeg(90_00) == 97_00
-    assert ServoCalibration(7_00, inverted=True).wire_cdeg(45_00) == 142_00
+    for inverted, user_cdeg, wire_cdeg in ((False, 90_00, 97_00), (True, 45_00, 142_00)):
+        servo = ServoCalibration(7_00, inverted=inverted)
+        assert (servo.wire_cdeg(user_cdeg), servo.user_cdeg(wire_cdeg)) == (wire_cdeg, user_cdeg)
 
 
 def test_a_rejection_names_both_angles() -> None:
