@@ -188,7 +188,7 @@ class Engine:
         turn = body.turn
         for leg in legs:
             self._state.feet[leg] = body.grounded(self.robot.foot_m(leg, self._state.pose[leg]), turn)
-        self._lower(legs)
+        self._lower(leg for leg in LEGS if leg not in self._state.swings)  # others may be on their way down as well
 
     def copy(self) -> "Engine":
         """Another one that goes on by itself from here."""
@@ -299,11 +299,11 @@ class Engine:
         if not state.moves:
             feet = dict(state.feet)
             self._walk(state, target, seconds)
-            state.place(self.robot, [leg for leg in LEGS if leg not in self.lost and state.feet[leg] != feet[leg]])
+            state.place(self.robot, [leg for leg in LEGS if state.feet[leg] != feet[leg]])
             return
         move = state.moves[0]
         state.part = min(1.0, state.part + seconds / move.seconds)
-        state.follow(self.robot, move, state.part, self.lost)
+        state.follow(self.robot, move, state.part)  # what lost legs were to do was left out by `halt`
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
 

@@ -1,7 +1,7 @@
 """The ways between postures: a few moves one after the other, each smooth and with feet that do not scrape. Pure."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
@@ -94,15 +94,14 @@ class Figure:
         new.feet, new.pose = dict(self.feet), dict(self.pose)
         return new
 
-    def follow(self, robot: Robot, move: Move, part: float, lost: Set[int] = frozenset()) -> None:
-        """Go to this part of a move, but for lost legs. Raises WalkError where a leg does not reach."""
+    def follow(self, robot: Robot, move: Move, part: float) -> None:
+        """Go to this part of a move. Raises WalkError where a leg does not reach."""
         if isinstance(move, Shift):
             self.body = move.at(part)
-            self.place(robot, set(LEGS) - lost)
+            self.place(robot, LEGS)
         elif isinstance(move, Step):
-            legs = move.paths.keys() - lost
-            self.feet |= {leg: move.at(leg, part) for leg in legs}
-            self.place(robot, legs)
+            self.feet |= {leg: move.at(leg, part) for leg in move.paths}
+            self.place(robot, move.paths)
         else:
             self.pose |= {leg: move.at(leg, part) for leg in move.paths}
             if part == 1.0 and move.then is not None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from gateway.geometry import load
 from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity, Walker
 from gateway.people.walking.motion import Body
+from gateway.people.walking.ways import ON_GROUND_M
 from schemas.robot import LEGS
 from tests.support.walked import Walked, standing
 
@@ -133,15 +134,32 @@ def test_a_leg_that_is_lost_on_the_way_to_a_posture_ends_the_way(after_s: float)
     walked.checks_balance = False
     walked.engine.stand()
     walked.run(after_s)
+    frozen = walked.engine.pose[2]
     walked.engine.halt([2])
     walked.run(1.0)
     still = walked.engine.pose
     walked.run(1.0)
     assert walked.engine.pose == still
     walked.engine.resume()
+    assert walked.engine.pose[2] == frozen, "it starts where it was stopped"
     walked.pose = walked.engine.pose
     walked.engine.stand()
     walked.until(Posture.STANDING, WAY_S)
+
+
+def test_a_leg_that_runs_again_at_once_leaves_no_other_in_the_air() -> None:
+    """The others are still on their way down."""
+    walked = Walked(Engine(ROBOT))
+    walked.checks_balance = False
+    walked.engine.stand()
+    walked.run(2.3)
+    assert len([leg for leg in LEGS if walked.engine.feet[leg][2] > ON_GROUND_M]) == 3, "a step of three legs"
+    walked.engine.halt([2])
+    walked.run(0.06)
+    walked.engine.resume()
+    walked.pose = walked.engine.pose
+    walked.until(Posture.STANDING, 1.0)
+    assert [foot[2] for foot in walked.engine.feet.values()] == pytest.approx([0] * 6, abs=1e-9)
 
 
 def test_the_feet_of_a_way_do_not_scrape() -> None:
