@@ -28,7 +28,8 @@ TIMEOUT_MS: Final = 1000.0
 LEEWAY_MS: Final = 2000.0
 """So long this machine may hold the gateway up; how long its watchdog takes is measured on the device alone."""
 NS_PER_MS: Final = 1e6
-HOLDS: Final = 5
+HOLDS: Final = 100
+"""In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
 RUN_OR_ENDED: Final = """(legs) => document.getElementById("hold").dataset.held === "no"
   || document.querySelectorAll("#run-chooser [data-runs]").length === legs"""
 

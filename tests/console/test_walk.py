@@ -19,7 +19,8 @@ from tests.support.heard import states
 pytestmark = pytest.mark.browser
 
 PHONES: Final = ((320, 568), (568, 320), (844, 390))
-PUSHES: Final = 5
+PUSHES: Final = 100
+"""In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
 WALKS_OR_ENDED: Final = """() => document.getElementById("walk-known").textContent.includes("It walks")
   || !document.querySelector('.stick[data-held="yes"]')"""
 WISHES: Final = """
