@@ -251,7 +251,6 @@ def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(pages
     expect(page["gamepad"]).to_be_visible()
     since = len(robot.bed.transfers)
     page.page.evaluate("pad.buttons[7].value = 1; pad.axes[0] = 1")
-    robot.wait_for(2, Op.START, (90, 90, 90), since)
     robot.bed.wait_for(lambda all_: any(_moved(each, 21, 9500) for each in all_[since:]), LATE_MS / 1000)
     page.page.evaluate("navigator.getGamepads = () => [null]")
     robot.expect_stopped(2, since=since)
