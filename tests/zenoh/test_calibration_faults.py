@@ -132,7 +132,7 @@ def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path:
         assert "hexapod-gateway calibrate --accept-default" in logged
         state = client.state()
         assert (state.mode, state.calibration.revision) == (Mode.IDLE, 4)
-        assert str(state.calibration.fault).startswith(f"{path}: the file has no end;")
+        assert str(state.calibration.fault).startswith(f"{path}: end: is missing;")
         rejected = client.start_leg(1, 90, 90, 90)
         assert rejected.reason == Reason.SERVO_STOPPED
         assert "calibrate --accept-default" in str(rejected.detail)
