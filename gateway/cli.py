@@ -5,7 +5,6 @@ Each command loads only what it needs, when it runs: an emergency stop must not 
 
 import os
 import sys
-from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
@@ -451,14 +450,10 @@ def main() -> None:
 
 
 def _end(code: int) -> NoReturn:
-    """End with this exit code.
-
-    With Zenoh not by the interpreter's own end: it would wait for threads that still try to reach another host, and it
-    aborts where one comes back from Zenoh meanwhile.
-    """
-    if "zenoh" not in sys.modules:
-        sys.exit(code)
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # nobody reads any more
-            stream.flush()
-    os._exit(code)
+    """End with this exit code, without waiting for threads that still try to reach another host."""
+    hosts = sys.modules.get("gateway.people.client.hosts")
+    if hosts is not None and hosts.under_way():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)

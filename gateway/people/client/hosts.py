@@ -99,9 +99,7 @@ class Search:
         self._begin = [threading.Event() for _ in hosts.endpoints or ("whom scouting finds",)]
         self._trying = len(self._begin)
         for place in range(self._trying):
-            # Not a daemon: Python aborts if a daemon returns from Zenoh while the interpreter ends. So a program's end
-            # waits for a host that is being tried, for up to `open_timeout`; that of our commands does not.
-            threading.Thread(target=self._try, args=(place,), name=f"open host {place}").start()
+            _Thread(target=self._try, args=(place,), name=f"open host {place}").start()
 
     def close(self) -> None:
         """Give up, and close the session that was found."""
@@ -110,7 +108,7 @@ class Search:
             self._end()
         if session is not None:
             # With a frozen gateway this takes seconds.
-            threading.Thread(target=_close, args=(session,), name="close").start()
+            _Thread(target=_close, args=(session,), name="close").start()
 
     def _end(self) -> None:
         self._over.set()
@@ -150,6 +148,18 @@ class Search:
             _close(session)
         else:
             self._found(session)
+
+
+class _Thread(threading.Thread):
+    """Not a daemon: Python aborts if a daemon returns from Zenoh while the interpreter ends.
+
+    So a program's end waits for a host that is being tried, for up to `open_timeout`.
+    """
+
+
+def under_way() -> bool:
+    """Whether a host is still being tried, although nobody waits for it any longer."""
+    return any(isinstance(thread, _Thread) for thread in threading.enumerate())
 
 
 def _close(session: zenoh.Session) -> None:
