@@ -23,7 +23,8 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
 def serving(secured: Secured, state: Path, person: str) -> Console:
     """It listens on all addresses of this machine."""
     files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
-    return Console(state, *files, f"--zenoh-config={secured.folder / person}.json5", address="0.0.0.0")  # noqa: S104
+    config = f"--zenoh-config={secured.folder / person}.json5"
+    return Console(state, *files, config, address="0.0.0.0")  # noqa: S104  (with TLS)
 
 
 @pytest.mark.parametrize(("person", "role"), [("anna", "operator"), ("otto", "observer")])
