@@ -263,6 +263,14 @@ class SpiTestbed(Closing):
         """Each transfer fails with this probability, until `heal`."""
         self._command("fail_by_chance", share=share, seed=seed)
 
+    def fail_data(self, data: bytes) -> None:
+        """Each transfer of just these bytes fails, until `heal`."""
+        self._command("fail_data", data=data.hex())
+
+    def fail_slowly(self, after_ms: float = 200) -> None:
+        """Until `heal`, a call that fails takes so long: Linux gives up a lost transfer after 200 ms and more."""
+        self._command("fail_slowly", after_ms=after_ms)
+
     def reject_lists(self, errno: int = errors.EINVAL) -> None:
         """A kernel that takes no lists of transfers: calls of more than one answer `errno`."""
         self._command("reject_lists", code=errno)

@@ -92,6 +92,8 @@ class SpiController:
         self._fail_left: int | None = 0
         self._fail_after = 0
         self._share = 0.0  # of transfers that fail by chance
+        self._failing_data: bytes | None = None  # transfers of these bytes fail
+        self._failure_s = 0.0  # what a failing call takes
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
         self._bufsiz = BUFSIZ
         self._list_errno = 0
@@ -110,14 +112,26 @@ class SpiController:
             self._fail_errno, self._fail_left, self._fail_after = code, count, after
 
     def fail_by_chance(self, share: float, seed: int) -> None:
-        """Each transfer fails with EIO with this probability, until `heal`."""
+        """Each transfer fails with this probability, until `heal`."""
         with self._lock:
             self._share, self._chance = share, random.Random(seed)  # noqa: S311  (faults, no secrets)
+
+    def fail_data(self, data: str) -> None:
+        """Each transfer of these bytes (hex) fails, until `heal`."""
+        with self._lock:
+            self._failing_data = bytes.fromhex(data)
+
+    def fail_slowly(self, after_ms: float) -> None:
+        """A call that fails takes so long from now on, and is answered ETIMEDOUT, until `heal`: Linux waits for a
+        transfer that its driver has lost for 200 ms and more."""
+        with self._lock:
+            self._failure_s = after_ms / 1000
 
     def heal(self) -> None:
         """No more errors and delays."""
         with self._lock:
             self._fail_left, self._delay_s, self._share = 0, 0.0, 0.0
+            self._failing_data, self._failure_s = None, 0.0
 
     def reject_lists(self, code: int) -> None:
         """Messages of more than one transfer answer `code` from now on; 0: they are taken."""
@@ -209,7 +223,7 @@ class SpiController:
             code = self._rejection(client, [segment[0] for segment in segments])
             rejected = bool(code)
             for cycle in [segments] if rejected else self._cycles(segments):
-                code = code or self._verdict()
+                code = code or self._verdict(b"".join(segment[0] for segment in cycle))
                 taken = [self._described(segment, half=code == SHORT) for segment in cycle]
                 data = bytes.fromhex("".join(segment["data"] for segment in taken))
                 self._emit(
@@ -236,7 +250,7 @@ class SpiController:
             if self._blocking:
                 self._held.append(lambda: _answer(client, length, max(code, 0)))
                 return
-            delay_s = self._delay_s
+            delay_s = self._delay_s or (self._failure_s if code and not rejected else 0.0)
         if delay_s:
             threading.Timer(delay_s, _answer, (client, length, max(code, 0))).start()
             return
@@ -273,7 +287,7 @@ class SpiController:
         held = sum(-(-len(each) // ALIGNED) * ALIGNED for each in data)
         return errno.EMSGSIZE if held > self._bufsiz else 0
 
-    def _verdict(self) -> int:
+    def _verdict(self, data: bytes) -> int:
         """What becomes of the next transfer."""
         if self._fail_left != 0:
             if self._fail_after:
@@ -282,7 +296,9 @@ class SpiController:
                 if self._fail_left is not None:
                     self._fail_left -= 1
                 return self._fail_errno
-        return errno.EIO if self._share and self._chance.random() < self._share else 0
+        if data != self._failing_data and not (self._share and self._chance.random() < self._share):
+            return 0
+        return errno.ETIMEDOUT if self._failure_s else errno.EIO
 
     def _read_setting(self, now_ns: int, client: Any, argument: Any, number: int, size: int) -> None:
         with self._lock:
@@ -343,6 +359,8 @@ class Testbed:
             "sync": lambda: None,
             "fail": self._controller.fail,
             "fail_by_chance": self._controller.fail_by_chance,
+            "fail_data": self._controller.fail_data,
+            "fail_slowly": self._controller.fail_slowly,
             "heal": self._controller.heal,
             "reject_lists": self._controller.reject_lists,
             "ignore_cs_change": self._controller.ignore_cs_change,

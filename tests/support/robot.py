@@ -49,7 +49,7 @@ class Robot:
         """How long it takes to deal with one message."""
         self.loop = asyncio.get_running_loop()
         self._instants = 0  # a nanosecond for each message, so that no two share an instant by accident
-        self.controller = FaultyController(self.settings.spi.framing, clock=self.now_ns)
+        self.controller = FaultyController(self.settings.spi.framing, clock=self.now_ns, spend=self._pause)
         self.openings_ns: list[int] = []
         self.reports: list[tuple[str, BaseModel]] = []
         self._waiting: list[Received] = []

@@ -47,6 +47,7 @@ THOROUGH: Final = (
     "unit/people/test_recordings_damaged.py",
     "unit/people/test_walking_gait.py",
     "unit/people/test_walking_postures.py",
+    "unit/robot/test_slow_failures.py",
     "unit/robot/test_supervisor_machine.py",
 )
 """Searches of some seconds, which `make quick` leaves to `make test`."""

@@ -12,10 +12,13 @@ on, and the wire gives no sign of it. So the bus resynchronises it with the prea
 * once in `resync_ns` of a stream without a pause. An idle second resynchronises the controller by itself.
 
 A first Stop waits for none of that, unless a batch has just failed.
+
+A failed call may cost 200 ms (Linux waits for so long for a transfer that is lost). So Stops that failed are tried one
+by one, each in a call of its own, and where a Stop brings the controller back by itself (`awaited`), no zeros precede
+it. Which legs are still to be stopped, and what the controller may await, outlasts a call and an opening of the device.
 """
 
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -27,9 +30,11 @@ from gateway.robot.core.latency import Latency
 from gateway.robot.protocol.frames import ONE_LEG_LEN, Frame
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.spi import SpiDevice, Transfer
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
 from gateway.robot.spi.guard import Guard
 from gateway.robot.spi.one_by_one import OneByOne
 from gateway.robot.spi.plain_settings import SpiValues
+from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000
 """The longest call for frames that move, from its first bit to its last: a Stop may be waiting for its end."""
@@ -48,15 +53,25 @@ ZERO_NS: Final = 150_000
 EARLY_SHARE: Final = 8
 """In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
 ZEROS_ON_A_BAD_BUS: Final = 3
-"""In one call, where one in five transfers fails: more fail too often, and single ones take more calls."""
+"""In one call, where one in five transfers fails at once: more fail too often, and single ones take more calls. A call
+that fails slowly costs more than any number of calls, so there it is one."""
 TRIES: Final = 6
-"""After so many calls that failed in a row, the Stops are tried without a preamble, too."""
+ZEROS_NS: Final = 900_000_000
+"""After so many failed calls of zeros in a row, or so long, all Stops are tried without them: the controller may be
+synchronised. Sooner would be worse where any transfer may fail, since a Stop that comes into the middle of a body
+leaves the controller awaiting up to 63 bytes (100 trials each, one in five fails after 200 ms: 3 never stopped)."""
 GIVEN_UP: Final = 18
-"""After so many, the device is opened again. Until then each of six Stops was tried without a preamble."""
+"""After so many failed calls in a row the device is opened again. Until then each of six Stops was tried."""
 MOST_CALLS: Final = 1000
-INSIST_NS: Final = 200_000_000
-"""How many calls, and how long, Stops that failed are tried one by one, while the device takes anything at all; nothing
-that waits meanwhile is more urgent."""
+INSIST_NS: Final = 300_000_000
+"""How many calls, and how long, Stops that failed are tried one by one; nothing that waits is more urgent. With a first
+and a last call that take 200 ms to fail the loop stands still for 0.7 s, and systemd waits for 1 s (WatchdogSec=)."""
+LOOKED_AT: Final = len(LEGS)
+"""So many of the Stops are looked at for a way back; a search among eighteen takes 0.1 s."""
+SLOW_NS: Final = 20_000_000
+"""A call that takes so long to fail is a transfer that Linux waited for. Others fail within a millisecond."""
+STALLED_NS: Final = 900_000_000
+"""A call that took so long is a failure: the controller gives up a frame 1000 ms behind its announcement."""
 
 
 @dataclass(slots=True)
@@ -126,12 +141,17 @@ class Bus:
         """The most frames of a call that move."""
         self.ended_ns = 0
         """When the last call ended."""
-        self._synchronised = False  # as far as failed batches tell
+        self._awaited = ANYTHING if self.announces else NOTHING
+        self._suspect = False  # nobody knows what happened to the controller before the device was opened
+        self._slow = False  # a call failed slowly, and since then not all Stops and a preamble passed in one `write`
+        self._received: set[bytes] = set()  # Stops that the controller received meanwhile
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since anything else was written
         self.resync_due = False
         """Whether the stream has lasted so long that its next pause is to be filled with `write_zeros`."""
         self._failures = 0  # of calls, in a row
+        self._zeros_failed = 0  # calls of zeros, in a row
+        self._zeros_failed_ns = 0  # how long these took
         self.frames = 0
         self.errors = 0
         self.transfer_latency = Latency()
@@ -153,31 +173,49 @@ class Bus:
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
         """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
 
-        After a fault the device stays open. Stops that failed are then tried one by one, in this same call.
+        After a fault the device stays open. Stops that failed are then tried one by one, in this same call. Where calls
+        fail slowly, so are the Stops that follow, since a batch behind a preamble would hardly ever pass.
         """
         report, stops = Report(), frames[0].is_stop
         data = [frame.to_bytes() for frame in frames]
-        zeros = self._zeros_ahead(stops=stops, preamble=preamble) if self.announces else 0
+        one_by_one = stops and self._slow
         try:
-            while zeros and (not stops or zeros + self._size * len(data) > self._most):
-                part = min(zeros, ZEROS_AT_ONCE, self._most)
-                self._call(report, part)
-                zeros -= part
-            at_once = max(1, self._most // self._size) if stops else self._moves_at_once
-            for first in range(0, len(data), at_once):
-                self._call(report, zeros, data[first : first + at_once], first)
-                zeros = 0
-        except SpiError as fault:
-            report.fault = fault
-            self.errors += 1
-            if stops and self._device is not None:
+            if one_by_one:
                 self._insist(data, report)
+                self._write_preamble(report)
+            else:
+                self._write_at_once(data, report, stops=stops, preamble=preamble)
+        except SpiError as fault:
+            report.fault = report.fault or fault
+            if stops and not one_by_one and self._device is not None:
+                self._insist(data, report)
+        if report.fault is not None:
+            self.errors += 1
+        elif one_by_one:
+            self._slow = False
+            self._received.clear()
         self.resync_due = (
             self._resync_ns > 0
             and self.announces
             and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
         )
         return report
+
+    def _write_at_once(self, data: Sequence[bytes], report: Report, *, stops: bool, preamble: bool) -> None:
+        zeros = self._zeros_ahead(stops=stops, preamble=preamble) if self.announces else 0
+        while zeros and (not stops or zeros + self._size * len(data) > self._most):
+            part = min(zeros, ZEROS_AT_ONCE, self._most)
+            self._call(report, part)
+            zeros -= part
+        at_once = max(1, self._most // self._size) if stops else self._moves_at_once
+        for first in range(0, len(data), at_once):
+            self._call(report, zeros, data[first : first + at_once], first)
+            zeros = 0
+
+    def _write_preamble(self, report: Report) -> None:
+        """Behind Stops that were written one by one, where all have passed. Raises SpiError."""
+        while self.announces and report.fault is None and not self.just_resynchronised:
+            self._call(report, min(ZEROS_AT_ONCE, self._most, PREAMBLE_ZEROS - self._zeros))
 
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now."""
@@ -208,14 +246,14 @@ class Bus:
             with suppress(SpiError):
                 self._device.close()
         self._device = self._guard = None
-        self._synchronised = self.resync_due = False
+        self._suspect, self.resync_due = self.announces, False
         self._zeros = 0
 
     # ---- what precedes a batch, and how it is split
 
     def _zeros_ahead(self, *, stops: bool, preamble: bool) -> int:
         """How many zeros have to come first."""
-        wanted = preamble or not self._synchronised
+        wanted = preamble or self._suspect or self._awaited != NOTHING
         if not wanted:
             now_ns = self._clock()
             if now_ns - self.ended_ns >= IDLE_NS:
@@ -227,9 +265,7 @@ class Bus:
 
     # ---- one call
 
-    def _call(
-        self, report: Report, zeros: int, data: Sequence[bytes] = (), first: int = 0, *, heard: bool = True
-    ) -> None:
+    def _call(self, report: Report, zeros: int, data: Sequence[bytes] = (), first: int = 0) -> None:
         """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
         if self._guard is None:
             raise SpiError("the SPI device is closed")
@@ -238,8 +274,7 @@ class Bus:
             if self.announces:
                 batch += [(each[:1], self._gap_us)]
             batch += [(each, self._gap_us)]
-        zeros_before, synchronised = self._zeros + zeros, self._synchronised
-        self._synchronised = False  # until it has succeeded
+        zeros_before = self._zeros + zeros
         self._zeros = 0 if data else self._zeros  # a zero that failed may have arrived: one more does no harm
         self._failures += 1
         begun_ns = self._clock()
@@ -247,13 +282,23 @@ class Bus:
             self._guard.transfer(batch)
         except BatchRejectedError as rejection:
             report.rejection = self._go_one_by_one(batch, rejection)
+        except SpiError:
+            self._failed(batch, self._clock() - begun_ns, zeros_only=not data)
+            raise
         finally:
             ended_ns = self.ended_ns = self._clock()
             self.transfer_latency.record(ended_ns - begun_ns)
+        if ended_ns - begun_ns >= STALLED_NS:
+            self._failed(batch, ended_ns - begun_ns, zeros_only=False)
+            raise SpiError(f"the SPI device took {(ended_ns - begun_ns) / 1e9:.1f} s for a call of milliseconds")
+        heard = max(self._awaited) <= zeros
+        if not heard or self._awaited != NOTHING:
+            self._awaited = after(self._awaited, (each for each, _ in batch))
         self._failures = 0
-        self._synchronised = synchronised or zeros_before >= PREAMBLE_ZEROS
+        if zeros:
+            self._zeros_failed = self._zeros_failed_ns = 0
         if zeros and zeros_before >= PREAMBLE_ZEROS:
-            self._synchronised_ns, self.resync_due = ended_ns, False
+            self._synchronised_ns, self.resync_due, self._suspect = ended_ns, False, False
         if not data:
             self._zeros = zeros_before
         wire_ns = begun_ns + zeros * self._zero_ns
@@ -285,24 +330,61 @@ class Bus:
 
     # ---- Stops that failed
 
+    def _failed(self, batch: Sequence[Transfer], took_ns: int, *, zeros_only: bool) -> None:
+        """Nobody knows how far it came."""
+        self._slow = self._slow or took_ns >= SLOW_NS
+        if zeros_only:
+            self._zeros_failed += 1
+            self._zeros_failed_ns += took_ns
+        if self.announces:
+            self._awaited = after_failure(self._awaited, (data for data, _ in batch))
+
     def _insist(self, data: Sequence[bytes], report: Report) -> None:
-        """Write each Stop in a call of its own, behind zeros of their own, as long as the device takes anything."""
-        give_up_ns = self._clock() + INSIST_NS
+        """Write each Stop in a call of its own until the controller has received it, or time is up.
+
+        Its first failure is noted in the report.
+        """
         written = {sent.place for sent in report.sent}
         # What precedes the transfer that failed has most likely arrived, so the last Stops come first.
-        left = deque(place for place in reversed(range(len(data))) if place not in written)
-        self._failures = 0
+        left = [place for place in reversed(range(len(data))) if place not in written]
+        left.sort(key=lambda place: data[place] in self._received)  # those that got none in an earlier call come first
+        self._failures, give_up_ns = 0, self._clock() + INSIST_NS
         for _ in range(MOST_CALLS):
-            if not left or self._failures >= GIVEN_UP or self._clock() >= give_up_ns:
+            if not left:
                 return
-            heard = self._synchronised or not self.announces
-            with suppress(SpiError):
-                # Without any zero, a Stop may be tried all the same: a synchronised controller receives it. Behind a
-                # part of the zeros another one could take a servo's id for a length, which no preamble completes.
-                if not heard and (self._zeros or self._failures < TRIES):
-                    self._call(report, ZEROS_ON_A_BAD_BUS if self._zeros else 1)
+            if self._failures >= GIVEN_UP or self._clock() >= give_up_ns:
+                break
+            place = self._next(data, left)
+            try:
+                if place is None:
+                    self._call_zero(report, data)
                     continue
-                left.rotate(-1)  # one that fails is tried again after the others
-                self._call(report, 0, (data[left[-1]],), left[-1], heard=heard)
-                if heard:
-                    left.pop()
+                if place in left:  # one that fails, or may not have been received, is tried again after the others
+                    left = [*(each for each in left if each != place), place]
+                self._call(report, 0, (data[place],), place)
+                if report.sent[-1].heard:
+                    left = [each for each in left if each != place]
+                    self._received.add(data[place])
+            except SpiError as fault:
+                report.fault = report.fault or fault
+        report.fault = report.fault or SpiError("the SPI device took too long to take all Stops")
+
+    def _next(self, data: Sequence[bytes], left: Sequence[int]) -> int | None:
+        """Which of these Stops to write next; None: a zero, since no few Stops would bring the controller back."""
+        if not self.announces:
+            return left[0]
+        others = [place for place in range(len(data)) if place != left[0]]
+        candidates = [*left[:LOOKED_AT], *others][:LOOKED_AT]
+        stops = tuple(dict.fromkeys(data[place] for place in candidates))
+        found = next_on_the_way_back(self._awaited, stops)
+        return None if found == ZERO else next(place for place in candidates if data[place] == found)
+
+    def _call_zero(self, report: Report, data: Sequence[bytes]) -> None:
+        """Write zeros, a few; or, where none has passed for long, these Stops all the same. Raises SpiError."""
+        # Of a controller that nobody has lost anything to, most likely nothing is lost.
+        untouched = self._slow and self._awaited == ANYTHING
+        if self._zeros_failed < TRIES and self._zeros_failed_ns < ZEROS_NS and not untouched:
+            self._call(report, 1 if self._slow else min(ZEROS_ON_A_BAD_BUS, max(self._awaited)))
+        else:
+            self._zeros_failed = self._zeros_failed_ns = 0
+            self._call(report, 0, data[: max(1, self._most // self._size)])

@@ -215,9 +215,11 @@ def test_without_batches_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_a
     devices.stall_ns = stall_ms * 1_000_000
     report = bus.write([STOP])
     assert "stood still" in str(report.fault)
-    assert [sent.heard for sent in report.sent] == [True]
+    assert [sent.heard for sent in report.sent] == [False, True]
     written = [data for batch in devices.calls for data, _ in batch]
-    assert written == [b"\x0e", *[ZERO] * PREAMBLE_ZEROS, *on_wire(PREFIXED, STOP)]
+    assert written == [b"\x0e", *on_wire(PREFIXED, STOP, STOP)], (
+        "the first of them may complete the body that is missing"
+    )
 
 
 def test_what_a_kernel_rejects_as_a_list_is_written_one_by_one_at_once_and_so_is_all_that_follows() -> None:
@@ -321,18 +323,14 @@ def test_frames_errors_and_times_are_counted() -> None:
     assert list(bus.transfer_latency.recent_us)[1:] == [94.8, 0.0, 199.6]
 
 
-def test_zeros_that_fail_count_and_the_next_frame_comes_behind_a_whole_preamble() -> None:
+def test_zeros_that_fail_count() -> None:
     devices = Devices()
     bus = devices.bus()
-    bus.write([START])
     devices.fail(1)
     with pytest.raises(SpiError):
         bus.write_zeros()
     assert bus.errors == 1
     assert not bus.just_resynchronised
-    devices.calls.clear()
-    bus.write([STOP])
-    assert [data for data, _ in devices.calls[0]] == [*[ZERO] * 16, *on_wire(PREFIXED, STOP)]
 
 
 def test_a_preamble_is_whole_after_its_last_part() -> None:

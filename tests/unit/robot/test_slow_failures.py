@@ -1,0 +1,157 @@
+"""A bus whose failures take as long as Linux lets them take, 200 ms each: all servos are off soon, in virtual time.
+
+A transfer that fails does not reach the controller and ends its call. What the wire takes is not counted (1 ms for six
+Stops). The same on the emulated kernel device: hil/test_failing_bus.py.
+"""
+
+import asyncio
+import statistics
+
+import pytest
+
+from gateway.robot.protocol.frames import OneLeg, Op, ServoOp, stop_leg
+from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.robot.settings import SpiSettings
+from gateway.robot.spi.bus import Bus
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Mode
+from tests.support.faulty_controller import FaultyController
+from tests.support.robot import MS, Robot, leg, started_and_quiet
+from tests.support.transfers import on_wire
+
+pytestmark = pytest.mark.virtual_time
+
+PREFIXED = Framing.LENGTH_PREFIXED
+COST_MS = 200.0
+TRIALS = 100
+ALL_START = {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}}
+
+
+async def six_legs_run(framing: Framing = PREFIXED, timeout_ms: int = 10_000) -> Robot:
+    robot = await started_and_quiet(spi={"framing": framing}, watchdog={"timeout_ms": timeout_ms})
+    assert robot.ask(keys.LEGS_COMMAND, ALL_START).accepted
+    assert len(robot.controller.energised) == 18
+    robot.controller.all_off_ns = None
+    await asyncio.sleep(0.1)
+    return robot
+
+
+async def off_ms(robot: Robot, since_ns: int, limit_s: float = 20.0) -> float:
+    """How long after `since_ns` the last servo was off; infinite: one is still on."""
+    for _ in range(round(limit_s * 1000)):
+        if robot.controller.all_off_ns is not None:
+            break
+        await asyncio.sleep(0.001)
+    off_ns = robot.controller.all_off_ns
+    return float("inf") if off_ns is None else (off_ns - since_ns) / MS
+
+
+@pytest.mark.parametrize(
+    ("share", "p50_ms", "worst_ms"),
+    [(0.03, 10, 1200), (0.10, 1000, 4000), (0.20, 2000, 6500)],
+)
+@pytest.mark.parametrize("framing", Framing)
+async def test_an_emergency_stop_on_a_bus_that_fails_slowly(
+    framing: Framing, share: float, p50_ms: float, worst_ms: float
+) -> None:
+    found = []
+    for seed in range(TRIALS):
+        robot = await six_legs_run(framing)
+        robot.controller.fail_by_chance(share, seed, COST_MS)
+        since_ns = robot.now_ns()
+        robot.put(keys.ESTOP)
+        found.append(await off_ms(robot, since_ns))
+        assert robot.controller.dead is None
+        robot.conductor.close()
+    print(f"{framing}, {share:.0%} fail: p50 {statistics.median(found):.0f} ms, worst {max(found):.0f} ms")
+    assert statistics.median(found) <= p50_ms
+    assert max(found) <= worst_ms
+
+
+async def test_where_zeros_fail_and_frames_pass_the_stops_leave_all_the_same() -> None:
+    """The first that fails is a zero in a pause of a stream; before, each opening began with zeros again."""
+    robot = await six_legs_run()
+    failed_ns: list[int] = []
+
+    def fails(data: bytes) -> bool:
+        if data == ZERO:
+            failed_ns.append(robot.now_ns())
+        return data == ZERO
+
+    robot.controller.fail_where(fails, COST_MS)
+    for _ in range(200):
+        if failed_ns:
+            break
+        robot.put(keys.LEGS_COMMAND, {"legs": {str(number): leg("set", 91, 91, 91) for number in LEGS}})
+        await asyncio.sleep(0.02)
+    assert await off_ms(robot, failed_ns[0]) <= 500
+    assert robot.mode == Mode.BUS_FAULT, "nobody knows whether a controller that awaits something could be brought back"
+    assert len(robot.events(Kind.BUS_FAULT)) == 1
+    robot.controller.fail_where(lambda _: False)
+    await asyncio.sleep(1)
+    assert robot.mode == Mode.IDLE
+
+
+def test_a_bus_that_knows_nothing_yet_tries_stops_soon_where_zeros_fail_slowly() -> None:
+    """Such as that of `stop-servos`, when the gateway is dead: most likely the controller is synchronised."""
+    now_ns = 0
+
+    def spend(seconds: float) -> None:
+        nonlocal now_ns
+        now_ns += round(seconds * 1e9)
+
+    controller = FaultyController(PREFIXED, clock=lambda: now_ns, spend=spend)
+    for data in on_wire(PREFIXED, OneLeg(3, (ServoOp(Op.START, 90_00),) * 3)):
+        controller.take(data)
+    controller.all_off_ns = None
+    controller.fail_where(lambda data: data == ZERO, COST_MS)
+    bus = Bus(SpiSettings(framing=PREFIXED), lambda: controller, clock=lambda: now_ns)
+    bus.open()
+    bus.write([stop_leg(number) for number in LEGS], preamble=True)
+    assert controller.all_off_ns is not None
+    assert controller.all_off_ns <= 500 * MS
+
+
+async def test_the_loop_goes_on_between_the_tries() -> None:
+    """systemd kills a service whose loop stands still for a second."""
+    robot = await six_legs_run()
+    robot.controller.fail_where(lambda _: True, COST_MS)
+    begun_ns = at_ns = robot.now_ns()
+    robot.put(keys.ESTOP)
+    longest_ns = 0
+    while robot.now_ns() - begun_ns < 10_000 * MS:
+        longest_ns, at_ns = max(longest_ns, robot.now_ns() - at_ns), robot.now_ns()
+        await asyncio.sleep(0.001)
+    assert longest_ns <= 720 * MS
+    robot.controller.fail_where(lambda _: False)
+    await asyncio.sleep(1)
+    assert not robot.controller.energised
+    assert robot.mode == Mode.ESTOPPED
+
+
+async def test_what_was_stopped_before_the_device_was_opened_again_comes_last() -> None:
+    """Each leg's turn is remembered, so a leg whose Stop fails does not cost the others theirs again and again."""
+    robot = await six_legs_run()
+    stubborn = bytes((14, 1, 61))
+    robot.controller.fail_where(lambda data: data.startswith(stubborn), COST_MS)
+    since_ns = robot.now_ns()
+    robot.put(keys.ESTOP)
+    while len(robot.controller.energised) > 3:
+        assert robot.now_ns() - since_ns < 1000 * MS
+        await asyncio.sleep(0.001)
+    assert robot.controller.energised == {61, 62, 63}
+    robot.controller.fail_where(lambda _: False)
+    assert await off_ms(robot, robot.now_ns()) <= 50
+
+
+@pytest.mark.parametrize("framing", Framing)
+async def test_a_call_that_is_stuck_for_two_seconds_and_then_succeeds_is_a_fault(framing: Framing) -> None:
+    """The controller may have given up the frame in the middle of it, and wait for anything."""
+    robot = await six_legs_run(framing)
+    robot.controller.stall_once(2000)
+    robot.put(keys.LEGS_COMMAND, {"legs": {str(number): leg("set", 91, 91, 91) for number in LEGS}})
+    assert "took 2.0 s" in robot.events(Kind.BUS_FAULT)[0].detail
+    assert await off_ms(robot, robot.now_ns()) <= 50
+    await asyncio.sleep(1)
+    assert robot.mode == Mode.IDLE
