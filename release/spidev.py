@@ -35,6 +35,13 @@ class CannotBuildError(Exception):
     """What this machine lacks, in one sentence."""
 
 
+def lacks() -> str:
+    """What is missing to compile for a robot, in one line; empty when nothing."""
+    if shutil.which(COMPILER) is None or not C_LIBRARY.exists():
+        return "there is no cross compiler: apt-get install gcc-aarch64-linux-gnu libc6-dev-arm64-cross"
+    return ""
+
+
 def headers(version: str, folder: Path) -> list[Path]:
     """The folders with the headers of an aarch64 Python, fetched into `folder`. Raises CannotBuildError."""
     suite = SUITES.get(version)
@@ -113,10 +120,8 @@ def _digest(data: bytes) -> str:
 def main(folder: str, sdist: str, version: str) -> int:
     """Fetch, compile, write; its exit status."""
     try:
-        if shutil.which(COMPILER) is None or not C_LIBRARY.exists():
-            raise CannotBuildError(
-                "there is no cross compiler: apt-get install gcc-aarch64-linux-gnu libc6-dev-arm64-cross"
-            )
+        if lack := lacks():
+            raise CannotBuildError(lack)
         with tempfile.TemporaryDirectory() as temporary:
             includes = headers(version, Path(temporary))
             name, data = wheel(Path(sdist), version, includes, COMPILER, int(os.environ["SOURCE_DATE_EPOCH"]))
