@@ -34,7 +34,7 @@ _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
 class KernelDevice(SpiDevice):
-    """`/dev/spidevB.C`, opened by `spidev` or `ioctls`; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus."""
+    """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus."""
 
     def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
@@ -44,7 +44,7 @@ class KernelDevice(SpiDevice):
         """
         try:
             import spidev  # noqa: PLC0415  (a laptop has no spidev, and needs none)
-        except ImportError:
+        except ImportError:  # so does a robot on which it could not be compiled
             from gateway.robot.spi import ioctls as spidev  # noqa: PLC0415
         self._path = path
         self._spare = spare
