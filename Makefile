@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 WHEELS ?= dist/wheels
 # What the tests need of Debian: an emulated kernel device (for the system's own Python), network namespaces, a browser, a
-# terminal, and a systemd to start in a box of its own.
-DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium
+# terminal, a systemd to start in a box of its own, and a compiler for a robot's processor, which `make wheels` needs, too.
+DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium \
+	gcc-aarch64-linux-gnu libc6-dev-arm64-cross
 
 .PHONY: dist lock help run quick test check case bench walk soak mutants schemas docs format clean wheels debian-packages
 
@@ -141,7 +142,7 @@ debian-packages:
 	elif [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
 		if [ "$$(id -u)" = 0 ]; then sudo=; elif sudo -n true 2>/dev/null; then sudo=sudo; else exit 0; fi; \
 		echo "Installing Debian packages (make test APT=no does not): $$missing"; \
-		echo "They emulate a kernel SPI device, make network namespaces, a terminal, a browser and a systemd of the tests' own."; \
+		echo "They emulate a kernel SPI device, make network namespaces, a terminal, a browser and a systemd of the tests' own, and compile."; \
 		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive \
 			apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
 	fi

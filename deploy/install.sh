@@ -45,7 +45,7 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' framing=''
+dry=no spidev=yes bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' framing=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
@@ -116,6 +116,19 @@ check_python() {
 		fail "$python lies in a folder that the service may not read; name the system's: PYTHON=/usr/bin/python3"
 		;;
 	esac
+}
+
+# pip's own sentence would name a compiler, and not what to do.
+check_processor() {
+	local bits processor
+	bits=$("$python" -c 'import struct; print(8 * struct.calcsize("P"))')
+	processor=$(uname -m)
+	case $bits-$processor in
+	32-* | *-armv*) ;;
+	*) return 0 ;;
+	esac
+	[ -z "$wheels" ] || ! compgen -G "$wheels/cffi-*-linux_armv*.whl" >/dev/null || return 0
+	fail "$python is of a 32-bit system ($processor), for which PyPI has no wheels of cffi, lz4 and zstandard: take the 64-bit Raspberry Pi OS, or see deploy/wheels.sh for UNLOCKED=yes"
 }
 
 check_sources() {
@@ -332,6 +345,7 @@ install_all() {
 	check_python
 	if [ -n "$bundle" ] && [ -z "$opened" ]; then open_bundle; fi
 	check_sources
+	check_processor
 	# shellcheck source=deploy/framing.sh
 	. "$HERE/framing.sh"
 	check_framing

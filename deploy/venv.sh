@@ -2,6 +2,8 @@
 # A Python of its own with the gateway in it. Read by install.sh.
 # shellcheck source=deploy/stamp.sh
 . "$HERE/stamp.sh"
+# shellcheck source=deploy/spidev.sh
+. "$HERE/spidev.sh"
 
 # Sets `venv`: a folder named after what is in it, complete before anything refers to it.
 build_venv() {
@@ -30,7 +32,7 @@ build_venv() {
 	# Never in the place of what the service may run from: its Stops after a crash come from there.
 	venv=$name
 	[ "$(readlink -e $OPT/venv || true)" != "$name" ] && [ "$(release_of $NAME)" != "$name" ] || venv=$name-2
-	check_compiler
+	look_for_spidev
 	say "make $venv with $python ($version)"
 	say "install $NAME $to into it from ${wheels:-${own_wheel:-$ROOT} and the network}, with the hashes of the lock"
 	[ "$dry" = no ] || return 0
@@ -40,7 +42,8 @@ build_venv() {
 	"$python" -m venv "$venv" || fail "$venv could not be made (above is why); nothing else was changed"
 	if [ -n "$wheels" ]; then install_from_folder; else install_from_network; fi ||
 		fail "pip could not install $NAME (above is why); nothing else was changed"
-	{ "$venv/bin/$NAME" --version >/dev/null && "$venv/bin/python" -c 'import spidev'; } ||
+	{ "$venv/bin/$NAME" --version >/dev/null &&
+		{ [ $spidev = no ] || "$venv/bin/python" -c 'import spidev'; }; } ||
 		fail "what was installed does not run (above is why); nothing else was changed"
 	mark_whole "$venv"
 	unfinished=''
@@ -52,11 +55,14 @@ install_hashed() {
 	"$venv/bin/pip" "$@" --quiet --disable-pip-version-check --no-cache-dir --no-deps --no-build-isolation --require-hashes
 }
 
+wanted() { if [ $spidev = no ]; then without_spidev; else cat; fi; }
+
 install_from_folder() {
 	# --isolated: no pip configuration of this machine, which may name an index.
 	[ ! -e "$wheels/build.txt" ] ||
 		install_hashed --isolated install --no-index --find-links "$wheels" -r "$wheels/build.txt" || return
-	install_hashed --isolated install --no-index --find-links "$wheels" -r "$wheels/requirements.txt"
+	install_hashed --isolated install --no-index --find-links "$wheels" \
+		-r <(wanted <"$wheels/requirements.txt")
 }
 
 install_from_network() {
@@ -69,7 +75,7 @@ install_from_network() {
 			--wheel-dir "$sources" "$sources/own" || return
 		own_wheel=$(compgen -G "$sources/hexapod_gateway-*.whl")
 	fi
-	install_hashed install -r "$HERE/lock/requirements.txt" || return
+	install_hashed install -r <(wanted <"$HERE/lock/requirements.txt") || return
 	"$venv/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir --no-deps --no-index "$own_wheel"
 }
 
@@ -100,21 +106,17 @@ version_in() {
 	basename "$(compgen -G "$1/lib/python*/site-packages/hexapod_gateway-*.dist-info" | head -n 1)" .dist-info | cut -d- -f2
 }
 
-# PyPI has spidev as source only. Said now, and not by a compiler that is missing half a minute later.
-check_compiler() {
-	local header folder=''
-	header=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
-	[ ! -e "$header" ] || ! command -v gcc >/dev/null || return 0
-	if [ -n "$wheels" ]; then
-		! compgen -G "$wheels/spidev-*.whl" >/dev/null || return 0
-	else
-		folder=$(mktemp -d) # piwheels.org has it ready-made for 32-bit systems
-		if "$python" -m pip download --quiet --disable-pip-version-check --no-deps --only-binary=:all: --dest "$folder" \
-			'spidev>=3.6' >/dev/null 2>&1; then
-			rm -r "$folder"
-			return
-		fi
-		rm -r "$folder"
+# Sets `spidev`. PyPI has it as source only; where it can be neither had nor compiled, the gateway does without it.
+look_for_spidev() {
+	local missing=''
+	spidev=yes
+	if [ -n "$wheels" ] && ! grep -q '^spidev==' "$wheels/requirements.txt"; then
+		missing="$wheels has none"
+	elif [ -z "$wheels" ] || ! compgen -G "$wheels/spidev-*.whl" >/dev/null; then
+		missing=$(missing_to_compile "$python")
+		[ -z "$missing" ] || missing="it would have to be compiled, and $missing is missing"
 	fi
-	fail "spidev has to be compiled on this machine, which lacks gcc or $header: sudo apt-get install gcc python3-dev"
+	[ -n "$missing" ] || return 0
+	spidev=no
+	say "leave spidev out ($missing): the gateway makes the kernel's calls itself"
 }

@@ -28,6 +28,10 @@ def main(arguments: list[str]) -> int:
     made = [*build(folder, released, when), *documents(folder, released, when)]
     if options.key is not None:
         with_wheels = wheels(folder / "robot", made[0], when, options.processor, options.python)
+        if not any(with_wheels.glob("spidev-*.whl")):
+            sys.stdout.write(
+                "The bundle has no spidev (`make wheels` says why): the gateway makes the kernel's calls itself.\n"
+            )
         made.append(bundle(folder, with_wheels, released, when, options.key))
         shutil.rmtree(with_wheels)
     write_sums(folder, made)

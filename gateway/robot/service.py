@@ -48,7 +48,7 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
-from gateway.robot.spi import SpiDevice
+from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import RELEASING_DRIVERS, KernelDevice, driver_of
 from gateway.robot.spi.servo_page import ServoPage
@@ -120,6 +120,8 @@ def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None
 
 def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
     """A controller of the protocol's document needs chip select released between the transfers of a call."""
+    if not simulated and ioctls.are_used():
+        logger.info("%s", ioctls.USED)
     driver = driver_of(spi.device)
     needed = spi.batch and spi.framing is Framing.PLAIN and not simulated
     if needed and driver not in RELEASING_DRIVERS:

@@ -37,6 +37,13 @@ printf '%s\n' "$list" >complete
 """
 """What pip would make of another release's wheels, in the folder $1: its `gateway` has $2 besides."""
 
+WITHOUT_COMPILER = """
+mkdir -p /run/small
+for program in /usr/sbin/* /usr/bin/*; do ln -sf "$program" /run/small; done
+rm -f /run/small/*gcc* /run/small/*g++* /run/small/cc /run/small/c[89]9* /run/small/clang* /run/small/tcc
+"""
+"""A PATH with all that this machine has, but no compiler."""
+
 
 class Machine:
     """A Raspberry Pi to be, as the installer finds it."""
@@ -150,6 +157,14 @@ def test_rejections(bare: Machine) -> None:
     assert "is no option" in bare.run("--frce", check=False)[0]
     assert "has no gateway.json5" in bare.install("--certs", "/opt", check=False)[0]
 
+    box.write("/run/arm/uname", "#!/bin/sh\necho armv7l\n")
+    box.run("chmod", "+x", "/run/arm/uname")
+    wheels = ("--framing", "plain", "--wheels", bare.wheels)
+    assert box.run("env", f"PATH=/run/arm:{PATH_INSIDE}", INSTALLER, *wheels, check=False).stderr.startswith(
+        "install.sh: /usr/bin/python3.11 is of a 32-bit system (armv7l), for which PyPI has no wheels of cffi, lz4 and "
+        "zstandard: take the 64-bit Raspberry Pi OS"
+    )
+
     box.run("cp", "-r", bare.wheels, "/opt/incomplete")
     box.run("sh", "-c", "rm /opt/incomplete/typer-*")
     assert (
@@ -205,6 +220,24 @@ def test_life(bare: Machine) -> None:
         f"keep {DROP_IN}, your change to the service",
         "SPI and the group spi stay as they are",
     ]
+
+
+def test_without_a_compiler(bare: Machine) -> None:
+    """A bundle without spidev, on a machine that could not compile it: the service runs, and nothing was compiled."""
+    box = bare.box
+    box.run("sh", "-c", WITHOUT_COMPILER)
+    installer = ("env", "PATH=/run/small", INSTALLER, "--framing", "plain")
+    box.run("sh", "-c", f"cp -r {bare.wheels} /opt/without && cd /opt/without && rm spidev-*")
+    box.run("sed", "-i", "/^spidev==/d", "/opt/without/requirements.txt")
+    said = box.run(*installer, "--wheels", "/opt/without", timeout_s=300).stdout
+    assert "leave spidev out (/opt/without has none): the gateway makes the kernel's calls itself\n" in said
+    assert box.run(f"/opt/{NAME}/venv/bin/python", "-c", "import spidev", check=False).returncode == 1
+    bare.simulate()
+    bare.unit.systemctl("start")
+    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
+    own = box.run("sh", "-c", f"echo {bare.wheels}/hexapod_gateway-*.whl").stdout.strip()
+    said = box.run(*installer, "--dry-run", "--force", "--own-wheel", own).stdout
+    assert "leave spidev out (it would have to be compiled, and gcc is missing): the gateway makes" in said
 
 
 def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(with_venv: Machine) -> None:

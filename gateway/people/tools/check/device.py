@@ -1,7 +1,6 @@
 """The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
 
 import grp
-import importlib.util
 import os
 import pwd
 import stat
@@ -13,6 +12,7 @@ from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.protocol.frames import ONE_LEG_LEN
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import SpiSettings
+from gateway.robot.spi import ioctls
 from gateway.robot.spi.kernel import RELEASING_DRIVERS, SYS_CLASS, KernelDevice, driver_of
 from schemas.robot import LEGS
 
@@ -29,7 +29,7 @@ _HELD: Final = "is held by a running gateway"
 def device(spi: SpiSettings) -> Result:
     """Whether the device can be opened and set up as the service does it. Closes it at once."""
     path = Path(spi.device)
-    lack = _driver() or _node(path) or _permission(path)
+    lack = _node(path) or _permission(path)
     if lack is not None:
         return lack
     try:
@@ -38,18 +38,13 @@ def device(spi: SpiSettings) -> Result:
         if isinstance(error.__cause__, BlockingIOError):
             return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
         return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
-    return ok(_NAME, f"{path} opens, as {_user()}")
+    by = f"; {ioctls.USED}" if ioctls.are_used() else ""
+    return ok(_NAME, f"{path} opens, as {_user()}{by}")
 
 
 def held(result: Result) -> bool:
     """Whether `device` found that a gateway holds the device."""
     return _HELD in result.sentence
-
-
-def _driver() -> Result | None:
-    if importlib.util.find_spec("spidev") is not None:
-        return None
-    return failure(_NAME, "the Python package spidev is missing", "pip install 'hexapod-gateway[spi]'")
 
 
 def _node(path: Path) -> Result | None:

@@ -1,0 +1,72 @@
+"""What the gateway needs of the Python package spidev, by the kernel's own calls: for machines that lack the package.
+
+PyPI has spidev as source only, and a robot may have neither a compiler nor a network. Names are spidev's; the calls are
+those of linux/spi/spidev.h.
+"""
+
+import fcntl
+import os
+import struct
+from typing import Final
+
+_READ_MODE: Final = 2 << 30 | 1 << 16 | ord("k") << 8 | 1
+"""SPI_IOC_RD_MODE."""
+_WRITE_BITS: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 3
+"""SPI_IOC_WR_BITS_PER_WORD."""
+_WRITE_SPEED: Final = 1 << 30 | 4 << 16 | ord("k") << 8 | 4
+"""SPI_IOC_WR_MAX_SPEED_HZ."""
+_CLOSED: Final = -1
+
+USED: Final = "the Python package spidev is not installed, so the gateway makes the kernel's calls itself"
+
+
+def are_used() -> bool:
+    """Whether this module takes spidev's place: it is missing, or was built for another Python or processor."""
+    try:
+        import spidev  # noqa: F401, PLC0415
+    except ImportError:
+        return True
+    return False
+
+
+class SpiDev:
+    """One opening of `/dev/spidevB.C`. Raises OSError where a call fails."""
+
+    def __init__(self) -> None:
+        self._fd = _CLOSED
+
+    def open_path(self, path: str) -> None:
+        """Open the device. What is no SPI device is rejected."""
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            fcntl.ioctl(fd, _READ_MODE, bytes(1))
+        except OSError:
+            os.close(fd)
+            raise
+        self.close()
+        self._fd = fd
+
+    def fileno(self) -> int:
+        """The device's file; -1 while it is closed."""
+        return self._fd
+
+    def close(self) -> None:
+        """Release the device; again does nothing."""
+        fd, self._fd = self._fd, _CLOSED
+        if fd != _CLOSED:
+            os.close(fd)
+
+    def writebytes2(self, data: bytes) -> None:
+        """One transfer with nothing before and behind it."""
+        written = os.write(self._fd, data)
+        if written != len(data):
+            raise OSError(f"{written} of {len(data)} bytes were written")
+
+    def _set_bits(self, bits: int) -> None:
+        fcntl.ioctl(self._fd, _WRITE_BITS, struct.pack("B", bits))
+
+    def _set_speed(self, speed_hz: int) -> None:
+        fcntl.ioctl(self._fd, _WRITE_SPEED, struct.pack("=I", speed_hz))
+
+    bits_per_word = property(None, _set_bits)
+    max_speed_hz = property(None, _set_speed)
