@@ -8,6 +8,7 @@ from gateway.robot.protocol.frames import OneLeg, OneServo, Op, ServoOp
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
 from tests.deaf.shifts import HARMLESS_LEN, KILLS, OPERATIONS, commands, faults, lost_and_doubled, neighbours, worst
+from tests.support.transfers import on_wire
 
 AVOID = Framing.LENGTH_PREFIXED.avoid_cdeg
 ALL_FAULTS = [(servos, what, stream) for servos in (1, 3) for what, stream in faults(servos)]
@@ -23,12 +24,26 @@ def test_no_legal_frame_with_one_byte_lost_or_doubled_has_an_id_that_kills() -> 
 def test_wherever_the_firmware_begins_to_read_two_bytes_of_one_angle_kill_and_no_others() -> None:
     """A record's id and operation are neighbours on the wire: 0.01 to 0.03 and 10.01 to 10.03 degrees remain.
 
-    It takes more than one lost byte to read them so.
+    It takes more than one lost byte to read them so, as the next test does.
     """
     found = {pairs: pairs & KILLS for pairs in neighbours(AVOID) if pairs & KILLS}
     assert set().union(*found.values()) == set(product((0, 10), OPERATIONS))
     angles = {(whole_deg, hundredths) for _, whole_deg, hundredths in commands(AVOID)}
     assert all(pairs <= angles for pairs in found)
+
+
+@pytest.mark.parametrize("angle_cdeg", [2, 10_02])
+def test_two_lost_bytes_may_kill_by_an_id_where_one_does_not(angle_cdeg: int) -> None:
+    frame = OneLeg(3, (ServoOp(Op.SET, angle_cdeg), ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 90_00)))
+    data = b"".join(on_wire(Framing.LENGTH_PREFIXED, frame))
+    died = {}
+    for lost in (1, 2):
+        for at in range(len(data)):
+            controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: 0)
+            controller.take(data[:at] + data[at + lost :] + b"\x0e\x0e")
+            if controller.dead is not None:
+                died[lost] = controller.dead
+    assert died == {2: f"servo id {angle_cdeg // 100} with operation 2 is a bus fault"}
 
 
 def test_what_remains_is_a_doubled_byte_that_pushes_out_hundredths_of_69_to_99() -> None:
