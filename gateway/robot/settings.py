@@ -230,7 +230,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     """Settings from `path` (else the default file, if there is one) and the environment.
 
     Raises ConfigError with one line per fault; each names the file's entry or the environment variable. Unless the
-    controller is `simulated`, spi.framing must be set: two plain frames overrun the published firmware's buffer, and
+    controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, and
     no Stop reaches its servos until somebody resets it.
     """
     from_file: dict[str, Any] = {}

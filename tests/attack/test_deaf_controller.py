@@ -8,7 +8,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.deaf.faults import Tally, lose_bytes, recorded, stretch_gaps
+from tests.deaf.faults import (
+    BoundedController,
+    Fault,
+    Tally,
+    lose_before_stop,
+    lose_bytes,
+    lose_transfers,
+    recorded,
+    stretch_gaps,
+)
+from tests.deaf.scene import Written
 
 
 @pytest.fixture(autouse=True)
@@ -37,10 +47,50 @@ def test_a_byte_lost_anywhere(tick_phase_ns: int) -> None:
 
 
 def test_what_a_doubled_byte_does_is_known() -> None:
-    """It may push out hundredths of 65 to 99, which are then a length; docs/deaf.md has the figures."""
+    """It may push out hundredths of 69 to 99, which are then a length; docs/deaf.md has the figures."""
     tally = lose_bytes(recorded(), every=499, doubled=True)
-    assert tally.dead.keys() == {"a buffer of 64 overwrote its SPI handle"}, "never an id of 1 to 3"
+    assert tally.dead.keys() == {"a buffer of 64 overwrote its SPI handle"}, "never of an id"
     assert 0.3 < tally.dead.total() / tally.faults < 0.7
+
+
+def test_an_announcement_or_a_zero_lost_costs_no_controller_and_a_body_does() -> None:
+    tallies = lose_transfers(recorded(), every=41)
+    assert tallies.keys() == {"a zero", "an announcement", "a body"}
+    assert all(tally.faults > 90 for tally in tallies.values())
+    assert tallies["a zero"].without_effect == tallies["a zero"].faults
+    for kind in ("a zero", "an announcement"):
+        check(tallies[kind])
+        assert not tallies[kind].dead
+        assert tallies[kind].on_for_good == 0
+    assert tallies["a body"].dead.total() > 0.1 * tallies["a body"].faults
+
+
+@pytest.mark.parametrize(("run", "least", "most"), [(1, 0, 0), (2, 0.01, 0.2), (3, 0.3, 0.7), (5, 0.5, 0.9)])
+def test_what_more_than_one_lost_byte_does_is_known(run: int, least: float, most: float) -> None:
+    """It may kill the firmware, with servos on that no Stop reaches; docs/deaf.md has the figures."""
+    walked, stopped = lose_bytes(recorded(), every=499, run=run), lose_before_stop(run, every=47)
+    for tally in (walked, stopped):
+        assert tally.faults > 100
+        assert least <= tally.dead.total() / tally.faults <= most
+        assert abs(tally.on_for_good - tally.dead.total()) <= 0.02 * tally.faults
+
+
+@pytest.mark.parametrize("run", [2, 3, 5, 14])
+def test_a_firmware_that_rejects_other_lengths_than_6_and_14_survives_them(run: int) -> None:
+    """The check that docs/protocol.md proposes to the firmware's owners."""
+    tally = lose_bytes(recorded(), every=997, run=run, controller=BoundedController)
+    assert tally.faults > 60
+    assert not tally.dead
+    assert tally.on_for_good == 0
+
+
+def test_a_run_of_lost_bytes_goes_on_over_the_ends_of_transfers() -> None:
+    log = [Written(0, data, repeat=False) for data in (b"\6", b"\6\2\x0b\1\x5a\0", b"\0", b"\0")]
+    assert Fault(0, 0, 1).received(log) == {0: b""}
+    assert Fault(1, 1, 4).received(log) == {1: b"\6\0"}
+    assert Fault(1, 4, 3).received(log) == {1: b"\6\2\x0b\1", 2: b""}
+    assert Fault(0, 0, 100).received(log) == {0: b"", 1: b"", 2: b"", 3: b""}
+    assert Fault(1, 1, 0).received(log) == {1: b"\6\2\2\x0b\1\x5a\0"}
 
 
 @pytest.mark.parametrize("first", [16, 17])

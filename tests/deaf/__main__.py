@@ -1,24 +1,26 @@
-"""python -m tests.deaf [--every N]: each byte of a minute lost once, doubled once, each gap stretched; minutes each."""
+"""python -m tests.deaf [--every N]: bytes of a minute lost once, or doubled, each gap stretched; minutes each."""
 
 import argparse
 import logging
 import sys
 import time
 
-from tests.deaf.faults import lose_bytes, recorded, stretch_gaps
+from tests.deaf.faults import BoundedController, lose_before_stop, lose_bytes, lose_transfers, recorded, stretch_gaps
 
 PHASES_NS = (0, 437_000)
 """How far a tick of the controller's clock has gone when the scene begins."""
 
+RUNS = (2, 3, 5, 14, 30, 100)
+
 
 def main() -> int:
-    """Print the figures; 1 where a lost byte or a stall cost a Stop with its first repeat, or the controller.
+    """Print the figures; 1 where one lost byte or a stall cost a Stop with its first repeat, or the controller.
 
-    A doubled byte may cost both (docs/deaf.md).
+    A doubled byte and more than one lost byte may cost both (docs/deaf.md).
     """
     parser = argparse.ArgumentParser(description="Lost bytes and stalls, on the simulated controller.")
     parser.add_argument("--every", type=int, default=1, help="one fault in so many (default: all)")
-    parser.add_argument("--only", choices=("bytes", "doubled", "gaps"))
+    parser.add_argument("--only", choices=("bytes", "doubled", "runs", "gaps"))
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)  # what a stalled gateway says is not what is looked for
     begun_s, bad = time.monotonic(), False
@@ -36,6 +38,16 @@ def main() -> int:
             for stall_ms, stalled in stretch_gaps(every=options.every, tick_phase_ns=phase_ns).items():
                 bad |= bool(stalled.stops_after_repeat or stalled.left_on)
                 print(f"stalls of {stall_ms:g} ms before a call, ticks at {phase_ns} ns: {stalled.text}", flush=True)
+    if options.only in (None, "runs"):
+        for run in RUNS:
+            print(f"{run} bytes lost in a row: {lose_bytes(log, every=options.every, run=run).text}", flush=True)
+            bounded = lose_bytes(log, every=options.every, run=run, controller=BoundedController)
+            print(f"the same, lengths of 6 and 14 only: {bounded.text}", flush=True)
+        for kind, tally in lose_transfers(log, every=options.every).items():
+            print(f"{kind} lost: {tally.text}", flush=True)
+        for run in (1, *RUNS):
+            text = lose_before_stop(run, every=options.every).text
+            print(f"{run} lost in the 0.3 s before an emergency stop: {text}", flush=True)
     print(f"{time.monotonic() - begun_s:.0f} s")
     return 1 if bad else 0
 

@@ -1,20 +1,26 @@
-"""Each byte of a minute lost once, each gap stretched once: what becomes of it on the simulated controller."""
+"""Bytes of a minute lost once, each gap stretched once: what becomes of it on the simulated controller."""
 
 import copy
 import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
+from typing import NamedTuple
 
+from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_SERVO_LEN
 from gateway.robot.protocol.framing import ZERO, Framing
 from gateway.robot.spi.simulator import SimulatedController
-from tests.deaf.minute import minute
+from tests.deaf.minute import Message, minute, stopped_walk
 from tests.deaf.scene import BEGIN_NS, MS, Scene, Written
 from tests.deaf.watcher import State, Watcher, pulses
 
 END_NS = BEGIN_NS + 60_500 * MS
 AFTER_NS = 2_000 * MS
 """How long a scene is watched after a stall: twice what a stream may take."""
+STOPS_MS = (2_000, 2_137, 2_274, 2_411)
+"""When a scene's emergency stop comes: at several places of a step, and between messages."""
+BEFORE_STOP_NS = 300 * MS
 STALLS_MS = (900, 1100, 3000)
 _SOME_BYTES = re.compile(r"^\d+ bytes in ")
 
@@ -36,6 +42,8 @@ class Tally:
     deaf_ms: float = 0.0
     deaf_longest: str = ""
     corruptions: int = 0
+    on_for_good: int = 0
+    """Faults of bytes after which servos are on that only a reset or the supply's switch stops."""
     dead: Counter[str] = field(default_factory=Counter)
     """What the controller died of, and how often."""
     unasked: Counter[str] = field(default_factory=Counter)
@@ -56,6 +64,16 @@ class Tally:
             self.unasked_ms.setdefault(f"{what}, {place}", []).append(duration_ns / MS)
         self.unasked.update({f"{what}, {place}" for _, what, _ in watcher.unasked})
 
+    def count(self, log: list[Written], fault: "Fault", watcher: Watcher, left_on: frozenset[int]) -> None:
+        """What became of a fault of bytes."""
+        data = log[fault.transfer].data
+        if watcher.controller.dead is not None:
+            self.dead[_SOME_BYTES.sub("", watcher.controller.dead)] += 1
+        self.on_for_good += bool(left_on)
+        self.corruptions += watcher.controller.corruptions.total()
+        where = f"byte {fault.position} of [{data.hex()}], transfer {fault.transfer}"
+        self.add(where, fault.place(data), watcher)
+
     @property
     def text(self) -> str:
         lines = [
@@ -63,7 +81,8 @@ class Tally:
             f"  frames missed {self.missed} (at most {self.most_missed} of a fault),"
             f" of them first Stops {self.missed_first_stops}, repeated Stops {len(self.stops_after_repeat)}",
             f"  longest deaf {self.deaf_ms:.0f} ms ({self.deaf_longest}); servos left on {len(self.left_on)};"
-            f" corruptions {self.corruptions}; controllers dead {self.dead.total()}",
+            f" corruptions {self.corruptions}; controllers dead {self.dead.total()};"
+            f" servos on for good {self.on_for_good}",
         ]
         for what, count in sorted(self.unasked.items()):
             times_ms = sorted(self.unasked_ms[what])
@@ -82,51 +101,135 @@ class _Clock:
         return self.now_ns
 
 
-def recorded() -> list[Written]:
-    """The minute as it was written, without a fault."""
-    scene = Scene(minute())
-    scene.run_until(END_NS)
+def recorded(messages: list[Message] | None = None, end_ns: int = END_NS) -> list[Written]:
+    """A scene as it was written, without a fault; by default the minute."""
+    scene = Scene(minute() if messages is None else messages)
+    scene.run_until(end_ns)
     return scene.log
 
 
+class Fault(NamedTuple):
+    """Where bytes are lost in a row, over the ends of transfers; 0: the first of them is doubled."""
+
+    transfer: int
+    position: int
+    lost: int
+
+    def place(self, data: bytes) -> str:
+        """What it hits first."""
+        if self.lost > 1:
+            return f"{self.lost} bytes lost"
+        fault = "lost" if self.lost else "doubled"
+        return f"{'of a body' if len(data) > 1 else _kind(data)} {fault}"
+
+    def received(self, log: list[Written]) -> dict[int, bytes]:
+        """The transfers that it changes, by their place in the log."""
+        data = log[self.transfer].data
+        if self.lost == 0:
+            return {self.transfer: data[: self.position + 1] + data[self.position :]}
+        changed, position, lost = {}, self.position, self.lost
+        for index in range(self.transfer, len(log)):
+            data = log[index].data
+            changed[index] = data[:position] + data[position + lost :]
+            lost -= min(lost, len(data) - position)
+            position = 0
+            if lost == 0:
+                break
+        return changed
+
+
+class BoundedController(SimulatedController):
+    """A firmware with the check of docs/protocol.md: it takes no other length than a frame's."""
+
+    def _expect(self, length: int, now_ns: int) -> None:
+        if length in (ONE_SERVO_LEN, ONE_LEG_LEN):
+            super()._expect(length, now_ns)
+
+
 def lose_bytes(
-    log: list[Written], *, every: int = 1, first: int = 0, tick_phase_ns: int = 0, doubled: bool = False
+    log: list[Written],
+    *,
+    every: int = 1,
+    first: int = 0,
+    tick_phase_ns: int = 0,
+    doubled: bool = False,
+    run: int = 1,
+    controller: type[SimulatedController] = SimulatedController,
 ) -> Tally:
-    """Lose each byte once, or double it; with `every`, one in so many."""
-    clock, tally = _Clock(), Tally()
-    controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
-    watcher = Watcher(controller)
-    states = _states(log, clock, copy.deepcopy(controller, {id(clock): clock}))
-    number = 0
-    for index, written in enumerate(log):
-        clock.now_ns = written.at_ns
-        for position in range(len(written.data)):
-            number += 1
-            if (number - first) % every:
-                continue
-            controller.transfers.clear()
-            faulty: Watcher = copy.deepcopy(watcher, {id(clock): clock})
-            faulty.fault_ns = written.at_ns
-            spoilt = written.data[: position + doubled] + written.data[position + (not doubled) :]
-            _play_on(log, index, spoilt, states, clock, faulty)
-            if faulty.controller.dead is not None:
-                tally.dead[_SOME_BYTES.sub("", faulty.controller.dead)] += 1
-            tally.corruptions += faulty.controller.corruptions.total()
-            tally.add(
-                f"byte {position} of [{written.data.hex()}], transfer {index}",
-                _place(written.data, doubled=doubled),
-                faulty,
-            )
-            clock.now_ns = written.at_ns
-        controller.take(written.data)
-        watcher.saw(written.at_ns, written.data, repeat=written.repeat)
-    assert not watcher.missed, "without a fault, all is executed"
+    """Lose each byte once, or double it, or lose a run from each byte on; with `every`, from one in so many."""
+    places = ((index, position) for index, written in enumerate(log) for position in range(len(written.data)))
+    faults = (
+        Fault(index, position, 0 if doubled else run)
+        for number, (index, position) in enumerate(places, 1)
+        if (number - first) % every == 0
+    )
+    tally = Tally()
+    for fault, watcher, left_on in _played(log, faults, tick_phase_ns, controller):
+        tally.count(log, fault, watcher, left_on)
     return tally
 
 
-def _place(data: bytes, *, doubled: bool) -> str:
-    fault = "doubled" if doubled else "lost"
-    return f"a zero {fault}" if data == ZERO else f"an announcement {fault}" if len(data) == 1 else f"of a body {fault}"
+def lose_transfers(log: list[Written], *, every: int = 1, tick_phase_ns: int = 0) -> dict[str, Tally]:
+    """Lose each transfer once, by what it is; with `every`, one of each kind in so many."""
+    numbers: Counter[str] = Counter()
+    faults = []
+    for index, written in enumerate(log):
+        kind = _kind(written.data)
+        numbers[kind] += 1
+        if numbers[kind] % every == 0:
+            faults.append(Fault(index, 0, len(written.data)))
+    tallies: dict[str, Tally] = {kind: Tally() for kind in numbers}
+    for fault, watcher, left_on in _played(log, iter(faults), tick_phase_ns):
+        tallies[_kind(log[fault.transfer].data)].count(log, fault, watcher, left_on)
+    return tallies
+
+
+def lose_before_stop(run: int, *, every: int = 1) -> Tally:
+    """Lose a run from each byte on of the 0.3 s before an emergency stop, in a stream of six legs at 50 Hz."""
+    tally = Tally()
+    for stop_ms in STOPS_MS:
+        stop_ns = BEGIN_NS + stop_ms * MS
+        log = recorded(stopped_walk(stop_ms), stop_ns + AFTER_NS)
+        faults = (
+            Fault(index, position, run)
+            for index, written in enumerate(log)
+            if stop_ns - BEFORE_STOP_NS <= written.at_ns < stop_ns
+            for position in range(len(written.data))
+        )
+        for fault, watcher, left_on in _played(log, islice(faults, 0, None, every)):
+            tally.count(log, fault, watcher, left_on)
+    return tally
+
+
+def _played(
+    log: list[Written],
+    faults: Iterator[Fault],
+    tick_phase_ns: int = 0,
+    kind: type[SimulatedController] = SimulatedController,
+) -> Iterator[tuple[Fault, Watcher, frozenset[int]]]:
+    """Each fault, watched to its end, and the servos that nothing stops any more. Faults come in the log's order."""
+    clock = _Clock()
+    controller = kind(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
+    watcher = Watcher(controller)
+    states = _states(log, clock, copy.deepcopy(controller, {id(clock): clock}))
+    played = 0
+    for fault in faults:
+        for written in log[played : fault.transfer]:
+            clock.now_ns = written.at_ns
+            controller.take(written.data)
+            watcher.saw(written.at_ns, written.data, repeat=written.repeat)
+        played = fault.transfer
+        clock.now_ns = log[played].at_ns
+        controller.transfers.clear()
+        faulty: Watcher = copy.deepcopy(watcher, {id(clock): clock})
+        faulty.fault_ns = clock.now_ns
+        left_on = _play_on(log, fault, states, clock, faulty)
+        yield fault, faulty, left_on
+    assert not watcher.missed, "without a fault, all is executed"
+
+
+def _kind(data: bytes) -> str:
+    return "a zero" if data == ZERO else "an announcement" if len(data) == 1 else "a body"
 
 
 def _states(log: list[Written], clock: _Clock, controller: SimulatedController) -> list[State]:
@@ -140,21 +243,27 @@ def _states(log: list[Written], clock: _Clock, controller: SimulatedController) 
     return states
 
 
-def _play_on(
-    log: list[Written], index: int, spoilt: bytes, states: list[State], clock: _Clock, watcher: Watcher
-) -> None:
-    """Play the rest with that transfer spoilt, until nothing is left of the fault, or of the controller."""
-    controller = watcher.controller
-    for place in range(index, len(log)):
+def _play_on(log: list[Written], fault: Fault, states: list[State], clock: _Clock, watcher: Watcher) -> frozenset[int]:
+    """Play the rest with that fault, until nothing is left of it, or of the controller.
+
+    Returns the servos that nothing stops any more, where something should.
+    """
+    controller, received = watcher.controller, fault.received(log)
+    for place in range(fault.transfer, len(log)):
         at_ns, data, repeat = log[place]
         clock.now_ns = at_ns
-        controller.take(data if place > index else spoilt)
+        controller.take(received.get(place, data))
         if controller.dead is not None:
-            break
+            watcher.end(clock.now_ns)
+            return controller.energised
         watcher.saw(at_ns, data, repeat=repeat)
-        if len(data) > 1 and not controller.missing and not watcher.astray and pulses(controller) == states[place]:
-            break
+        whole = len(data) > 1 and place >= max(received)
+        if whole and not controller.missing and not watcher.astray and pulses(controller) == states[place]:
+            watcher.end(clock.now_ns)
+            return frozenset()
     watcher.end(clock.now_ns)
+    clock.now_ns += AFTER_NS  # a receive under way is given up
+    return controller.energised - {servo_id for servo_id, pulse in states[-1].items() if pulse is not None}
 
 
 def stretch_gaps(

@@ -33,6 +33,11 @@ def minute() -> list[Message]:
     return sorted(found, key=lambda message: message.at_ms)
 
 
+def stopped_walk(stop_ms: int) -> list[Message]:
+    """Six legs at 50 Hz, and an emergency stop."""
+    return [*_walk(500, stop_ms, 20), _put(stop_ms, keys.ESTOP, {})]
+
+
 def _put(at_ms: float, key: str, payload: dict[str, Any]) -> Message:
     return Message(at_ms, key, json.dumps(payload).encode())
 

@@ -1,4 +1,4 @@
-"""One byte lost or doubled: in which legal frames the firmware then reads an id of 1 to 3, or a length over 64.
+"""One byte lost or doubled: in which legal frames the firmware then reads an id that kills, or a length over 68.
 
 There are some 10^14 legal frames, and the rule looks at two bytes of one record: its id and its operation. Each of
 them is one byte of the frame, the byte that follows it, or a zero of the firmware's timeout. So a fault is tried once,
@@ -15,10 +15,12 @@ from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.transfers import on_wire
 
-BUFFER_LEN: Final = 64
+HARMLESS_LEN: Final = 68
+"""The receive buffer's 64 bytes, and the four between it and the SPI handle."""
 RECORDS: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}
-KILLS: Final = frozenset({1, 2, 3})
-"""As an id, where the operation behind it is one of them, too."""
+OPERATIONS: Final = frozenset({1, 2, 3})
+KILLS: Final = frozenset(product((0, 1, 2, 3, 10), OPERATIONS))
+"""Ids, each with the operation behind it: the table index 252 to 255."""
 FOLLOWERS: Final = (0, ONE_SERVO_LEN, ONE_LEG_LEN)
 """The byte behind a frame: a zero, of the preamble or of the timeout, or an announcement."""
 
@@ -110,7 +112,7 @@ def worst(stream: list[Place], avoid_cdeg: Avoid) -> Outcome:
     for frame_type in values(body[1], avoid_cdeg):
         for at in RECORDS.get((length, frame_type), ()):
             pairs = together(body[at], body[at + 1], avoid_cdeg)
-            killing |= {pair for pair in pairs if KILLS.issuperset(pair)}
+            killing |= pairs & KILLS
     pushed_out = values(rest[0], avoid_cdeg) if rest and rest[0].servo is not None else frozenset()
     return Outcome(frozenset(killing), pushed_out)
 

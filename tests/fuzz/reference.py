@@ -7,7 +7,7 @@ from gateway.robot.spi.simulator import pulse_us
 from schemas.robot import SERVO_IDS
 
 TICK_NS = 1_000_000
-BUFFER_LEN = 64
+UP_TO_THE_HANDLE = 68
 
 
 class ReferenceController:
@@ -36,7 +36,7 @@ class ReferenceController:
             elif byte:
                 self._heard = [] if self.announced else [byte]
                 self._wanted, self._since_tick = byte, now_ns // TICK_NS
-            if self.announced and self._heard is not None and len(self._heard) > BUFFER_LEN:
+            if self.announced and self._heard is not None and len(self._heard) > UP_TO_THE_HANDLE:
                 self.dead, self._heard = True, None
             if self._heard is not None and len(self._heard) == self._wanted:
                 self._execute(self._heard)
@@ -46,13 +46,14 @@ class ReferenceController:
         if (len(body), body[1:2]) not in ((6, [2]), (14, [1])):
             return
         for servo_id, op, whole, hundredths in (body[start : start + 4] for start in range(2, len(body), 4)):
-            if self.announced and servo_id in (1, 2, 3) and op in (1, 2, 3):
-                self.dead = True  # a null handle
+            if self.announced and servo_id in (0, 1, 2, 3, 10) and op in (1, 2, 3):
+                self.dead = True  # a bus fault
                 return
             index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) % 256
-            if index >= len(SERVO_IDS):
+            past = {18: 11, 23: 21} if self.announced else {}
+            if index >= len(SERVO_IDS) and index not in past:
                 continue
-            driven = SERVO_IDS[index]
+            driven = SERVO_IDS[index] if index < len(SERVO_IDS) else past[index]
             if op == 2:
                 self.energised.discard(driven)
             if op == 1:

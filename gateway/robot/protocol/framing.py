@@ -24,9 +24,9 @@ class Framing(enum.StrEnum):
         """Wire angles that are not sent by default, in hundredths of a degree: from the first up to the second, which
         is not one of them.
 
-        The published firmware takes the whole degrees for an operation, and the operation for a servo's id, in what
-        follows a lost byte. Ids 1 to 3 with operations 1 to 3 end in a null handle: it receives nothing until it is
-        reset, and its servos stay on.
+        After one lost byte the published firmware takes the whole degrees for an operation, and the operation for a
+        servo's id. Ids 0 to 3 and 10 with operations 1 to 3 are a bus fault: it receives nothing until it is reset, and
+        its servos stay on. One lost byte makes only ids 1 to 3 of these. More lost bytes kill it all the same.
         """
         return (1_00, 4_00) if self is Framing.LENGTH_PREFIXED else None
 
