@@ -135,6 +135,14 @@ def run(
             show_default="flat",
         ),
     ] = None,
+    fault: Annotated[
+        str | None,
+        typer.Option(
+            "--sim-fault",
+            metavar="SHARE[:MS]",
+            help="Simulated: each SPI transfer fails with this chance (0 to 1), after so many milliseconds (200).",
+        ),
+    ] = None,
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
@@ -144,23 +152,30 @@ def run(
     is goes out on hexapod/sim/body, and the console, `record` and `foxglove` draw it. What is simulated is assumed:
     nobody has weighed the Elkapod.
 
+    --sim-fault 0.1 is a bad contact, as slow as Linux is to notice one; --sim-fault 0.01:2000 a driver that hangs for
+    two seconds: see how long the emergency stop takes then.
+
     Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
     from gateway.people.tools import serve
     from gateway.robot import settings
+    from gateway.robot.spi import unreliable
 
     physics = (geometry, mass_kg, servo_torque_nm, friction, terrain)
     if sim is not Sim.PHYSICS and physics != (None,) * len(physics):
         raise ConfigError("--geometry, --mass-kg, --servo-torque-nm, --friction and --terrain go with --sim=physics")
+    if sim is None and fault is not None:
+        raise ConfigError("--sim-fault goes with --sim")
+    faults = None if fault is None else unreliable.read(fault)
     found = settings.load(config, simulated=sim is not None)
     if sim is Sim.PHYSICS:
         from gateway.people.physics.assumed import assumed
         from gateway.people.tools.body_process import BodyProcess
 
         with BodyProcess(geometry, assumed(mass_kg, servo_torque_nm, friction, terrain)) as body:
-            serve.run(found, simulated=True, body=body)
+            serve.run(found, simulated=True, body=body, faults=faults)
     else:
-        serve.run(found, simulated=sim is not None)
+        serve.run(found, simulated=sim is not None, faults=faults)
 
 
 @app.command("stop-servos")

@@ -53,6 +53,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import RELEASING_DRIVERS, KernelDevice, driver_of
 from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
+from gateway.robot.spi.unreliable import Faults, UnreliableDevice
 from gateway.zenoh_config import open_session
 from schemas.keys import CALIBRATION, STATE
 
@@ -107,7 +108,9 @@ def rules(settings: Settings) -> Rules:
     )
 
 
-def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None = None) -> Callable[[], SpiDevice]:
+def device_opener(
+    settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
+) -> Callable[[], SpiDevice]:
     """How the bus opens its device; a simulated controller lives on while the bus opens and closes it."""
     if not simulated:
         spare = Spare()
@@ -115,6 +118,8 @@ def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None
     controller = SimulatedController(
         settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
     )
+    if faults is not None:
+        return lambda: UnreliableDevice(controller, faults)
     return lambda: controller
 
 
@@ -151,6 +156,7 @@ def run(
     *,
     simulated: bool,
     physics: Physics | None = None,
+    faults: Faults | None = None,
     on_ready: Callable[[zenoh.Config], None] = lambda _: None,
 ) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
@@ -164,7 +170,9 @@ def run(
         _recorder(settings, simulated=simulated) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        end = runner.run(_run(settings, recorder, simulated=simulated, physics=physics, on_ready=on_ready))
+        end = runner.run(
+            _run(settings, recorder, simulated=simulated, physics=physics, faults=faults, on_ready=on_ready)
+        )
         if end.failure is not None:
             recorder.ended(end.failure)
     end.leave()  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
@@ -198,13 +206,14 @@ async def _run(
     *,
     simulated: bool,
     physics: Physics | None,
+    faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> End:
     loop, owner = asyncio.get_running_loop(), Ownership()
     end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
-    bus = Bus(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page))
+    bus = Bus(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page, faults=faults))
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,

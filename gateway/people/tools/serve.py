@@ -9,13 +9,14 @@ from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
 from gateway.robot.edge.simulated_body import endpoint
 from gateway.robot.settings import Settings
+from gateway.robot.spi.unreliable import Faults
 from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
 
 
-def run(settings: Settings, *, simulated: bool, body: BodyProcess | None = None) -> None:
+def run(settings: Settings, *, simulated: bool, body: BodyProcess | None = None, faults: Faults | None = None) -> None:
     """Run the service and, once it is ready, say where it is and what to try next.
 
-    `body`: what the servos of a simulated controller move.
+    `body`: what the servos of a simulated controller move. `faults`: which of its transfers fail.
     """
     controller = "a simulated controller" if simulated else settings.spi.device
     robot = controller if body is None else "a simulated robot"
@@ -29,7 +30,7 @@ def run(settings: Settings, *, simulated: bool, body: BodyProcess | None = None)
         say(next_step(endpoints, this_command()))
 
     physics = None if body is None else service.Physics(body.page, body.zenoh_id, body.folder)
-    service.run(settings, simulated=simulated, physics=physics, on_ready=ready)
+    service.run(settings, simulated=simulated, physics=physics, faults=faults, on_ready=ready)
 
 
 def next_step(endpoints: Sequence[str], command: str) -> str:

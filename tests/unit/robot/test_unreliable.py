@@ -1,0 +1,44 @@
+"""A simulated device whose transfers fail by chance."""
+
+import time
+
+import pytest
+
+from gateway.errors import ConfigError, SpiError
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.spi.simulator import SimulatedController
+from gateway.robot.spi.unreliable import Faults, UnreliableDevice, read
+
+
+@pytest.mark.parametrize(
+    ("text", "faults"),
+    [("0.1", Faults(0.1, 200)), ("1:0", Faults(1, 0)), ("0.01:2000", Faults(0.01, 2000)), ("0:", Faults(0, 200))],
+)
+def test_it_is_a_chance_and_a_time(text: str, faults: Faults) -> None:
+    assert read(text) == faults
+
+
+@pytest.mark.parametrize("text", ["", "a", "1.1", "-0.1", "nan", "0.1:-1", "0.1:nan", "0.1:60001", "0.1:1:2"])
+def test_anything_else_is_rejected_in_a_sentence(text: str) -> None:
+    with pytest.raises(ConfigError, match="write a chance from 0 to 1"):
+        read(text)
+
+
+def test_what_fails_does_not_arrive_and_the_call_takes_its_time() -> None:
+    controller = SimulatedController(Framing.PLAIN)
+    device = UnreliableDevice(controller, Faults(1, 20))
+    begun_s = time.monotonic()
+    with pytest.raises(SpiError, match="timed out"):
+        device.transfer(((b"\x06", 0), (b"\x06", 0)))
+    assert time.monotonic() - begun_s >= 0.02
+    assert not controller.transfers
+    UnreliableDevice(controller, Faults(0)).transfer(((b"\x06", 0), (b"\x07", 0)))
+    assert [data for _, data in controller.transfers] == [b"\x06", b"\x07"]
+    share = UnreliableDevice(controller, Faults(0.5, 0))
+    failed = 0
+    for _ in range(1000):
+        try:
+            share.transfer(((b"\0", 0),))
+        except SpiError:
+            failed += 1
+    assert 400 < failed < 600
