@@ -48,6 +48,8 @@ def test_another_device_has_no_controller(tmp_path: Path, device: str) -> None:
         (0, struct.pack(">4I", 0, 7, 8, 1), False),
         (1, struct.pack(">4I", 0, 7, 8, 1), True),
         (1, struct.pack(">4I", 7, 8, 1, 0), False),
+        (1, struct.pack(">5I", 0, 0, 7, 8, 1), False),
+        (2, struct.pack(">5I", 0, 0, 7, 8, 1), True),
     ],
 )
 def test_cs_gpios_decides_for_each_chip_select(
