@@ -189,7 +189,7 @@ def stop_servos(config: ConfigOption = None) -> None:
     from gateway.people.tools import stop
     from gateway.robot import settings
 
-    found = settings.load(config)
+    found = settings.load(config, for_stops=True)
     stop.stop_servos(found.spi, found.watchdog)
 
 

@@ -50,7 +50,8 @@ from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_ro
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
 from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.kernel import RELEASING_DRIVERS, KernelDevice, driver_of
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.machine import driver_of, gpio_selects
 from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice
@@ -127,13 +128,12 @@ def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
     """A controller of the protocol's document needs chip select released between the transfers of a call."""
     if not simulated and ioctls.are_used():
         logger.info("%s", ioctls.USED)
-    driver = driver_of(spi.device)
     needed = spi.batch and spi.framing is Framing.PLAIN and not simulated
-    if needed and driver not in RELEASING_DRIVERS:
+    if needed and not gpio_selects(spi.device):
         logger.warning(
             "nobody has seen whether %s releases chip select between the transfers of one call; where it does not, "
             "an emergency stop stops one leg. hexapod-gateway check --move shows it",
-            driver or "the driver of this SPI bus",
+            driver_of(spi.device) or "the driver of this SPI bus",
         )
 
 

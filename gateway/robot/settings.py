@@ -11,7 +11,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
 
 from gateway.errors import ConfigError
@@ -21,6 +30,8 @@ from schemas.robot import SERVO_IDS
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
 ENV_PREFIX: Final = "HEXAPOD_"
+FOR_STOPS: Final = {"for": "stop-servos"}
+"""A validation's context: a clock that is too fast for the framing, or a pause that is too short, is no fault."""
 _SERVOS: Final = frozenset(map(str, SERVO_IDS))
 
 
@@ -79,6 +90,13 @@ class SpiSettings(Section):
         if not device.startswith("/") or "\0" in device:
             raise ValueError("write the path of a device, such as /dev/spidev0.0")
         return device
+
+    @model_validator(mode="after")
+    def _slow_enough(self, info: ValidationInfo) -> Self:
+        fault = "" if info.context is FOR_STOPS else self.framing.too_fast(self.speed_hz, self.frame_gap_us)
+        if fault:
+            raise ValueError(fault)
+        return self
 
 
 class ServoLimits(Section):
@@ -220,19 +238,23 @@ class Settings(Section):
 Place = tuple[int | str, ...]
 """Where a value stands: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
 Fault = tuple[Place, str]
+Context = Mapping[str, str] | None
+"""FOR_STOPS, or None."""
 
 
 class FramingNotSetError(ConfigError):
     """spi.framing is not set; its text also names all other faults."""
 
 
-def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
+def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool = False) -> Settings:
     """Settings from `path` (else the default file, if there is one) and the environment.
 
     Raises ConfigError with one line per fault; each names the file's entry or the environment variable. Unless the
     controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, and
-    no Stop reaches its servos until somebody resets it.
+    no Stop reaches its servos until somebody resets it. `for_stops`: spi.speed_hz and spi.frame_gap_us may be beyond
+    what the framing allows, since `stop-servos` takes the nearest that it does (`plain_settings.within_limits`).
     """
+    context = FOR_STOPS if for_stops else None
     from_file: dict[str, Any] = {}
     lines: list[str] = []
     unread = False
@@ -241,7 +263,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     except ConfigError as error:
         lines.append(str(error))
         unread = True
-    in_file = _faults_of_file(from_file)
+    in_file = _faults_of_file(from_file, context)
     variables, faults = _environment()
     merged = from_file
     for place, (_, value) in variables.items():
@@ -250,7 +272,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     lines += faults
     lines += [
         f"{' and '.join(named)}: {sentence}"
-        for place, sentence in _faults(merged)
+        for place, sentence in _faults(merged, context)
         if (named := _variables_at(place, variables)) and (place, sentence) not in in_file
     ]
     spi = merged.get("spi", {})
@@ -259,7 +281,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
         raise FramingNotSetError("\n".join(lines))
     if lines:
         raise ConfigError("\n".join(lines))
-    return Settings.model_validate(merged)
+    return Settings.model_validate(merged, context=context)
 
 
 _WHICH_FRAMING: Final = (
@@ -285,13 +307,13 @@ def _read(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"{found}: is not TOML: {error}") from error
 
 
-def _faults_of_file(values: dict[str, Any]) -> list[Fault]:
+def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
     """A file says what type a value has, so nothing is converted: "50" is no number there."""
     # Checked as JSON, because strict Python types reject TOML's arrays and strings for tuples and enumerations. Checked
     # again as it is, because JSON turns TOML's dates into strings.
-    faults = _faults(json.dumps(values, default=str))
+    faults = _faults(json.dumps(values, default=str), context)
     places = {place for place, _ in faults}
-    return faults + [fault for fault in _faults(values) if fault[0] not in places]
+    return faults + [fault for fault in _faults(values, context) if fault[0] not in places]
 
 
 # ---- the environment
@@ -366,13 +388,13 @@ def _variables_at(place: Place, variables: Mapping[Place, tuple[str, Any]]) -> l
 # ---- both
 
 
-def _faults(values: dict[str, Any] | str) -> list[Fault]:
+def _faults(values: dict[str, Any] | str, context: Context) -> list[Fault]:
     """Faults of a table, with text converted to other types, as the environment has only text; of JSON, strictly."""
     try:
         if isinstance(values, str):
-            Settings.model_validate_json(values, strict=True)
+            Settings.model_validate_json(values, strict=True, context=context)
         else:
-            Settings.model_validate(values)
+            Settings.model_validate(values, context=context)
     except ValidationError as error:
         return faults_of(error)
     return []

@@ -38,7 +38,11 @@ def test_a_machine_that_can_run_it_and_not_a_byte_is_written(spi_testbed: SpiTes
     child = check(spi_testbed, config)
     assert child.returncode == 0, str(child)
     assert line(child, "SPI device").startswith(f"ok       SPI device     {DEVICE} opens")
-    assert line(child, "SPI speed").startswith("ok")
+    assert line(child, "SPI speed").endswith(
+        "2.5 MHz, and the kernel gives 2.5 MHz; an emergency stop takes 1.0 ms to write"
+    )
+    assert line(child, "SPI controller").startswith("ok       SPI controller ")
+    assert line(child, "SPI bus").startswith("ok       SPI bus ")
     assert line(child, "framing").startswith("ok")
     assert child.stdout.splitlines()[-1].startswith("This machine can run the service")
     assert spi_testbed.transfers == []
@@ -54,6 +58,7 @@ def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestb
         assert "is held by a running gateway" in line(child, "SPI device")
         assert line(child, "port").startswith("ok")
         assert "is in use by a gateway that is idle" in line(child, "port")
+        assert "the kernel gives" in line(child, "SPI speed")
         assert spi_testbed.settings == settings
         assert len(spi_testbed.transfers) == 6
 

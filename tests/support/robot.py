@@ -16,6 +16,7 @@ from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import Frame, decode
+from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
@@ -42,8 +43,9 @@ class Robot:
         keep: WriteAndThen | None = None,
     ) -> None:
         """`keep`: keeps its calibration; without it, it is in memory only."""
-        spi = {"frame_gap_us": 0}  # see _pause
-        merged = {**(sections or {}), "spi": {**spi, **(sections or {}).get("spi", {})}}
+        spi = (sections or {}).get("spi", {})
+        shortest = {"frame_gap_us": Framing(spi.get("framing", Framing.PLAIN)).least_gap_us}  # see _pause
+        merged = {**(sections or {}), "spi": {**shortest, **spi}}
         self.settings = Settings.model_validate(merged)
         self.each_takes_ns = 0
         """How long it takes to deal with one message."""

@@ -239,7 +239,7 @@ def test_batch(batch: bool, calls: int) -> None:
 )
 @pytest.mark.parametrize("batch", [True, False])
 def test_the_guard_knows_avoid_deg(spi: dict[str, object], written: bool, batch: bool) -> None:
-    settings = Settings.model_validate({"spi": {**spi, "batch": batch, "frame_gap_us": 0}})
+    settings = Settings.model_validate({"spi": {**spi, "batch": batch, "frame_gap_us": 20}})
     controller = SimulatedController(settings.spi.framing)
     pauses_s: list[float] = []
     bus = Bus(settings.spi, lambda: controller, pause=pauses_s.append)

@@ -17,6 +17,7 @@ from gateway.robot.settings import SpiSettings, ZenohSettings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port, write_settings
+from tests.support.machine_tree import GPIOS, MachineTree
 from tests.support.router import zenoh_listening
 
 OK, WARNING, FAILURE = Verdict.OK, Verdict.WARNING, Verdict.FAILURE
@@ -90,41 +91,83 @@ def test_what_is_no_spi_device(tmp_path: Path) -> None:
 )
 def test_speed(speed_hz: int, most_hz: int | None, fix: str, tmp_path: Path) -> None:
     """As it was measured, and as the device tree allows it."""
-    node = tmp_path / "spidev0.0" / "device" / "of_node"
+    node = tmp_path / "sys/class/spidev/spidev0.0/device/of_node"
     node.mkdir(parents=True)
     if most_hz is not None:
         (node / "spi-max-frequency").write_bytes(most_hz.to_bytes(4, "big"))
-    result = device.speed(SpiSettings(speed_hz=speed_hz), sys_class=tmp_path)
+    result = device.speed(SpiSettings(speed_hz=speed_hz), root=tmp_path)
     assert result.verdict is (WARNING if fix else OK)
     assert result.fix.startswith(fix)
 
 
 @pytest.mark.parametrize(
-    ("driver", "framing", "batch", "verdict"),
+    ("kernel_hz", "gateway_runs", "fix"),
     [
-        ("spi-bcm2835", "plain", True, OK),
-        ("spi-dw", "plain", True, WARNING),
-        (None, "plain", True, WARNING),
-        ("spi-dw", "plain", False, OK),
-        ("spi-dw", "length-prefixed", True, OK),
+        (125_000_000, False, ""),
+        (2_500_000, False, ""),
+        (2_499_999, False, "set spi.speed_hz = 2499999 or less"),
+        (2_500_000, True, ""),
+        (20_000_000, True, "sudo systemctl restart"),
+        (10_000, True, "sudo systemctl restart"),
     ],
 )
-def test_the_driver_is_asked_whether_it_is_known_to_release_chip_select(
-    driver: str | None, framing: str, batch: bool, verdict: Verdict, tmp_path: Path
+def test_a_speed_that_the_kernel_does_not_give_is_a_warning(
+    kernel_hz: int, gateway_runs: bool, fix: str, tmp_path: Path
 ) -> None:
-    spi = tmp_path / "devices" / "fe204000.spi"
-    device_of = spi / "spi_master" / "spi0" / "spi0.0"
-    device_of.mkdir(parents=True)
-    (tmp_path / "spidev0.0").mkdir()
-    (tmp_path / "spidev0.0" / "device").symlink_to(device_of)
-    if driver is not None:
-        (tmp_path / driver).mkdir()
-        (spi / "driver").symlink_to(tmp_path / driver)
+    result = device.speed(SpiSettings(), kernel_hz=kernel_hz, gateway_runs=gateway_runs, root=tmp_path)
+    assert result.verdict is (WARNING if fix else OK)
+    assert result.fix.startswith(fix)
+    assert "the kernel gives" in result.sentence
+
+
+@pytest.mark.parametrize(
+    ("settings", "kernel_hz", "takes_ms"),
+    [
+        ({}, None, "0.6"),
+        ({"framing": "length-prefixed"}, None, "1.0"),
+        ({"framing": "length-prefixed", "batch": False}, None, "2.1"),
+        ({"framing": "length-prefixed", "frame_gap_us": 1000}, None, "12.4"),
+        ({"framing": "length-prefixed"}, 1_000_000, "1.4"),
+        ({"speed_hz": 1_000_000}, None, "1.0"),
+    ],
+)
+def test_what_an_emergency_stop_takes(
+    settings: dict[str, object], kernel_hz: int | None, takes_ms: str, tmp_path: Path
+) -> None:
+    """Bytes at the speed that the kernel gives, and a pause behind each transfer: an announced frame has two."""
+    result = device.speed(SpiSettings.model_validate(settings), kernel_hz=kernel_hz, root=tmp_path)
+    assert f"an emergency stop takes {takes_ms} ms to write" in result.sentence
+
+
+def test_the_kernel_is_asked_for_the_speed_only_of_a_spidev(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file", tmp_path / "gone", Path("/dev/null")):
+        assert device.kernel_hz(str(path)) is None
+
+
+@pytest.mark.parametrize(
+    ("cs_gpios", "framing", "batch", "verdict"),
+    [
+        (GPIOS, "plain", True, OK),
+        (None, "plain", True, WARNING),
+        (None, "plain", False, OK),
+        (None, "length-prefixed", True, OK),
+    ],
+)
+def test_a_controller_that_drives_chip_select_may_keep_it_within_a_call(
+    cs_gpios: bytes | None, framing: str, batch: bool, verdict: Verdict, tmp_path: Path
+) -> None:
+    """By the device tree, not by the driver's name."""
+    MachineTree(tmp_path, cs_gpios=cs_gpios)
     settings = SpiSettings.model_validate({"framing": framing, "batch": batch})
-    result = device.lists(settings, sys_class=tmp_path)
+    result = device.lists(settings, root=tmp_path)
     assert result.verdict is verdict
     assert ("check --move" in result.fix) is (verdict is WARNING)
-    assert driver is None or not batch or driver in result.sentence
+    assert ("spi-bcm2835" in result.sentence) is (cs_gpios is None and batch)
+
+
+def test_without_a_device_tree_nobody_knows_of_chip_select(tmp_path: Path) -> None:
+    assert device.lists(SpiSettings(), root=tmp_path).verdict is WARNING
 
 
 DIES = "dies of these where one byte is lost"

@@ -39,7 +39,12 @@ def at_once(arguments: Sequence[str]) -> int | None:
 
 def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> None:
     """Stop all six legs over SPI. Raises SpiError."""
-    noticed = stop(spi, watchdog)
+    spi, changed = plain_settings.within_limits(spi)
+    try:
+        noticed = stop(spi, watchdog)
+    finally:  # after the Stops, which wait for nobody who reads this
+        if changed:
+            sys.stderr.write(f"hexapod-gateway: {changed}\n")
     lines = [f"Stop written to all six legs, {1 + watchdog.repeats} times each, on {spi.device}"]
     if noticed is not None:
         lines.append(_NOTICED if noticed else _NOT_NOTICED)

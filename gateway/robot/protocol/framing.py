@@ -30,6 +30,32 @@ class Framing(enum.StrEnum):
         """
         return (1_00, 4_00) if self is Framing.LENGTH_PREFIXED else None
 
+    @property
+    def least_gap_us(self) -> float:
+        """The published firmware loses frames, Stops too, where the pause is shorter: 20 µs held in each of its builds,
+        6 µs failed in several."""
+        return 20.0 if self is Framing.LENGTH_PREFIXED else 0.0
+
+    @property
+    def most_hz(self) -> int:
+        """The published firmware lost nothing at 5 and 8 MHz, and some 2 % at 10 MHz in one of its builds."""
+        return 5_000_000 if self is Framing.LENGTH_PREFIXED else 20_000_000
+
+    def too_fast(self, speed_hz: int, frame_gap_us: float) -> str:
+        """Why a controller with this framing loses frames of such transfers; empty if it does not."""
+        faults = []
+        if speed_hz > self.most_hz:
+            faults.append(
+                f"speed_hz is {speed_hz}, and {self} allows {self.most_hz} at most: "
+                "the published firmware loses bytes of a faster clock"
+            )
+        if frame_gap_us < self.least_gap_us:
+            faults.append(
+                f"frame_gap_us is {frame_gap_us:g}, and {self} wants {self.least_gap_us:g} at least: "
+                "in shorter pauses the published firmware loses frames, Stops too"
+            )
+        return "; ".join(faults)
+
 
 def avoided_by(framing: str) -> tuple[int, int] | None:
     """What a gateway that reports this framing does not send by default; None, too, for one that is not known here."""

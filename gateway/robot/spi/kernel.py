@@ -17,9 +17,6 @@ MOST_TRANSFERS: Final = 32
 """The longest list: 1024 bytes, up to which Python lets other threads run during an `ioctl`."""
 BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
 DEFAULT_BUFSIZ: Final = 4096
-SYS_CLASS: Final = Path("/sys/class/spidev")
-RELEASING_DRIVERS: Final = ("spi-bcm2835",)
-"""Drivers that leave chip select to Linux's spi.c, which releases it where `cs_change` says so."""
 _ALIGNED: Final = 128
 """What a transfer takes of spidev's buffer at least: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
 _LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
@@ -143,15 +140,6 @@ def most_transfers(bufsiz: Path = BUFSIZ) -> int:
     except (OSError, ValueError):
         size = DEFAULT_BUFSIZ
     return max(1, min(MOST_TRANSFERS, size // _ALIGNED))
-
-
-def driver_of(path: str, sys_class: Path = SYS_CLASS) -> str | None:
-    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
-    try:
-        device = (sys_class / Path(path).name / "device").resolve(strict=True)
-        return (device.parents[2] / "driver").resolve(strict=True).name
-    except (OSError, IndexError):
-        return None
 
 
 def _cause_of(error: Exception) -> str:

@@ -1,7 +1,8 @@
 """The settings of `stop-servos`, read without pydantic: to load that and its models takes longer than all Stops.
 
 Only what is plainly right is read here: known names, values of the right type and within their limits. Anything else is
-for `gateway.robot.settings`, whose defaults and limits these are (`tests/unit/robot/test_plain_settings.py`).
+for `gateway.robot.settings`, whose defaults and limits these are (`tests/unit/robot/test_plain_settings.py`). What the
+framing allows beyond these limits is no reason to write no Stop, see `within_limits`.
 """
 
 import os
@@ -77,6 +78,20 @@ def read(path: Path) -> tuple[PlainSpi, PlainRepeats] | None:
     if spi.get("framing") not in set(Framing):
         return None
     return PlainSpi(**(spi | {"framing": Framing(spi["framing"])})), PlainRepeats(**of_watchdog)
+
+
+def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
+    """These, with the clock and the pause that their framing allows, and a sentence; it is empty if they were.
+
+    The service rejects what this changes. The last means of stopping must not fail for it, nor lose Stops by it.
+    """
+    framing = spi.framing
+    fault = framing.too_fast(spi.speed_hz, spi.frame_gap_us)
+    if not fault:
+        return spi, ""
+    speed_hz, gap_us = min(spi.speed_hz, framing.most_hz), max(spi.frame_gap_us, framing.least_gap_us)
+    plain = PlainSpi(framing, spi.device, spi.batch, speed_hz, gap_us, spi.resync_ms)
+    return plain, f"spi: {fault}; stop-servos uses {speed_hz} Hz and {gap_us:g} µs"
 
 
 def _is_right(name: str, value: Any) -> bool:

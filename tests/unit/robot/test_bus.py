@@ -53,7 +53,9 @@ class Scene:
         self.framing = framing
         self.controller = SimulatedController(framing, clock=lambda: 0)
         self.device = FailingDevice(self.controller)
-        self.bus = Bus(SpiSettings(framing=framing, frame_gap_us=0), lambda: self.device, clock=lambda: 0)
+        self.bus = Bus(
+            SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us), lambda: self.device, clock=lambda: 0
+        )
         self.bus.open()
         assert self.bus.write(START_ALL).fault is None
         assert len(self.controller.energised) == 18
@@ -181,7 +183,7 @@ def test_stops_are_not_tried_for_ever(step_ns: int, calls: int) -> None:
                 raise SpiError("told to fail")
 
     now_ns = itertools.count(0, step_ns) if step_ns else itertools.repeat(0)
-    bus = Bus(SpiSettings(framing=PREFIXED, frame_gap_us=0), OnlyZeros, clock=lambda: next(now_ns))
+    bus = Bus(SpiSettings(framing=PREFIXED, frame_gap_us=PREFIXED.least_gap_us), OnlyZeros, clock=lambda: next(now_ns))
     bus.open()
     bus.write(STOP_ALL)
     assert sum(bus.transfer_latency.buckets) == 1 + calls
@@ -205,7 +207,7 @@ class Bed(ByteDevice):
         self.now_ns = 7_000 * MS
         self.controller = SimulatedController(framing, clock=lambda: self.now_ns)
         self.log: list[bytes] = []
-        settings = SpiSettings(framing=framing, frame_gap_us=0, resync_ms=resync_ms)
+        settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us, resync_ms=resync_ms)
         self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns)
 
     def take(self, data: bytes) -> None:

@@ -121,7 +121,7 @@ def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length() -> 
 @pytest.mark.parametrize("frame_gap_us", [0, 50, 100, 400, 1000])
 def test_what_moves_is_split_so_that_no_call_takes_more_than_a_millisecond(framing: Framing, frame_gap_us: int) -> None:
     devices = Devices()
-    bus = devices.bus(framing, frame_gap_us=frame_gap_us)
+    bus = devices.bus(framing, frame_gap_us=max(frame_gap_us, framing.least_gap_us))
     report = bus.write([*MOVES, *MOVES])
     assert frames_of(devices.calls) == [move.to_bytes() for move in [*MOVES, *MOVES]]
     assert [sent.place for sent in report.sent] == list(range(12))

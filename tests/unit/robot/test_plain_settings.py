@@ -7,6 +7,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.robot import settings
+from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import plain_settings
 from gateway.robot.spi.plain_settings import LIMITS, NOT_FOR_STOPS, PlainRepeats, PlainSpi
 
@@ -96,3 +97,61 @@ def test_a_variable_that_overrides_the_file(file: Path, monkeypatch: pytest.Monk
     file.write_text(WHOLE)
     monkeypatch.setenv(variable, "/dev/other")
     assert plain_settings.read(file) is None
+
+
+# ---- what the framing allows: the settings reject what is beyond, and stop-servos takes the nearest
+
+
+PREFIXED = 'spi.framing = "length-prefixed"\n'
+TOO_FAST = {
+    "spi.speed_hz = 5_000_001\n": (5_000_000, 50.0, "speed_hz is 5000001, and length-prefixed allows 5000000 at most"),
+    "spi.speed_hz = 20_000_000\n": (5_000_000, 50.0, "speed_hz is 20000000"),
+    "spi.frame_gap_us = 19.9\n": (2_500_000, 20.0, "frame_gap_us is 19.9, and length-prefixed wants 20 at least"),
+    "spi.frame_gap_us = 0\nspi.speed_hz = 6_000_000\n": (5_000_000, 20.0, "6000000"),
+}
+
+
+@pytest.mark.parametrize("values", TOO_FAST)
+def test_what_the_service_rejects_stop_servos_writes_as_the_framing_allows(file: Path, values: str) -> None:
+    speed_hz, gap_us, sentence = TOO_FAST[values]
+    file.write_text(PREFIXED + values)
+    with pytest.raises(ConfigError, match=f"gateway.toml: spi: .*{sentence}"):
+        settings.load(file)
+    read = plain_settings.read(file)
+    assert read is not None
+    for found in (read[0], settings.load(file, for_stops=True).spi):
+        spi, changed = plain_settings.within_limits(found)
+        assert spi == PlainSpi(Framing.LENGTH_PREFIXED, speed_hz=speed_hz, frame_gap_us=gap_us)
+        assert sentence in changed
+        assert changed.endswith(f"stop-servos uses {speed_hz} Hz and {gap_us:g} µs")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PREFIXED + "spi.speed_hz = 5_000_000\nspi.frame_gap_us = 20\n",
+        'spi.framing = "plain"\nspi.speed_hz = 20_000_000\nspi.frame_gap_us = 0\n',
+    ],
+)
+def test_what_the_framing_allows_stays_as_it_is(file: Path, text: str) -> None:
+    file.write_text(text)
+    read = plain_settings.read(file)
+    assert read is not None
+    assert plain_settings.within_limits(read[0]) == (read[0], "")
+    settings.load(file)
+
+
+def test_a_variable_that_is_too_fast_is_rejected_by_its_name_and_stops_all_the_same(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file.write_text(PREFIXED)
+    monkeypatch.setenv("HEXAPOD_SPI__SPEED_HZ", "8000000")
+    with pytest.raises(ConfigError, match="HEXAPOD_SPI__SPEED_HZ: speed_hz is 8000000"):
+        settings.load(file)
+    assert settings.load(file, for_stops=True).spi.speed_hz == 8_000_000
+
+
+def test_for_stops_other_faults_are_faults(file: Path) -> None:
+    file.write_text(PREFIXED + "spi.speed_hz = 20_000_001\n")
+    with pytest.raises(ConfigError, match="speed_hz"):
+        settings.load(file, for_stops=True)

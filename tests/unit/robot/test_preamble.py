@@ -21,7 +21,7 @@ SIX_STOPS = on_wire(Framing.LENGTH_PREFIXED, *map(stop_leg, LEGS))
 STOP_3 = stop_leg(3).to_bytes()
 
 
-async def prefixed(frame_gap_us: float = 0, **watchdog: float) -> Robot:
+async def prefixed(frame_gap_us: float = 20, **watchdog: float) -> Robot:
     spi = {"framing": "length-prefixed", "frame_gap_us": frame_gap_us}
     robot = await started_and_quiet(spi=spi, watchdog=watchdog)
     await asyncio.sleep(1)  # long enough for the bus to count as synchronised by its rest

@@ -65,7 +65,7 @@ allow_insecure = true
 device = "/dev/spidev1.1"
 speed_hz = 1
 framing = "length-prefixed"
-frame_gap_us = 0.5
+frame_gap_us = 20.5
 batch = false
 resync_ms = 0
 avoid_deg = []
@@ -112,7 +112,7 @@ def test_a_file_can_change_every_setting(file: Path) -> None:
     assert made.spi.framing is Framing.LENGTH_PREFIXED
     assert made.zenoh.listen == ("tls/0.0.0.0:7447", "tcp/127.0.0.1:7448")
     assert made.limits.servos == {"11": ServoLimits(min_deg=20, max_deg=160), "63": ServoLimits(max_deg=90)}
-    assert made.spi.frame_gap_us == 0.5
+    assert made.spi.frame_gap_us == 20.5
 
 
 def as_variables(values: dict[str, Any], prefix: str = "HEXAPOD") -> dict[str, str]:

@@ -25,6 +25,7 @@ from gateway.people.tools.check import (
     release,
     running,
     service_user,
+    spi_bus,
 )
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
@@ -127,9 +128,13 @@ def _configuration(config: Path | None) -> Result:
 
 
 def _of_settings(settings: Settings) -> Iterator[Result]:
+    path = settings.spi.device
     spi_device = device.device(settings.spi)
     yield spi_device
-    yield device.speed(settings.spi)
+    kernel_hz = device.kernel_hz(path) if spi_device.verdict is Verdict.OK else None
+    yield spi_bus.carrier(path)
+    yield spi_bus.shared(path)
+    yield device.speed(settings.spi, kernel_hz=kernel_hz, gateway_runs=device.held(spi_device))
     yield device.framing(settings.spi)
     yield device.lists(settings.spi)
     kept = calibration.kept(settings)

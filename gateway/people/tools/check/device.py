@@ -1,9 +1,11 @@
 """The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
 
+import fcntl
 import grp
 import os
 import pwd
 import stat
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -13,15 +15,20 @@ from gateway.robot.protocol.frames import ONE_LEG_LEN
 from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ioctls
-from gateway.robot.spi.kernel import RELEASING_DRIVERS, SYS_CLASS, KernelDevice, driver_of
+from gateway.robot.spi.bus import CS_CHANGE_NS
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.machine import ROOT, driver_of, gpio_selects
 from schemas.robot import LEGS
 
 MEASURED_HZ: Final = 2_500_000
 """Up to this speed the clock was measured to be clean."""
-STOP_BITS: Final = 8 * ONE_LEG_LEN
+CALL_NS: Final = 90_000
+"""What a transfer takes longer that is a call of its own (140 µs were seen with a pause of 50)."""
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
 
+_READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
+"""SPI_IOC_RD_MAX_SPEED_HZ."""
 _NAME: Final = "SPI device"
 _HELD: Final = "is held by a running gateway"
 
@@ -78,11 +85,38 @@ def _permission(path: Path) -> Result | None:
     return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)
 
 
-def speed(spi: SpiSettings, *, sys_class: Path = SYS_CLASS) -> Result:
-    """The clock, compared with what was measured, what the device tree allows, and how long a Stop may take."""
+def kernel_hz(path: str) -> int | None:
+    """The clock that the kernel gives the device where nobody has set one: what device tree and controller allow.
+
+    While another program has the device open it is what that one has set. Linux answers with a speed that was set
+    even where the controller's limit lowers it, so it is read before.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            return int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None
+        finally:
+            os.close(fd)
+    except OSError:
+        return None
+
+
+def stops_ms(spi: SpiSettings, speed_hz: int) -> float:
+    """How long six Stops take on the wire."""
+    announced = spi.framing is Framing.LENGTH_PREFIXED
+    each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS + (0 if spi.batch else CALL_NS)
+    bits = 8 * (ONE_LEG_LEN + announced)
+    return len(LEGS) * (bits / speed_hz * 1e3 + (1 + announced) * each_ns / 1e6)
+
+
+def speed(spi: SpiSettings, *, kernel_hz: int | None = None, gateway_runs: bool = False, root: Path = ROOT) -> Result:
+    """The clock, compared with what was measured, what device tree and kernel allow, and how long a Stop may take.
+
+    `kernel_hz`: what the function of that name found, while a gateway had the device open or not (`gateway_runs`).
+    """
     name = "SPI speed"
     wanted = _megahertz(spi.speed_hz)
-    most_hz = _most_hz(sys_class / Path(spi.device).name / "device" / "of_node" / "spi-max-frequency")
+    most_hz = _most_hz(root / "sys/class/spidev" / Path(spi.device).name / "device/of_node/spi-max-frequency")
     if most_hz is not None and spi.speed_hz > most_hz:
         return warning(
             name,
@@ -95,14 +129,31 @@ def speed(spi: SpiSettings, *, sys_class: Path = SYS_CLASS) -> Result:
             f"{wanted} is above the {_megahertz(MEASURED_HZ)} up to which the protocol was measured",
             f"set spi.speed_hz = {MEASURED_HZ}, or measure the clock on your wires",
         )
-    stops_ms = len(LEGS) * (STOP_BITS / spi.speed_hz * 1e3 + spi.frame_gap_us / 1e3)
-    if stops_ms > SLOW_STOPS_MS:
+    given_hz = min(spi.speed_hz, kernel_hz or spi.speed_hz)
+    takes_ms = stops_ms(spi, given_hz)
+    if kernel_hz is not None and (kernel_hz != spi.speed_hz if gateway_runs else kernel_hz < spi.speed_hz):
+        why, fix = _OTHER_SPEED if gateway_runs else (_LOWERED, f"set spi.speed_hz = {kernel_hz} or less")
         return warning(
             name,
-            f"{wanted} is so slow that an emergency stop takes {stops_ms:.0f} ms to write",
+            f"{wanted} is set, and the kernel gives {_megahertz(kernel_hz)}: {why}; "
+            f"an emergency stop takes {takes_ms:.1f} ms to write",
+            fix,
+        )
+    if takes_ms > SLOW_STOPS_MS:
+        return warning(
+            name,
+            f"{wanted} is so slow that an emergency stop takes {takes_ms:.0f} ms to write",
             f"set spi.speed_hz = {MEASURED_HZ}",
         )
-    return ok(name, f"{wanted}; an emergency stop takes {stops_ms:.1f} ms to write")
+    given = f", and the kernel gives {_megahertz(given_hz)}" if kernel_hz is not None else ""
+    return ok(name, f"{wanted}{given}; an emergency stop takes {takes_ms:.1f} ms to write")
+
+
+_LOWERED: Final = "its controller takes no more, or another program has the device open"
+_OTHER_SPEED: Final = (
+    "another program has set it, or the configuration was changed since the gateway was started",
+    "sudo systemctl restart hexapod-gateway",
+)
 
 
 def framing(spi: SpiSettings) -> Result:
@@ -126,14 +177,14 @@ def framing(spi: SpiSettings) -> Result:
     return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
 
 
-def lists(spi: SpiSettings, *, sys_class: Path = SYS_CLASS) -> Result:
-    """Whether the driver is known to release chip select between transfers of one call, as a plain controller needs."""
+def lists(spi: SpiSettings, *, root: Path = ROOT) -> Result:
+    """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
     name = "SPI lists"
     if not spi.batch:
         return ok(name, "spi.batch is false: one system call for each transfer")
-    driver = driver_of(spi.device, sys_class)
-    if driver in RELEASING_DRIVERS:
-        return ok(name, f"the driver {driver} releases chip select between the transfers of a call")
+    driver = driver_of(spi.device, root)
+    if gpio_selects(spi.device, root):
+        return ok(name, "chip select is a GPIO, which Linux releases between the transfers of a call")
     if spi.framing is not Framing.PLAIN:
         return ok(
             name, f"{driver or 'the driver'} may keep chip select within a call; the published firmware ignores it"

@@ -1,0 +1,125 @@
+"""What Linux says of the computer and of the SPI controller behind a device: files of /proc and /sys below a root."""
+
+import datetime as dt
+import re
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path("/")
+RP1_FIXED: Final = dt.date(2025, 2, 5)
+"""Until then Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286; fixed
+by 6646 and 6649). A kernel that was built earlier lacks the fix. No version says which of the later ones have it."""
+_RP1_DRIVERS: Final = ("dw_spi_mmio", "spi-dw-mmio")
+_GPIO_CELLS: Final = 3
+"""Of one GPIO in `cs-gpios`: its controller, pin and flags (`#gpio-cells` is 2 on each Raspberry Pi)."""
+_MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+
+
+def driver_of(device: str, root: Path = ROOT) -> str | None:
+    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
+    controller = _controller(device, root)
+    return None if controller is None else _driver(controller)
+
+
+def gpio_selects(device: str, root: Path = ROOT) -> bool | None:
+    """Whether the device's chip select is a GPIO; None where nothing says so.
+
+    Linux then drives it, and releases it between the transfers of one call; else the controller does as it likes.
+    """
+    node = _node(device, root)
+    chip_select = re.fullmatch(r"spidev\d+\.(\d+)", Path(device).name)
+    if node is None or chip_select is None:
+        return None
+    try:
+        data = (node / "cs-gpios").read_bytes()
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return None
+    cells = [int.from_bytes(data[at : at + 4], "big") for at in range(0, len(data), 4)]
+    selects = []
+    while cells:
+        selects.append(cells[0] != 0)  # 0: the controller's own
+        del cells[: _GPIO_CELLS if cells[0] else 1]
+    place = int(chip_select[1])
+    return place < len(selects) and selects[place]
+
+
+def on_rp1(device: str, root: Path = ROOT) -> bool:
+    """Whether the controller is one of the RP1, a Pi 5's chip for its pins."""
+    node = _node(device, root)
+    named = node is not None and any(part.startswith("rp1") for part in node.parts)
+    return (named or computer(root).startswith("Raspberry Pi")) and driver_of(device, root) in _RP1_DRIVERS
+
+
+def neighbours(device: str, root: Path = ROOT) -> list[tuple[str, str]]:
+    """What else is on the device's bus, each with its driver: ("spi0.1", "fb_st7789v").
+
+    Without those that no driver serves, or the device's own does (spidev: then a program may use it).
+    """
+    own = _spi_device(device, root)
+    if own is None:
+        return []
+    others = [each for each in sorted(own.parent.glob(f"{own.parent.name}.*")) if each != own]
+    found = [(each.name, _driver(each)) for each in others]
+    return [(name, driver) for name, driver in found if driver is not None and driver != _driver(own)]
+
+
+def computer(root: Path = ROOT) -> str:
+    """`Raspberry Pi 4 Model B Rev 1.4`; empty where no device tree names it."""
+    try:
+        return (root / "proc/device-tree/model").read_text(errors="replace").rstrip("\0\n")
+    except OSError:
+        return ""
+
+
+def kernel(root: Path = ROOT) -> tuple[str, dt.date | None]:
+    """Its release (`6.6.31+rpt-rpi-v8`), and when it was built, where it says so."""
+    try:
+        text = (root / "proc/version").read_text(errors="replace")
+    except OSError:
+        return "", None
+    release = re.match(r"Linux version (\S+)", text)
+    return release[1] if release else "", _built(text.rpartition(" #")[2])
+
+
+def _built(version: str) -> dt.date | None:
+    """The date in `1 SMP PREEMPT Debian 1:6.6.31-1+rpt1 (2024-05-29)` or `1 SMP Sat Aug 31 13:38:16 BST 2024`."""
+    try:
+        if found := re.search(r"\((\d{4}-\d\d-\d\d)\)", version):
+            return dt.date.fromisoformat(found[1])
+        if found := re.search(rf"\b({'|'.join(_MONTHS)}) +(\d+) [\d:]+ \S+ (\d{{4}})\b", version):
+            return dt.date(int(found[3]), 1 + _MONTHS.index(found[1]), int(found[2]))
+    except ValueError:
+        pass
+    return None
+
+
+def _spi_device(device: str, root: Path) -> Path | None:
+    """Such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0."""
+    try:
+        return (root / "sys/class/spidev" / Path(device).name / "device").resolve(strict=True)
+    except (OSError, RuntimeError):
+        return None
+
+
+def _controller(device: str, root: Path) -> Path | None:
+    """Such as /sys/devices/platform/soc/fe204000.spi."""
+    found = _spi_device(device, root)
+    return found.parents[2] if found is not None and len(found.parents) > 2 else None
+
+
+def _node(device: str, root: Path) -> Path | None:
+    """The controller's node in the device tree."""
+    controller = _controller(device, root)
+    try:
+        return None if controller is None else (controller / "of_node").resolve(strict=True)
+    except (OSError, RuntimeError):
+        return None
+
+
+def _driver(device: Path) -> str | None:
+    try:
+        return (device / "driver").resolve(strict=True).name
+    except (OSError, RuntimeError):
+        return None
