@@ -32,6 +32,13 @@ class SpiDevice(Protocol):
         """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
         return False
 
+    def put_right(self) -> str | None:
+        """Set again what another program has changed on the device, and return what was found; None: nothing.
+
+        Takes microseconds, never raises.
+        """
+        return None
+
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""
         return  # without it, mypy takes the method for an abstract one

@@ -49,6 +49,9 @@ EARLY_SHARE: Final = 8
 """In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
 ZEROS_ON_A_BAD_BUS: Final = 3
 """In one call, where one in five transfers fails: more fail too often, and single ones take more calls."""
+PAUSE_NS: Final = 100_000_000
+"""After so long without a call, the device's settings are looked at before frames that are no repetition: one call
+of the kernel. In a stream, the gateway's look ten times a second does."""
 TRIES: Final = 6
 """After so many calls that failed in a row, the Stops are tried without a preamble, too."""
 GIVEN_UP: Final = 18
@@ -83,6 +86,9 @@ class Report:
     """The first failure."""
     rejection: str | None = None
     """Why from this batch on, each transfer is a call of its own."""
+    meddled: str | None = None
+    """What another program had set on the device. It was put right before anything of this batch was written, and what
+    was written before may not have arrived as it was meant: to be taken for a fault."""
 
 
 class Bus:
@@ -156,6 +162,11 @@ class Bus:
         After a fault the device stays open. Stops that failed are then tried one by one, in this same call.
         """
         report, stops = Report(), frames[0].is_stop
+        if not preamble and self._clock() - self.ended_ns >= PAUSE_NS:
+            report.meddled = self.put_right()
+            if report.meddled is not None and not stops:
+                report.fault = SpiError(report.meddled)
+                return report
         data = [frame.to_bytes() for frame in frames]
         zeros = self._zeros_ahead(stops=stops, preamble=preamble) if self.announces else 0
         try:
@@ -182,6 +193,10 @@ class Bus:
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now."""
         return self._device is not None and self._device.stop_servos_at_work()
+
+    def put_right(self) -> str | None:
+        """Set again what another program has changed on the device, and return what was found; None: nothing."""
+        return None if self._device is None else self._device.put_right()
 
     def write_zeros(self) -> bool:
         """Write a part of a preamble; returns whether more is to follow. Raises SpiError.
