@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 Transfer = tuple[bytes, int]
-"""One chip-select cycle, and the least pause behind it, in µs; nothing comes back in v1.0.0."""
+"""One chip-select cycle, and the least pause behind its bytes, in µs; nothing comes back in v1.0.0."""
 Batch = Sequence[Transfer]
 """Transfers that leave together: nothing of this or another program comes between them, or into the last pause."""
 
