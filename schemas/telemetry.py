@@ -76,6 +76,7 @@ class Kind(StrEnum):
     CALIBRATED = "calibrated"
     OVERFLOW = "overflow"
     BUS_UNBATCHED = "bus_unbatched"
+    BUS_MEDDLED = "bus_meddled"
     REVOKED = "revoked"
     BUTTON_REGISTERED = "button_registered"
     BUTTON_SILENT = "button_silent"

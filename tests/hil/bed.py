@@ -54,7 +54,7 @@ def missing_packages() -> str:
 class Segment:
     """One `spi_ioc_transfer` of a message; a plain write is one segment with the device's own speed and bits.
 
-    `delay_us` is the pause that was asked for behind it.
+    `delay_us` is the pause that was asked for behind it: Linux makes it while chip select is asserted.
     """
 
     data: bytes
@@ -84,7 +84,7 @@ class Transfer:
 
     @property
     def pause_us(self) -> int:
-        """The pause that was asked for behind it."""
+        """The pause at its end, while chip select is asserted; it is then released for 10 µs."""
         return self.segments[-1].delay_us
 
     @property
@@ -278,6 +278,18 @@ class SpiTestbed(Closing):
     def ignore_cs_change(self) -> None:
         """A driver that does not release chip select within a call: a list of transfers is one cycle."""
         self._command("ignore_cs_change")
+
+    def use_gpio(self) -> None:
+        """Chip select is a GPIO, and the kernel shows SPI_CS_HIGH in the mode whatever programs set."""
+        self._command("use_gpio")
+
+    def lose_edges(self) -> None:
+        """Transfers without a receive buffer lack the clock edge of their last bit, which arrives as 0."""
+        self._command("lose_edges")
+
+    def reject_receiving(self) -> None:
+        """Messages with a receive buffer answer EINVAL."""
+        self._command("reject_receiving")
 
     def set_bufsiz(self, size: int) -> None:
         """How many bytes a call may hold, where each transfer takes a multiple of 128."""

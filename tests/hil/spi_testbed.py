@@ -9,11 +9,12 @@ On the socket, JSON lines both ways. Out: first `ready` with the environment for
 and transfer as it arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "fail", …}`.
 
 The answers follow Linux's drivers/spi/spidev.c, spi.c and spi-bcm2835.c (Raspberry Pi 4): 8 bits only, no lsb-first,
-mode and bits outlive the program that set them, the speed falls back at every opening, and an open descriptor whose
-device has gone answers ESHUTDOWN for ever. A message holds 4096 bytes, of which each transfer takes a multiple of 128.
-Its transfers follow one another with their pauses, and with chip select released behind those with `cs_change`: each
-such cycle is an event of its own, with the time at which it begins. A call lasts as long as the wire needs, and no
-other call comes into it. Nothing is ever received: MISO reads zeros.
+all openings share one mode, speed and number of bits; mode and bits outlive the program that set them, and the speed
+falls back at the last close. An open descriptor whose device has gone answers ESHUTDOWN for ever. A message holds 4096
+bytes, of which each transfer takes a multiple of 128. A transfer's pause is made while chip select is asserted; behind
+those with `cs_change` it is then released for 10 µs, whatever pause was asked for. Each such cycle, its pause included,
+is an event of its own, with the time at which it begins. A call lasts as long as the wire needs, and no other call
+comes into it. Nothing is ever received: MISO reads zeros.
 """
 
 import argparse
@@ -43,12 +44,12 @@ DEFAULT_SPEED_HZ = 125_000_000  # what the Pi's device tree gives spidev0.0
 SLOWEST_HZ = 500_000_000 // 65536  # spi-bcm2835 divides its 500 MHz by no more, however slow a clock is asked for
 BUFSIZ = 4096  # spidev's module parameter, its default
 ALIGNED = 128  # ARCH_DMA_MINALIGN: what a transfer takes of that is a multiple of it
-CS_CHANGE_NS = 10_000  # for how long Linux releases chip select between two transfers, beside their pause
+CS_CHANGE_NS = 10_000  # for how long Linux releases chip select between two transfers, after their pause
 SPIN_NS = 150_000  # a sleep may end later than asked by as much
 SHORT = -1  # in place of an errno: half of the bytes are taken, and the caller is told so
 # From linux/spi/spi.h: CPHA, CPOL, CS_HIGH, 3WIRE, NO_CS: all that spi-bcm2835 supports.
 SUPPORTED_MODE_BITS = 0x01 | 0x02 | 0x04 | 0x10 | 0x40
-LSB_FIRST = 0x08
+CS_HIGH, LSB_FIRST = 0x04, 0x08
 # From linux/spi/spidev.h: `_IOC(direction, 'k', number, size)`.
 IOC_MAGIC, IOC_READ = ord("k"), 2
 NR_MESSAGE, NR_MODE, NR_LSB_FIRST, NR_BITS, NR_SPEED, NR_MODE32 = 0, 1, 2, 3, 4, 5
@@ -88,6 +89,8 @@ class SpiController:
         self._openings: dict[Any, int] = {}
         self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
+        self._loses_edges = self._half_duplex = False
+        self._kernel_flags = 0  # of the mode, that the kernel sets by itself
         self._fail_errno = 0
         self._fail_left: int | None = 0
         self._fail_after = 0
@@ -143,6 +146,19 @@ class SpiController:
         with self._lock:
             self._ignores_cs_change = True
 
+    def use_gpio(self) -> None:
+        """Chip select is a GPIO: older kernels then set SPI_CS_HIGH in the mode by themselves, and show it."""
+        with self._lock:
+            self._kernel_flags = CS_HIGH
+
+    def lose_edges(self) -> None:
+        """A transfer without a receive buffer lacks a clock edge at its end, as on a Raspberry Pi 5 before 2025-02."""
+        self._loses_edges = True
+
+    def reject_receiving(self) -> None:
+        """A controller that does not receive while it sends: messages with a receive buffer answer EINVAL."""
+        self._half_duplex = True
+
     def set_bufsiz(self, size: int) -> None:
         """How many bytes a message may hold."""
         with self._lock:
@@ -179,8 +195,9 @@ class SpiController:
     def _opening(self, now_ns: int, client: Any) -> int:
         """The number of this client's opening, which its first call makes known (spidev calls as it opens)."""
         if client not in self._openings:
+            if not any(each.get_connected() for each in self._openings):  # umockdev notices a close some time after it
+                self._speed_hz = DEFAULT_SPEED_HZ
             self._openings[client] = len(self._openings) + 1
-            self._speed_hz = DEFAULT_SPEED_HZ
             self._emit({"t": now_ns, "kind": "open", "opening": self._openings[client]})
         return self._openings[client]
 
@@ -211,8 +228,13 @@ class SpiController:
         for offset in range(0, size, SEGMENT.size):
             tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
             sent = bytes(argument.resolve(offset, length).retrieve()) if tx_buf and length else bytes(length)
+            if rx_buf and self._half_duplex:
+                _answer(client, 0, errno.EINVAL)
+                return
             if rx_buf and length:
                 argument.resolve(offset + 8, length).update(0, bytes(length))
+            elif self._loses_edges:
+                sent = (int.from_bytes(sent) >> 1 << 1).to_bytes(length)
             segments.append((sent, speed_hz, bits, delay_us, cs_change))
         self._transfer(now_ns, client, "message", segments)
 
@@ -305,7 +327,8 @@ class SpiController:
             self._opening(now_ns, client)
             gone = self._clients[client] <= self._gone_before
             lsb_first = int(bool(self._mode & LSB_FIRST))
-            values = {"mode": self._mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
+            mode = self._mode | self._kernel_flags
+            values = {"mode": mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
         if not gone:
             argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
         _answer(client, 0, errno.ESHUTDOWN if gone else 0)
@@ -364,6 +387,9 @@ class Testbed:
             "heal": self._controller.heal,
             "reject_lists": self._controller.reject_lists,
             "ignore_cs_change": self._controller.ignore_cs_change,
+            "use_gpio": self._controller.use_gpio,
+            "lose_edges": self._controller.lose_edges,
+            "reject_receiving": self._controller.reject_receiving,
             "set_bufsiz": self._controller.set_bufsiz,
             "delay": self._controller.delay,
             "block": self._controller.block,

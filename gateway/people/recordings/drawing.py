@@ -153,6 +153,7 @@ _LEVELS: Final = {
     Kind.COMMAND_REJECTED: Log.WARN,
     Kind.WATCHDOG_EXPIRED: Log.WARN,
     Kind.STOPPED_OUTSIDE: Log.WARN,
+    Kind.BUS_MEDDLED: Log.WARN,
     Kind.ESTOP_ENGAGED: Log.ERROR,
     Kind.BUS_FAULT: Log.ERROR,
 }

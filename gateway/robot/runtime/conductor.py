@@ -196,7 +196,14 @@ class Conductor:
         return None if self._staleness is None else self._staleness.too_old(source, sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
-        """Learn of `stop-servos` on the same device, and of its end."""
+        """Learn of `stop-servos` on the same device and of its end, and of settings that another program changed."""
+        meddled = self.bus.put_right()
+        if meddled is not None:
+            self.announce(Kind.BUS_MEDDLED, meddled)
+            self._meddled(meddled)
+            self._publish_mode()
+            self._arm()
+            return  # whether `stop-servos` is at work, the device says when it is open again
         at_work = self.bus.stop_servos_at_work()
         if at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
@@ -275,6 +282,8 @@ class Conductor:
         outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
+        elif outcome.meddled is not None:
+            self._meddled(outcome.meddled)
         if self.supervisor.mode is not self._published_mode:
             self._publish_mode()
         return outcome
@@ -290,6 +299,15 @@ class Conductor:
         self._executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
+
+    def _meddled(self, found: str) -> None:
+        """Another program had changed the device's settings, so nobody knows what the controller made of the frames.
+
+        Nothing more is needed where Stops for all legs have just been written with the right ones: behind an opening,
+        and at the end, when nothing would open the bus again for their repeats.
+        """
+        if not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
+            self._bus_failed(SpiError(found))
 
     def _preamble_failed(self, fault: SpiError) -> None:
         self._bus_failed(fault)

@@ -23,6 +23,8 @@ class Outcome:
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
     """Why not all frames were written; commands that were completed are rejected for it."""
+    meddled: str | None = None
+    """What another program had set on the device, until just before these frames were written."""
     rejected: list[int] = field(default_factory=list)
     """The numbers of commands that the supervisor rejected."""
     answer: Answer | None = None
@@ -66,6 +68,8 @@ class Executor:
         self._recorder.step(heard, outcome.written, self._answers.decided(effects, outcome.fault))
         if unbatched is not None:
             self._events.announce(Announce(Kind.BUS_UNBATCHED, unbatched))
+        if outcome.meddled is not None:
+            self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             match effect:
                 case Transmit():
@@ -106,6 +110,7 @@ class Executor:
                 if effect.deadline_ns is not None and sent.heard:
                     self._metrics.watchdog_stops.record(self._bus.ended_ns - effect.deadline_ns)
             unbatched = report.rejection or unbatched
+            outcome.meddled = report.meddled or outcome.meddled
             if report.fault is not None:
                 outcome.fault = report.fault
                 break

@@ -40,6 +40,7 @@ WARNINGS: Final = frozenset(
         Kind.ESTOP_ENGAGED,
         Kind.BUS_FAULT,
         Kind.BUS_UNBATCHED,
+        Kind.BUS_MEDDLED,
         Kind.STOPPED_OUTSIDE,
         Kind.OVERFLOW,
         Kind.REVOKED,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 Transfer = tuple[bytes, int]
-"""One chip-select cycle, and the least pause behind it, in µs; nothing comes back in v1.0.0."""
+"""One chip-select cycle, and the least pause behind its bytes, in µs; nothing comes back in v1.0.0."""
 Batch = Sequence[Transfer]
 """Transfers that leave together: nothing of this or another program comes between them, or into the last pause."""
 
@@ -31,6 +31,13 @@ class SpiDevice(Protocol):
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
         return False
+
+    def put_right(self) -> str | None:
+        """Set again what another program has changed on the device, and return what was found; None: nothing.
+
+        Takes microseconds, never raises.
+        """
+        return None
 
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""

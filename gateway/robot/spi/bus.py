@@ -45,7 +45,7 @@ ZERO_PAUSE_US: Final = 100
 ZEROS_AT_ONCE: Final = 8
 """In one call: half a preamble, 0.8 ms."""
 CS_CHANGE_NS: Final = 10_000
-"""What Linux adds to each pause, while chip select is released."""
+"""What Linux adds behind each pause: for so long, and no longer, chip select is released."""
 IDLE_NS: Final = 1_100_000_000
 """After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
@@ -55,6 +55,9 @@ EARLY_SHARE: Final = 8
 ZEROS_ON_A_BAD_BUS: Final = 3
 """In one call, where one in five transfers fails at once: more fail too often, and single ones take more calls. A call
 that fails slowly costs more than any number of calls, so there it is one."""
+PAUSE_NS: Final = 100_000_000
+"""After so long without a call, the device's settings are looked at before frames that are no repetition: one call
+of the kernel. In a stream, the gateway's look ten times a second does."""
 TRIES: Final = 6
 ZEROS_NS: Final = 900_000_000
 """After so many failed calls of zeros in a row, or so long, all Stops are tried without them: the controller may be
@@ -98,6 +101,9 @@ class Report:
     """The first failure."""
     rejection: str | None = None
     """Why from this batch on, each transfer is a call of its own."""
+    meddled: str | None = None
+    """What another program had set on the device. It was put right before anything of this batch was written, and what
+    was written before may not have arrived as it was meant: to be taken for a fault."""
 
 
 class Bus:
@@ -177,6 +183,11 @@ class Bus:
         fail slowly, so are the Stops that follow, since a batch behind a preamble would hardly ever pass.
         """
         report, stops = Report(), frames[0].is_stop
+        if not preamble and self._clock() - self.ended_ns >= PAUSE_NS:
+            report.meddled = self.put_right()
+            if report.meddled is not None and not stops:
+                report.fault = SpiError(report.meddled)
+                return report
         data = [frame.to_bytes() for frame in frames]
         one_by_one = stops and self._slow
         try:
@@ -220,6 +231,10 @@ class Bus:
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now."""
         return self._device is not None and self._device.stop_servos_at_work()
+
+    def put_right(self) -> str | None:
+        """Set again what another program has changed on the device, and return what was found; None: nothing."""
+        return None if self._device is None else self._device.put_right()
 
     def write_zeros(self) -> bool:
         """Write a part of a preamble; returns whether more is to follow. Raises SpiError.

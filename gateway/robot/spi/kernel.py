@@ -4,6 +4,7 @@ import array
 import errno
 import fcntl
 import struct
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -22,16 +23,27 @@ _ALIGNED: Final = 128
 _LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
 _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 """struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
-A speed and bits of 0 are the device's own."""
+A speed and bits of 0 would be the device's own, which any program that may open the device can change."""
 _MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(MOST_TRANSFERS + 1))
 """SPI_IOC_MESSAGE(count)."""
+_BITS: Final = 8
 _WRITE_MODE: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 1
 """SPI_IOC_WR_MODE."""
+_READ_MODE: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 5
+"""SPI_IOC_RD_MODE32."""
+_READ_BITS: Final = 2 << 30 | 1 << 16 | ord("k") << 8 | 3
+"""SPI_IOC_RD_BITS_PER_WORD."""
+_READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
+"""SPI_IOC_RD_MAX_SPEED_HZ."""
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
 class KernelDevice(SpiDevice):
-    """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus."""
+    """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus.
+
+    Mode, speed and bits belong to the device, not to this opening of it: another program may change them at any time.
+    So speed and bits are in each segment, and `put_right` looks at the mode, which no segment has.
+    """
 
     def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
@@ -45,12 +57,16 @@ class KernelDevice(SpiDevice):
             from gateway.robot.spi import ioctls as spidev  # noqa: PLC0415
         self._path = path
         self._spare = spare
+        self._speed_hz = speed_hz
         self._spi = spidev.SpiDev()
         self._listener: Listener | None = None
         self.most_transfers = most_transfers()
         self._data = array.array("B", bytes(MOST_TRANSFERS * _LONGEST))
         self._data_at = self._data.buffer_info()[0]
         self._bytes = memoryview(self._data)
+        # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Nobody reads what comes back.
+        self._received = array.array("B", bytes(_LONGEST))
+        self._received_at = self._received.buffer_info()[0]
         self._list = bytearray(MOST_TRANSFERS * _SEGMENT.size)
         # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
         # behaved unexpectedly, and the gateway must go on to its Stops.
@@ -62,8 +78,10 @@ class KernelDevice(SpiDevice):
             # All flags are cleared: one that another program has set, such as "no chip select", outlives that program,
             # and spidev's own `mode` changes two bits only.
             fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
-            self._spi.bits_per_word = 8
+            self._spi.bits_per_word = _BITS
             self._spi.max_speed_hz = speed_hz
+            # Not 0 where chip select is a GPIO: some kernels then add SPI_CS_HIGH of their own accord.
+            self._mode = self._read(_READ_MODE)
         except Exception as error:
             self.close()
             raise SpiError(_why_not_opened(path, error)) from error
@@ -83,16 +101,13 @@ class KernelDevice(SpiDevice):
             self._spare.fill()
 
     def transfer(self, batch: Batch) -> None:
-        """Write the batch in one call; a single transfer without a pause is a plain write. Raises SpiError.
+        """Write the batch in one call. Raises SpiError.
 
         Raises BatchRejectedError where the kernel rejects the list: it looks at all of it before the first bit leaves.
         """
         try:
-            if len(batch) == 1 and not batch[0][1]:
-                self._spi.writebytes2(batch[0][0])
-                return
             size = self._fill(batch)
-            sent = fcntl.ioctl(self._spi.fileno(), _MESSAGES[len(batch)], self._list)
+            sent = self._send(batch)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _NO_LISTS:
                 raise BatchRejectedError(
@@ -101,6 +116,23 @@ class KernelDevice(SpiDevice):
             raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
         if sent != size:
             raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
+
+    def _send(self, batch: Batch) -> int:
+        """Hand the list to the kernel; how many bytes were written."""
+        request = _MESSAGES[len(batch)]
+        try:
+            return int(fcntl.ioctl(self._spi.fileno(), request, self._list))
+        except OSError as error:
+            if error.errno != errno.EINVAL or not self._received_at:
+                raise
+        # A controller that does not receive while it sends rejects lists with receive buffers. Nothing was written.
+        received_at, self._received_at = self._received_at, 0
+        self._fill(batch)
+        try:
+            return int(fcntl.ioctl(self._spi.fileno(), request, self._list))
+        except OSError:
+            self._received_at = received_at  # they were not what it rejects
+            raise
 
     def _fill(self, batch: Batch) -> int:
         """Describe the batch to the kernel; its size in bytes."""
@@ -111,7 +143,8 @@ class KernelDevice(SpiDevice):
             # With cs_change chip select is released behind a transfer; behind the last it would be kept.
             _SEGMENT.pack_into(
                 self._list, place * _SEGMENT.size,
-                self._data_at + size, 0, end - size, 0, pause_us, 0, place != last, 0, 0, 0, 0,
+                self._data_at + size, self._received_at, end - size, self._speed_hz, pause_us, _BITS, place != last,
+                0, 0, 0, 0,
             )  # fmt: skip
             size = end
         return size
@@ -123,6 +156,29 @@ class KernelDevice(SpiDevice):
     def stop_servos_at_work(self) -> bool:
         """Whether `stop-servos` stops the servos through the same device now; False if not opened as `exclusive`."""
         return self._listener is not None and self._listener.look()
+
+    def put_right(self) -> str | None:
+        """Set the mode again if another program has changed it; what was found then. Takes microseconds; never raises.
+
+        A changed speed alone harms nothing and is not looked for.
+        """
+        try:
+            mode = self._read(_READ_MODE)
+            if mode == self._mode:
+                return None
+        except OSError:  # the device is going away, and the next transfer will report it
+            return None
+        found = f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
+        with suppress(OSError):
+            fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
+            found += f", {self._read(_READ_SPEED)} Hz and {self._read(_READ_BITS)} bits"
+        return found
+
+    def _read(self, request: int) -> int:
+        """A setting of the device, as it is now."""
+        value = bytearray(request >> 16 & 0x3FFF)
+        fcntl.ioctl(self._spi.fileno(), request, value)
+        return int.from_bytes(value, sys.byteorder)
 
     def close(self) -> None:
         """Release the device."""

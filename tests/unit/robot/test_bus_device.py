@@ -11,7 +11,7 @@ from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, 
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import Batch, SpiDevice
-from gateway.robot.spi.bus import CS_CHANGE_NS, LONGEST_NS, ZERO_PAUSE_US, Bus
+from gateway.robot.spi.bus import CS_CHANGE_NS, LONGEST_NS, PAUSE_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from schemas.robot import LEGS
 from tests.support.transfers import on_wire
@@ -37,6 +37,9 @@ class Devices(SpiDevice):
         self.stall_ns = 0
         """By how much the next pause takes longer."""
         self.stops_at_work = False
+        self.meddled: str | None = None
+        self.looks: list[int] = []
+        """How many calls there were at each look at the settings."""
         self._count = 0
 
     def open(self) -> "Devices":
@@ -65,6 +68,11 @@ class Devices(SpiDevice):
 
     def stop_servos_at_work(self) -> bool:
         return self.stops_at_work
+
+    def put_right(self) -> str | None:
+        self.looks.append(len(self.calls))
+        found, self.meddled = self.meddled, None
+        return found
 
     def clock(self) -> int:
         return self.now_ns
@@ -299,6 +307,49 @@ def test_stop_servos_is_seen_by_the_device_that_is_open() -> None:
         bus.open()
         assert bus.stop_servos_at_work() is devices.stops_at_work
         bus.close()
+
+
+# ---- settings that another program changes
+
+
+@pytest.mark.parametrize("framing", Framing)
+def test_stops_after_a_pause_leave_once_the_settings_are_put_right(framing: Framing) -> None:
+    devices = Devices()
+    bus = devices.bus(framing)
+    devices.looks.clear()
+    devices.now_ns = bus.ended_ns + PAUSE_NS
+    devices.meddled = "mode 3"
+    report = bus.write(STOPS)
+    assert (report.fault, report.meddled, len(report.sent)) == (None, "mode 3", len(STOPS))
+    assert devices.looks == [0], "before the call"
+    assert len(devices.calls) == 1
+
+
+def test_frames_that_move_do_not_leave_when_another_program_had_changed_the_settings() -> None:
+    devices = Devices()
+    bus = devices.bus()
+    devices.now_ns = bus.ended_ns + PAUSE_NS
+    devices.meddled = "mode 3"
+    report = bus.write(MOVES)
+    assert (str(report.fault), report.meddled, report.sent, devices.calls) == ("mode 3", "mode 3", [], [])
+
+
+def test_without_a_pause_and_for_repeats_nothing_is_looked_at() -> None:
+    devices = Devices()
+    bus = devices.bus()
+    devices.looks.clear()
+    devices.now_ns = bus.ended_ns + PAUSE_NS - 1
+    for frames in (STOPS, MOVES, STOPS):
+        assert bus.write(frames).fault is None
+    devices.now_ns = bus.ended_ns + PAUSE_NS
+    assert bus.write(STOPS, preamble=True).fault is None
+    assert devices.looks == []
+
+
+def test_a_bus_that_is_closed_finds_nothing() -> None:
+    devices = Devices()
+    devices.meddled = "mode 3"
+    assert Bus(SpiSettings(framing=PREFIXED), devices.open).put_right() is None
 
 
 def test_what_it_opens_is_guarded() -> None:

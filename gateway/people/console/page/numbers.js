@@ -21,7 +21,7 @@ const NAMES = {
   uptime: "Gateway up",
 };
 const MOST_REJECTORS = 5;
-const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "stopped_outside", "stopping", "button_silent"]);
+const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "bus_meddled", "stopped_outside", "stopping", "button_silent"]);
 
 /** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
 

@@ -355,6 +355,7 @@ _BAD: Final = frozenset(
         Kind.OVERFLOW,
         Kind.ESTOP_ENGAGED,
         Kind.BUS_FAULT,
+        Kind.BUS_MEDDLED,
         Kind.STOPPED_OUTSIDE,
         Kind.STOPPING,
     }

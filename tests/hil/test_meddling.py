@@ -1,0 +1,188 @@
+"""Another program changes the settings of the device that the gateway has open: mode, speed and bits are shared."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from schemas import keys
+from schemas.telemetry import Kind, Mode, Reason
+from tests.hil.bed import SpiTestbed, Transfer
+from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Wire, opening_of, settings_for, start
+from tests.support.child import Child
+from tests.support.heard import events
+
+pytestmark = pytest.mark.hil
+
+OWN = {(0, 8, 2_500_000)}
+DEFAULT_HZ = 125_000_000
+FASTER, SLOWER = {"max_speed_hz": 20_000_000}, {"max_speed_hz": 10_000}
+
+COLLEAGUE = """
+import json, sys
+import spidev
+for line in sys.stdin:
+    settings = json.loads(line)
+    device = spidev.SpiDev()
+    device.open(0, 0)
+    for name, value in settings["set"].items():
+        setattr(device, name, value)
+    print(json.dumps([device.mode, device.bits_per_word, device.max_speed_hz]), flush=True)
+    sys.stdin.readline()
+    device.close()
+    print("closed", flush=True)
+"""
+BUS = """
+import json, sys
+from gateway.errors import SpiError
+from gateway.robot.protocol.frames import stop_leg
+from gateway.robot.settings import SpiSettings
+from gateway.robot.spi.bus import PAUSE_NS, Bus
+from gateway.robot.spi.kernel import KernelDevice
+now_ns = 0
+device = KernelDevice("/dev/spidev0.0", 2_500_000)
+bus = Bus(SpiSettings(framing="plain"), lambda: device, clock=lambda: now_ns)
+bus.open()
+for line in sys.stdin:
+    now_ns += PAUSE_NS
+    report = bus.write([stop_leg(leg) for leg in range(1, 7)])
+    print(json.dumps([len(report.sent), str(report.fault), report.meddled]), flush=True)
+"""
+
+
+class Colleague:
+    """Opens the device in a process of its own, with spidev as it is, and changes what it is told to."""
+
+    def __init__(self, bed: SpiTestbed) -> None:
+        self._child = bed.spawn([sys.executable, "-c", COLLEAGUE])
+
+    def opens(self, **settings: int) -> list[int]:
+        """Mode, bits and speed as it then reads them."""
+        found: list[int] = json.loads(self._child.ask(json.dumps({"set": settings})))
+        return found
+
+    def closes(self) -> None:
+        assert self._child.ask("").strip() == "closed"
+
+
+def settings_of(transfers: list[Transfer]) -> set[tuple[int, int, int]]:
+    return {(each.mode, each.bits_per_word, each.speed_hz) for each in transfers}
+
+
+def stops(child: Child) -> tuple[int, str, str | None]:
+    """Six Stops after a pause: how many were written, the fault, and what the bus found."""
+    count, fault, meddled = json.loads(child.ask("stop"))
+    return count, fault, meddled
+
+
+def test_the_device_keeps_its_settings_as_linux_does(spi_testbed: SpiTestbed) -> None:
+    first, second = Colleague(spi_testbed), Colleague(spi_testbed)
+    assert first.opens() == [0, 8, DEFAULT_HZ]
+    assert second.opens(mode=3, **FASTER) == [3, 8, 20_000_000]
+    second.closes()
+    assert second.opens() == [3, 8, 20_000_000], "the first has it open"
+    second.closes()
+    first.closes()
+    for _ in range(100):  # the emulated device learns of a close some time after it
+        found = first.opens()
+        if found[2] == DEFAULT_HZ:
+            break
+        first.closes()
+    assert found == [3, 8, DEFAULT_HZ], "the speed falls back at the last close, and nothing else does"
+
+
+@pytest.mark.parametrize("stays", [True, False])
+@pytest.mark.parametrize("settings", [FASTER, SLOWER])
+@EACH_FRAMING
+def test_stops_leave_with_the_gateway_s_own_speed_whatever_another_program_sets(
+    tmp_path: Path, wire: Wire, settings: dict[str, int], stays: bool
+) -> None:
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        heard = events(client)
+        colleague = Colleague(wire.bed)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        assert colleague.opens(**settings)[2] == settings["max_speed_hz"]
+        if not stays:
+            colleague.closes()
+        assert client.ask(keys.servo_command(11), {"op": "stop"}).accepted
+        assert settings_of(wire.skip()) == OWN, "one frame"
+        assert client.state().mode is Mode.ACTIVE, "which harms nothing"
+        assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
+        assert settings_of(wire.expect(*STOPS)) == OWN, "and a list"
+        assert Kind.BUS_MEDDLED not in {event.kind for event in heard.all}
+
+
+@pytest.mark.parametrize("settings", [{"mode": 3}, {**SLOWER, "mode": 3}, {"no_cs": True}])
+@EACH_FRAMING
+def test_another_program_s_mode_is_put_right_published_and_a_fault(
+    tmp_path: Path, wire: Wire, settings: dict[str, int]
+) -> None:
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        heard = events(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        colleague = Colleague(wire.bed)
+        mode, bits, speed_hz = colleague.opens(**settings)
+        mode = 0x40 if "no_cs" in settings else mode  # spidev shows two bits of it
+        colleague.closes()
+        found = heard.wait(lambda event: event.kind is Kind.BUS_MEDDLED, timeout_s=LATE_S)
+        assert found.detail == (
+            f"/dev/spidev0.0: another program had set SPI mode 0x{mode:02x} instead of 0x00, "
+            f"{speed_hz} Hz and {bits} bits"
+        )
+        assert heard.wait(lambda event: event.kind is Kind.BUS_FAULT).detail == found.detail
+        heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED)
+        assert settings_of(wire.expect_opening(*STOPS)) == OWN
+        assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
+        assert client.start_leg(3, 90, 45, 120).accepted
+        assert settings_of(wire.expect(START_3)) == OWN
+        kinds = [event.kind for event in heard.all if event.kind is not Kind.COMMAND_REJECTED]
+        assert kinds == [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED]
+
+
+def test_a_first_stop_after_a_pause_leaves_with_the_mode_put_right(spi_testbed: SpiTestbed) -> None:
+    child, colleague = spi_testbed.spawn([sys.executable, "-c", BUS]), Colleague(spi_testbed)
+    assert stops(child) == (6, "None", None)
+    colleague.opens(mode=3)
+    count, fault, meddled = stops(child)
+    assert (count, fault) == (6, "None")
+    assert meddled is not None
+    assert "SPI mode 0x03" in meddled
+    assert stops(child) == (6, "None", None)
+    assert settings_of(spi_testbed.transfers) == OWN
+    assert len(spi_testbed.transfers) == 18
+
+
+def test_what_the_kernel_adds_to_the_mode_is_no_other_program_s(spi_testbed: SpiTestbed) -> None:
+    spi_testbed.use_gpio()
+    child, colleague = spi_testbed.spawn([sys.executable, "-c", BUS]), Colleague(spi_testbed)
+    assert stops(child) == (6, "None", None)
+    colleague.opens(mode=1)
+    assert "SPI mode 0x05 instead of 0x04" in str(stops(child)[2])
+    assert stops(child) == (6, "None", None)
+
+
+@EACH_FRAMING
+def test_a_controller_that_loses_edges_of_what_is_not_received_gets_all_bytes(tmp_path: Path, wire: Wire) -> None:
+    wire.bed.lose_edges()
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        assert client.start_leg(3, 90, 45, 120.01).accepted
+        wire.expect(START_3[:-2] + "01")
+
+
+def test_a_controller_that_does_not_receive_while_it_sends_gets_the_same_lists(tmp_path: Path, wire: Wire) -> None:
+    wire.bed.reject_receiving()
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
+        assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
+        assert len({each.call for each in wire.expect(*STOPS)}) == 1
+        assert len(wire.bed.transfers) == len(opening_of(wire.framing, *STOPS)) + len(STOPS) * 2
+
+
+def test_one_by_one_has_the_same_settings(tmp_path: Path, wire: Wire) -> None:
+    settings = settings_for(wire)["spi"] | {"batch": False}
+    with start(tmp_path, wire, spi=settings) as gateway, gateway.client() as client:
+        Colleague(wire.bed).opens(**SLOWER)
+        assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
+        assert settings_of(wire.expect(*STOPS)) == OWN
