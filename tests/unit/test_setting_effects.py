@@ -256,7 +256,7 @@ def test_the_guard_knows_avoid_deg(spi: dict[str, object], written: bool, batch:
 def test_speed_hz(speed_hz: int, last_ns: int) -> None:
     """It says where a frame's place on the wire is."""
     settings = Settings.model_validate({"spi": {"speed_hz": speed_hz}})
-    now_ns = iter((0, 10**9))
+    now_ns = iter((0, 0, 10**8))
     bus = Bus(settings.spi, Batches, clock=lambda: next(now_ns))
     bus.open()
     assert [sent.ns for sent in bus.write([stop_leg(1)]).sent] == [last_ns]

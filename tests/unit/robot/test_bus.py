@@ -135,7 +135,7 @@ def test_a_frame_that_moves_is_not_tried_again() -> None:
 def test_stops_are_tried_also_where_zeros_fail_again_and_again() -> None:
     """The controller may be synchronised, and then it receives them; but nobody knows, so they are tried on."""
     scene = Scene(PREFIXED)
-    scene.bus = Bus(SpiSettings(framing=PREFIXED, frame_gap_us=0), lambda: scene.device, clock=lambda: 0)
+    scene.bus = Bus(SpiSettings(framing=PREFIXED, frame_gap_us=20), lambda: scene.device, clock=lambda: 0)
     scene.bus.open()  # a program before it may have left the controller awaiting anything
     scene.device.begin(range(8))
     report = scene.bus.write(STOP_ALL)
