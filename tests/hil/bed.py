@@ -17,6 +17,8 @@ import errno as errors
 import importlib.util
 import json
 import os
+import platform
+import signal
 import socket
 import subprocess
 import threading
@@ -33,6 +35,8 @@ from tests.support.closing import Closing
 DEVICE = "/dev/spidev0.0"
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to
 PROGRAM = Path(__file__).with_name("spi_testbed.py")
+RECEIVING = {"x86_64": ("45",), "aarch64": ("207",)}.get(platform.machine(), ())
+"""The number of the system call by which umockdev's library waits for the emulation (recvfrom)."""
 REPLY_TIMEOUT_S = 5.0  # a reply takes about a millisecond; 12 ms where the node goes or returns
 
 
@@ -192,6 +196,23 @@ class SpiTestbed(Closing):
         child = Child(command, {**os.environ, **(env or {}), **self.environment}, cwd)
         self._children.append(child)
         return child
+
+    @staticmethod
+    def freeze(child: Child) -> None:
+        """Stop a program (SIGSTOP) between two calls on the device.
+
+        The emulation reads the memory of a program that calls, so one that is stopped within a call would stop it, too.
+        """
+        for _ in range(100):
+            child.send_signal(signal.SIGSTOP)
+            tasks = list(Path(f"/proc/{child.pid}/task").iterdir())
+            while any((task / "stat").read_text().rpartition(")")[2].split()[0] != "T" for task in tasks):
+                time.sleep(0.001)
+            if not {(task / "syscall").read_text().split()[0] for task in tasks} & set(RECEIVING):
+                return
+            child.send_signal(signal.SIGCONT)
+            time.sleep(0.005)
+        raise TimeoutError("the program calls the device all the time")
 
     @property
     def events(self) -> list[Event]:

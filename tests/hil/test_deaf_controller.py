@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client, leg_payload
+from gateway.robot.protocol.frames import stop_leg
 from gateway.robot.protocol.framing import Framing
 from schemas import keys
+from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import LATE_S, Replay, Wire, start
-from tests.support.transfers import preamble_of
 
 pytestmark = pytest.mark.hil
 
@@ -54,7 +55,7 @@ def test_a_service_that_stood_still_in_the_middle_of_a_frame_still_stops_the_rob
         transfers = spi_testbed.transfers
     behind = [each.data for each in transfers[before:]]
     assert behind[0] == announcement.data
-    assert behind[1:17] == list(preamble_of(Framing.LENGTH_PREFIXED)), "in place of the body, which is too late"
+    assert behind[2] in {stop_leg(leg).to_bytes() for leg in LEGS}, "in place of the body, which is too late"
     replay = Replay(wire.framing)
     replay.play(transfers[:before])
     assert len(replay.controller.energised) == 18

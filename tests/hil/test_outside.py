@@ -128,7 +128,7 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
 
 
 def test_a_gateway_that_hangs_is_not_waited_for(tmp_path: Path, wire: Wire, gateway: Gateway) -> None:
-    gateway.child.send_signal(signal.SIGSTOP)
+    wire.bed.freeze(gateway.child)
     try:
         child = stop_servos(tmp_path, wire)
     finally:
