@@ -211,6 +211,7 @@ class SpiController:
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
         raw = bytes(argument.retrieve())
         segments = []
+        filled: set[tuple[int, int]] = set()  # receive buffers that segments share
         for offset in range(0, size, SEGMENT.size):
             tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
             sent = bytes(argument.resolve(offset, length).retrieve()) if tx_buf and length else bytes(length)
@@ -218,7 +219,9 @@ class SpiController:
                 _answer(client, 0, errno.EINVAL)
                 return
             if rx_buf and length:
-                argument.resolve(offset + 8, length).update(0, bytes(length))
+                if (rx_buf, length) not in filled:  # each is a message to the program
+                    argument.resolve(offset + 8, length).update(0, bytes(length))
+                    filled.add((rx_buf, length))
             elif self._loses_edges:
                 sent = (int.from_bytes(sent) >> 1 << 1).to_bytes(length)
             segments.append((sent, speed_hz, bits, delay_us, cs_change))
