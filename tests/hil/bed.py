@@ -300,17 +300,9 @@ class SpiTestbed(Closing):
         """A driver that does not release chip select within a call: a list of transfers is one cycle."""
         self._command("ignore_cs_change")
 
-    def use_gpio(self) -> None:
-        """Chip select is a GPIO, and the kernel shows SPI_CS_HIGH in the mode whatever programs set."""
-        self._command("use_gpio")
-
-    def lose_edges(self) -> None:
-        """Transfers without a receive buffer lack the clock edge of their last bit, which arrives as 0."""
-        self._command("lose_edges")
-
-    def reject_receiving(self) -> None:
-        """Messages with a receive buffer answer EINVAL."""
-        self._command("reject_receiving")
+    def add_quirk(self, quirk: Literal["gpio", "half-duplex", "loses-edges"]) -> None:
+        """What some controllers and kernels do, see `spi_testbed.py`."""
+        self._command("add_quirk", quirk=quirk)
 
     def set_bufsiz(self, size: int) -> None:
         """How many bytes a call may hold, where each transfer takes a multiple of 128."""

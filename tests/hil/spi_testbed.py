@@ -89,8 +89,7 @@ class SpiController:
         self._openings: dict[Any, int] = {}
         self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
-        self._loses_edges = self._half_duplex = False
-        self._kernel_flags = 0  # of the mode, that the kernel sets by itself
+        self._quirks: set[str] = set()
         self._fail_errno = 0
         self._fail_left: int | None = 0
         self._fail_after = 0
@@ -146,18 +145,11 @@ class SpiController:
         with self._lock:
             self._ignores_cs_change = True
 
-    def use_gpio(self) -> None:
-        """Chip select is a GPIO: older kernels then set SPI_CS_HIGH in the mode by themselves, and show it."""
-        with self._lock:
-            self._kernel_flags = CS_HIGH
-
-    def lose_edges(self) -> None:
-        """A transfer without a receive buffer lacks a clock edge at its end, as on a Raspberry Pi 5 before 2025-02."""
-        self._loses_edges = True
-
-    def reject_receiving(self) -> None:
-        """A controller that does not receive while it sends: messages with a receive buffer answer EINVAL."""
-        self._half_duplex = True
+    def add_quirk(self, quirk: str) -> None:
+        """`gpio`: chip select is one, and as older kernels do, this one adds SPI_CS_HIGH to the mode, and shows it.
+        `half-duplex`: messages with a receive buffer answer EINVAL. `loses-edges`: transfers without one lack the clock
+        edge of their last bit, as on a Raspberry Pi 5 before 2025-02; it then arrives as 0."""
+        self._quirks.add(quirk)
 
     def set_bufsiz(self, size: int) -> None:
         """How many bytes a message may hold."""
@@ -225,15 +217,18 @@ class SpiController:
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
         raw = bytes(argument.retrieve())
         segments = []
+        filled: set[tuple[int, int]] = set()  # receive buffers that segments share
         for offset in range(0, size, SEGMENT.size):
             tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
             sent = bytes(argument.resolve(offset, length).retrieve()) if tx_buf and length else bytes(length)
-            if rx_buf and self._half_duplex:
+            if rx_buf and "half-duplex" in self._quirks:
                 _answer(client, 0, errno.EINVAL)
                 return
             if rx_buf and length:
-                argument.resolve(offset + 8, length).update(0, bytes(length))
-            elif self._loses_edges:
+                if (rx_buf, length) not in filled:  # each is a message to the program
+                    argument.resolve(offset + 8, length).update(0, bytes(length))
+                    filled.add((rx_buf, length))
+            elif "loses-edges" in self._quirks:
                 sent = (int.from_bytes(sent) >> 1 << 1).to_bytes(length)
             segments.append((sent, speed_hz, bits, delay_us, cs_change))
         self._transfer(now_ns, client, "message", segments)
@@ -327,7 +322,7 @@ class SpiController:
             self._opening(now_ns, client)
             gone = self._clients[client] <= self._gone_before
             lsb_first = int(bool(self._mode & LSB_FIRST))
-            mode = self._mode | self._kernel_flags
+            mode = self._mode | (CS_HIGH if "gpio" in self._quirks else 0)
             values = {"mode": mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
         if not gone:
             argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
@@ -387,9 +382,7 @@ class Testbed:
             "heal": self._controller.heal,
             "reject_lists": self._controller.reject_lists,
             "ignore_cs_change": self._controller.ignore_cs_change,
-            "use_gpio": self._controller.use_gpio,
-            "lose_edges": self._controller.lose_edges,
-            "reject_receiving": self._controller.reject_receiving,
+            "add_quirk": self._controller.add_quirk,
             "set_bufsiz": self._controller.set_bufsiz,
             "delay": self._controller.delay,
             "block": self._controller.block,

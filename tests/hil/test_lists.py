@@ -132,9 +132,12 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set(
 
 def test_of_two_writers_none_comes_into_the_other_s_batch(spi_testbed: SpiTestbed) -> None:
     children = [writer(spi_testbed) for _ in range(2)]
+    for child in children:
+        assert write(child, FRAME) == "written", "it has started"
+    begun = len(spi_testbed.transfers)
     for child, batch in zip(children, (ZEROS, FRAME), strict=True):
         child.tell(json.dumps([100, batch]))
-    transfers = spi_testbed.wait_for_count(600, timeout_s=30)
+    transfers = spi_testbed.wait_for_count(begun + 600, timeout_s=30)[begun:]
     written = data_of(transfers)
     while written:
         expected = [str(data) for data, _ in (ZEROS if written[0] == "00" else FRAME)]

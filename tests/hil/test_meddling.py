@@ -156,7 +156,7 @@ def test_a_first_stop_after_a_pause_leaves_with_the_mode_put_right(spi_testbed: 
 
 
 def test_what_the_kernel_adds_to_the_mode_is_no_other_program_s(spi_testbed: SpiTestbed) -> None:
-    spi_testbed.use_gpio()
+    spi_testbed.add_quirk("gpio")
     child, colleague = spi_testbed.spawn([sys.executable, "-c", BUS]), Colleague(spi_testbed)
     assert stops(child) == (6, "None", None)
     colleague.opens(mode=1)
@@ -166,14 +166,14 @@ def test_what_the_kernel_adds_to_the_mode_is_no_other_program_s(spi_testbed: Spi
 
 @EACH_FRAMING
 def test_a_controller_that_loses_edges_of_what_is_not_received_gets_all_bytes(tmp_path: Path, wire: Wire) -> None:
-    wire.bed.lose_edges()
+    wire.bed.add_quirk("loses-edges")
     with start(tmp_path, wire) as gateway, gateway.client() as client:
         assert client.start_leg(3, 90, 45, 120.01).accepted
         wire.expect(START_3[:-2] + "01")
 
 
 def test_a_controller_that_does_not_receive_while_it_sends_gets_the_same_lists(tmp_path: Path, wire: Wire) -> None:
-    wire.bed.reject_receiving()
+    wire.bed.add_quirk("half-duplex")
     with start(tmp_path, wire) as gateway, gateway.client() as client:
         assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
         assert len({each.call for each in wire.expect(*STOPS)}) == 1
