@@ -55,7 +55,7 @@ def _cpio(files: Mapping[str, bytes]) -> bytes:
 
 
 def _entry(inode: int, name: str, mode: int, data: bytes) -> bytes:
-    """"new ASCII": thirteen numbers in hex, the name and the data, each filled up to four bytes."""
+    """ "new ASCII": thirteen numbers in hex, the name and the data, each filled up to four bytes."""
     fields = (inode, mode, 0, 0, 1, 0, len(data), 0, 0, 0, 0, len(name) + 1, 0)
     head = b"070701" + b"".join(b"%08x" % each for each in fields) + name.encode() + b"\0"
     return head + bytes(-len(head) % 4) + data + bytes(-len(data) % 4)

@@ -1,9 +1,7 @@
 """The virtual machine: one boot, watched until it powers off. It ends with this process, however that ends."""
 
-import ctypes
 import os
 import shutil
-import signal
 import subprocess
 import time
 from collections.abc import Callable
@@ -14,8 +12,6 @@ from tests.kernel import initramfs
 from tests.kernel.parts import CACHE, LIBRARIES, Parts, PartsError
 
 LONGEST_S: Final = 900
-_PR_SET_PDEATHSIG: Final = 1
-_LIBC: Final = ctypes.CDLL(None)
 
 
 def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], cache: Path = CACHE) -> None:
@@ -29,6 +25,7 @@ def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], 
     initrd = initramfs.build(parts, scenes, cache / "initramfs.gz")
     libraries = ":".join(str(parts.root / name) for name in LIBRARIES)
     command = [
+        *("setpriv", "--pdeathsig", "KILL"),  # the kernel kills it when this process ends, also by SIGKILL
         str(parts.root / "usr/bin/qemu-system-x86_64"),
         *("-L", str(parts.root / "usr/share/seabios"), "-L", str(parts.root / "usr/share/qemu")),
         *("-accel", _accelerator(), "-cpu", "max", "-smp", "2", "-m", "2048"),
@@ -38,13 +35,10 @@ def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], 
         *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),
         *("-virtfs", f"local,path={out},mount_tag=out,security_model=none"),
     ]
-    machine = subprocess.Popen(
-        command,
-        env={**os.environ, "LD_LIBRARY_PATH": libraries},
-        stdin=subprocess.DEVNULL,
-        stderr=(cache / "qemu.log").open("w"),
-        preexec_fn=_end_with_us,
-    )
+    with (cache / "qemu.log").open("w") as log:
+        machine = subprocess.Popen(
+            command, env={**os.environ, "LD_LIBRARY_PATH": libraries}, stdin=subprocess.DEVNULL, stderr=log
+        )
     deadline_s = time.monotonic() + LONGEST_S
     try:
         while machine.poll() is None:
@@ -65,8 +59,3 @@ def _accelerator() -> str:
     flags = Path("/proc/cpuinfo").read_text().split()
     usable = os.access("/dev/kvm", os.R_OK | os.W_OK) and not {"vmx", "svm"}.isdisjoint(flags)
     return "kvm" if usable else "tcg,thread=multi"
-
-
-def _end_with_us() -> None:
-    """Between fork and exec: the kernel kills QEMU when its parent dies, also by SIGKILL."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

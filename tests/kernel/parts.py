@@ -40,7 +40,7 @@ class Parts(NamedTuple):
 
 def prepare(cache: Path = CACHE) -> Parts:
     """Everything that a boot needs; downloads once. Raises PartsError."""
-    for tool in ("apt-get", "dpkg-deb", "make", "gcc-12"):
+    for tool in ("apt-get", "dpkg-deb", "make", "gcc-12", "setpriv"):
         if shutil.which(tool) is None:
             raise PartsError(f"{tool} is missing; make kernel needs Debian 12 with make and gcc-12")
     root = cache / "root"

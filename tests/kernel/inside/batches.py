@@ -2,6 +2,7 @@
 
 import os
 import signal
+from itertools import pairwise
 
 from gateway.robot.protocol.frames import OP_SET, OneLeg, ServoOp, stop_leg
 from gateway.robot.protocol.framing import Framing
@@ -82,7 +83,7 @@ def atomic() -> str:
     foreign = [message for message in found if all(data[0] in OTHERS for data in message.data)]
     assert len(ours_at) == TIMES, f"{len(ours_at)} of {TIMES} batches are whole"
     assert len(ours_at) + len(foreign) == len(found), "a message is neither ours nor theirs"
-    between = sum(after - before > 1 for before, after in zip(ours_at, ours_at[1:], strict=False))
+    between = sum(after - before > 1 for before, after in pairwise(ours_at))
     both = {data[0] for message in found[ours_at[0] : ours_at[-1]] for data in message.data} & set(OTHERS)
     assert between > TIMES // 10, f"the others wrote between {between} of {TIMES} batches only"
     assert both == set(OTHERS), "one of the others did not write"

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
+from typing import Any
 
 from gateway.client import Client
 from gateway.robot.protocol.framing import Framing
@@ -41,12 +42,16 @@ class Robot:
 
 @contextmanager
 def robot(framing: Framing = Framing.LENGTH_PREFIXED) -> Iterator[Robot]:
-    """`hexapod-gateway run` on the device, ready and at rest; no watchdog comes in the way of a slow machine."""
-    settings = {
+    """`hexapod-gateway run` on the device, ready and at rest; a slow machine alone stops and rejects nothing."""
+    settings: dict[str, dict[str, Any]] = {
+        "limits": {"max_age_ms": 0},
         "spi": {"device": wire.DEVICE, "framing": str(framing), "speed_hz": SPEED_HZ},
         "watchdog": {"timeout_ms": 10_000, "repeats": 1},
     }
-    with TemporaryDirectory() as folder, Gateway(Path(folder), settings, options=()) as gateway:
-        with Client(gateway.endpoint, source="a scene", timeout_s=20) as client:
-            client.wait_ready(60)
-            yield Robot(gateway, client)
+    with (
+        TemporaryDirectory() as folder,
+        Gateway(Path(folder), settings, options=()) as gateway,
+        Client(gateway.endpoint, source="a scene", timeout_s=20) as client,
+    ):
+        client.wait_ready(60)
+        yield Robot(gateway, client)
