@@ -12,7 +12,7 @@ from gateway.robot.protocol.framing import Framing
 from schemas.telemetry import Event
 from tests.kernel.inside import wire
 from tests.kernel.inside.device import SPEED_HZ
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import READY, Gateway
 
 
 class Robot:
@@ -41,6 +41,13 @@ class Robot:
 
 
 @contextmanager
+def _once_ready(gateway: Gateway) -> Iterator[None]:
+    """Under emulation it takes half a minute to load."""
+    gateway.child.wait_for_output(READY, 180)
+    yield
+
+
+@contextmanager
 def robot(framing: Framing = Framing.LENGTH_PREFIXED) -> Iterator[Robot]:
     """`hexapod-gateway run` on the device, ready and at rest; a slow machine alone stops and rejects nothing."""
     settings: dict[str, dict[str, Any]] = {
@@ -50,7 +57,8 @@ def robot(framing: Framing = Framing.LENGTH_PREFIXED) -> Iterator[Robot]:
     }
     with (
         TemporaryDirectory() as folder,
-        Gateway(Path(folder), settings, options=()) as gateway,
+        Gateway(Path(folder), settings, options=(), wait=False) as gateway,
+        _once_ready(gateway),
         Client(gateway.endpoint, source="a scene", timeout_s=20) as client,
     ):
         client.wait_ready(60)
