@@ -134,5 +134,5 @@ def small_buffer() -> str:
     found = wire.messages()
     assert [data for message in found for data in message.data] == [ZERO] * 16 + wire.announced(wire.STOPS)
     longest = max(len(message.transfers) for message in found)
-    assert longest == 4, f"a list of {longest}"
+    assert 1 < longest <= 4, f"a list of {longest}"
     return f"{len(found)} lists of at most {longest} transfers, the same bytes"

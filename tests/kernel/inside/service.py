@@ -3,6 +3,7 @@
 import fcntl
 import os
 import struct
+import time
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,10 +53,15 @@ def another_hand(request: int, value: bytes) -> None:
         os.close(device)
 
 
+PAUSE_S: Final = 0.5
+"""Nothing is written for so long: before a first Stop after a pause, what the device is set to has to be looked at."""
+
+
 def meddled(request: int, value: bytes) -> str:
     """Six legs run, another program sets something, somebody publishes an emergency stop at once."""
     with robot() as ours:
         ours.start()
+        time.sleep(PAUSE_S)
         wire.forget()
         another_hand(request, value)
         ours.client.publish(keys.ESTOP, {})
