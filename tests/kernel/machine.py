@@ -37,7 +37,11 @@ def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], 
     ]
     with (cache / "qemu.log").open("w") as log:
         machine = subprocess.Popen(
-            command, env={**os.environ, "LD_LIBRARY_PATH": libraries}, stdin=subprocess.DEVNULL, stderr=log
+            command,
+            env={**os.environ, "LD_LIBRARY_PATH": libraries},
+            stdin=subprocess.DEVNULL,
+            stderr=log,
+            start_new_session=True,  # Ctrl-C is for us: QEMU would power off, as if all scenes had been played
         )
     deadline_s = time.monotonic() + LONGEST_S
     try:
