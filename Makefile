@@ -8,7 +8,7 @@ WHEELS ?= dist/wheels
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross
 
-.PHONY: dist lock help run quick test check case bench walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: dist lock help run quick test check case bench kernel walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -20,6 +20,8 @@ help:
 	@echo "make case     the safety case (docs/safety.md): which claims the last make test has shown for these files"
 	@echo "              (RUN=yes: runs the tests that it needs first)"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
+	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
+	@echo "              (SCENES=\"atomic killed\": only these; safety/kernel.json then stays as it is)"
 	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption; a picture"
 	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table and a picture"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
@@ -61,6 +63,9 @@ case: $(VENV)/dev
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick)
+
+kernel: $(VENV)/dev
+	@$(BIN)/python -m tests.kernel $(SCENES)
 
 walk: $(VENV)/dev
 	$(BIN)/python -m tests.walking

@@ -14,7 +14,7 @@ from collections import Counter
 
 from pydantic import ValidationError
 
-from tests.case import left
+from tests.case import kernel, left
 from tests.case.case import ROOT, Case, load
 from tests.case.judge import SCORES, Judged, Ran, Verdict, judge, tests_of, worst
 from tests.case.picture import draw
@@ -47,7 +47,7 @@ def main() -> int:
 
 def _ran() -> Ran:
     scores = json.loads(SCORES.read_text()) if SCORES.exists() else {}
-    return Ran(left.outcomes(), left.bench(), scores)
+    return Ran(left.outcomes(), left.bench(), scores, kernel.read())
 
 
 def _run(tests: list[str]) -> None:

@@ -49,6 +49,12 @@ class Bench(_Part):
     row: Text
 
 
+class Kernel(_Part):
+    """A scene of `make kernel` (tests/kernel), on a real kernel's spidev."""
+
+    scene: Text
+
+
 class Person(_Part):
     """What nobody but a person can show, on the robot or beside it."""
 
@@ -78,12 +84,14 @@ class Claim(_Part):
     drill: list[Text] = []
     """Steps of the drill, which a person runs on the robot."""
     bench: list[Bench] = []
+    kernel: list[Kernel] = []
     person: list[Person] = []
     defeaters: list[Defeater] = []
 
     @model_validator(mode="after")
     def _has_evidence(self) -> "Claim":
-        if not (self.tests or self.model or self.mutants or self.figures or self.bench or self.person):
+        shown = self.tests or self.model or self.mutants or self.figures or self.bench or self.kernel
+        if not (shown or self.person):
             raise ValueError("a claim without evidence")
         return self
 

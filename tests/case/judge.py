@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.people.tools.drill.steps import STEPS
-from tests.case.case import ROOT, Bench, Case, Claim, Figure, Model, Mutants
-from tests.case.left import Outcome
+from tests.case.case import ROOT, Bench, Case, Claim, Figure, Kernel, Model, Mutants
+from tests.case.kernel import Report
+from tests.case.left import Outcome, mark
+from tests.kernel.inside.scenes import SCENES
 from tests.unit.test_docs import headings
 
 SCORES: Final = ROOT / "tests" / "mutants" / "scores.json"
@@ -46,6 +48,8 @@ class Ran(NamedTuple):
     """None: nobody ran them for these files."""
     bench: Sequence[Mapping[str, Any]] | None
     scores: Mapping[str, Mapping[str, Any]]
+    kernel: Report | None = None
+    """The last run of `make kernel`, of whichever files."""
 
 
 def judge(claim: Claim, ran: Ran) -> list[Judged]:
@@ -57,6 +61,7 @@ def judge(claim: Claim, ran: Ran) -> list[Judged]:
         *(_score(mutants, ran) for mutants in claim.mutants),
         *(_figure(figure, ran) for figure in claim.figures),
         *(_bench(bench, ran) for bench in claim.bench),
+        *(_kernel(kernel, ran) for kernel in claim.kernel),
         *(_drill(step) for step in claim.drill),
         *(Judged(Verdict.PERSON, person.check, person.how) for person in claim.person),
     ]
@@ -174,6 +179,20 @@ def _bench(bench: Bench, ran: Ran) -> Judged:
         return Judged(Verdict.RED, evidence, "the row has no bound")
     why = "; ".join(f"{row['gateway']} ({row['aim']})" for row in rows)
     return Judged(Verdict.SHOWN if all(row["met"] for row in rows) else Verdict.RED, evidence, why)
+
+
+def _kernel(kernel: Kernel, ran: Ran) -> Judged:
+    evidence = f"make kernel: {kernel.scene}"
+    if kernel.scene not in SCENES:
+        return Judged(Verdict.RED, evidence, "there is no such scene")
+    if ran.kernel is None or kernel.scene not in ran.kernel.scenes:
+        return Judged(Verdict.PERSON, evidence, "it was not played: make kernel")
+    when = f"on {ran.kernel.date}, Linux {ran.kernel.kernel}"
+    if not ran.kernel.scenes[kernel.scene]:
+        return Judged(Verdict.RED, evidence, f"it did not hold {when}")
+    if ran.kernel.files != mark():
+        return Judged(Verdict.PERSON, evidence, f"it held {when}, for other files: make kernel")
+    return Judged(Verdict.SHOWN, evidence, when)
 
 
 def _drill(name: str) -> Judged:

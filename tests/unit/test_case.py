@@ -14,6 +14,7 @@ from tests.case import left
 from tests.case.__main__ import DRAWN, as_text
 from tests.case.case import ROOT, Case, Claim, Figure, Mutants, load
 from tests.case.judge import Judged, Ran, Verdict, judge, worst
+from tests.case.kernel import Report
 from tests.case.left import Outcome
 from tests.case.picture import draw
 
@@ -66,6 +67,7 @@ def test_one_that_is_gone_or_renamed_turns_it_red_although_it_passed_once(gone: 
 
 SEARCH = "tests/fuzz/test_model_check.py::test_every_reachable_state_keeps_every_promise"
 FLOOR: dict[str, Any] = {"tests": [], "mutants": [Mutants(module=BUS, at_least=98)]}
+SCENE: dict[str, Any] = {"tests": [], "kernel": [{"scene": "atomic"}]}
 FLOOD: dict[str, Any] = {"tests": [], "bench": [{"row": "flood"}]}
 
 
@@ -85,6 +87,11 @@ def scored(score: float, text: bytes) -> Ran:
 def measured(gateway: str, aim: str, met: bool | None) -> Ran:
     """A run of the benchmark."""
     return Ran({}, [{"name": "flood: p99", "gateway": gateway, "aim": aim, "met": met}], {})
+
+
+def played(holds: bool, files: str | None = None, scene: str = "atomic") -> Ran:
+    """A run of `make kernel`, for these files or others."""
+    return Ran({}, None, {}, Report("2026-11-23", "6.1.0-56-amd64", "", files or left.mark(), {scene: holds}))
 
 
 VERDICTS: dict[str, tuple[dict[str, Any], Ran, Verdict]] = {
@@ -116,6 +123,12 @@ VERDICTS: dict[str, tuple[dict[str, Any], Ran, Verdict]] = {
     "a row within its bound": (FLOOD, measured("4 ms", "at most 5 ms", True), Verdict.SHOWN),
     "a row beyond its bound": (FLOOD, measured("6 ms", "at most 5 ms", False), Verdict.RED),
     "a row without a bound": (FLOOD, measured("6 ms", "", None), Verdict.RED),
+    "no run of make kernel": (SCENE, Ran({}, None, {}), Verdict.PERSON),
+    "a run without the scene": (SCENE, played(True, scene="killed"), Verdict.PERSON),
+    "a scene that held": (SCENE, played(True), Verdict.SHOWN),
+    "a scene that held for other files": (SCENE, played(True, "other"), Verdict.PERSON),
+    "a scene that did not hold": (SCENE, played(False), Verdict.RED),
+    "a scene that there is not": ({"tests": [], "kernel": [{"scene": "gone"}]}, played(True), Verdict.RED),
     "a step of the drill": ({"drill": ["estop"]}, ran(PASSED), Verdict.PERSON),
     "a step that the drill has not": ({"drill": ["gone"]}, ran(PASSED), Verdict.RED),
 }

@@ -1,0 +1,65 @@
+"""A real service in the virtual machine, and a client of it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Lock
+from typing import Any
+
+from gateway.client import Client
+from gateway.robot.protocol.framing import Framing
+from schemas.telemetry import Event
+from tests.kernel.inside import wire
+from tests.kernel.inside.device import SPEED_HZ
+from tests.support.gateway_process import READY, Gateway
+
+
+class Robot:
+    """A running service on the device, a client of it, and what it has published."""
+
+    def __init__(self, gateway: Gateway, client: Client) -> None:
+        self.gateway = gateway
+        self.client = client
+        self._lock = Lock()
+        self._events: list[Event] = []
+        client.on_event(self._note)
+
+    def _note(self, event: Event) -> None:
+        with self._lock:
+            self._events.append(event)
+
+    def events(self, kind: str) -> list[Event]:
+        """All of a kind so far."""
+        with self._lock:
+            return [each for each in self._events if str(each.kind) == kind]
+
+    def start(self) -> None:
+        """All six legs, at 90 degrees."""
+        ack = self.client.start_legs(dict.fromkeys(wire.SIX, (90, 90, 90)))
+        assert ack.accepted, ack.detail
+
+
+@contextmanager
+def _once_ready(gateway: Gateway) -> Iterator[None]:
+    """Under emulation it takes half a minute to load."""
+    gateway.child.wait_for_output(READY, 180)
+    yield
+
+
+@contextmanager
+def robot(framing: Framing = Framing.LENGTH_PREFIXED) -> Iterator[Robot]:
+    """`hexapod-gateway run` on the device, ready and at rest; a slow machine alone stops and rejects nothing."""
+    settings: dict[str, dict[str, Any]] = {
+        "limits": {"max_age_ms": 0},
+        "spi": {"device": wire.DEVICE, "framing": str(framing), "speed_hz": SPEED_HZ},
+        "watchdog": {"timeout_ms": 10_000, "repeats": 1},
+    }
+    with (
+        TemporaryDirectory() as folder,
+        Gateway(Path(folder), settings, options=(), wait=False) as gateway,
+        _once_ready(gateway),
+        Client(gateway.endpoint, source="a scene", timeout_s=20) as client,
+    ):
+        client.wait_ready(60)
+        yield Robot(gateway, client)

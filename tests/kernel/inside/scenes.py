@@ -1,0 +1,43 @@
+"""All scenes: what each shows, and in which boot."""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from gateway.robot.protocol.framing import Framing
+from tests.kernel.inside import batches, failures, service
+
+
+class Scene(NamedTuple):
+    """`play` returns what it found, in a few words, or raises AssertionError with what it missed."""
+
+    shows: str
+    play: Callable[[], str]
+    options: str = ""
+    """Of the kernel."""
+
+
+SCENES: Final = {
+    "batch-plain": Scene(
+        "plain: a batch's bytes, chip select around each transfer, the pauses", lambda: batches.edges(Framing.PLAIN)
+    ),
+    "batch-length-prefixed": Scene(
+        "length-prefixed: the same, behind a preamble", lambda: batches.edges(Framing.LENGTH_PREFIXED)
+    ),
+    "atomic": Scene("no transfer of two other writers comes into a batch", batches.atomic),
+    "killed": Scene("a program that is killed in its batch finishes it", batches.killed),
+    "error": Scene("a transfer fails at once: all six Stops leave", failures.fails_at_once),
+    "lost": Scene("Linux gives up on a transfer: all six Stops leave", failures.lost),
+    "hang": Scene("a transfer hangs in the driver: nobody is killed, and nothing overtakes it", failures.hangs),
+    "estop-plain": Scene("plain: an emergency stop of a service", lambda: service.emergency_stop(Framing.PLAIN)),
+    "estop-length-prefixed": Scene(
+        "length-prefixed: an emergency stop of a service", lambda: service.emergency_stop(Framing.LENGTH_PREFIXED)
+    ),
+    "lost-zeros": Scene("zeros are lost and frames pass: six Stops soon", service.lost_zeros),
+    "other-speed-fast": Scene("another program sets 20 MHz: no Stop leaves with it", service.faster),
+    "other-speed-slow": Scene("another program sets 10 kHz: no Stop leaves with it", service.slower),
+    "other-mode": Scene("another program sets mode 3: no Stop leaves with it", service.other_mode),
+    "unbound": Scene("the device goes while it is written, and returns: six Stops", service.unbound),
+    "bufsiz": Scene(
+        "with a buffer of 512 bytes, shorter lists and the same bytes", batches.small_buffer, "spidev.bufsiz=512"
+    ),
+}

@@ -1,0 +1,172 @@
+"""The module's log and parameters: what the controller was asked to do, message by message."""
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Final, NamedTuple
+
+DEVICE: Final = "/dev/spidev0.0"
+LOG: Final = Path("/sys/kernel/debug/spirec/log")
+PARAMETERS: Final = Path("/sys/module/spirec/parameters")
+ASSERTED, RELEASED, BEGIN, END, SETUP, PREPARE, UNPREPARE, LOST = range(1, 9)
+_RECORD: Final = struct.Struct("=QIIIHBBhBBHH16s16s")
+_FAULTS: Final = ("fail_in", "lose_in", "lose_zeros", "hang_in", "xfer_sleep_us")
+
+
+class Record(NamedTuple):
+    """`struct rec` of the module."""
+
+    ns: int
+    pid: int
+    speed_hz: int
+    mode: int
+    size: int
+    kind: int
+    chip_select: int
+    result: int
+    bits: int
+    priority: int
+    delay_us: int
+    cs_change: int
+    program: bytes
+    data: bytes
+
+
+@dataclass
+class Transfer:
+    """One transfer, and chip select around it; times of the machine's monotonic clock, 0 where it did not come."""
+
+    data: bytes
+    speed_hz: int
+    bits: int
+    mode: int
+    delay_us: int
+    begin_ns: int
+    asserted_ns: int = 0
+    end_ns: int = 0
+    released_ns: int = 0
+    result: int | None = None
+    """0: it passed. None: lost."""
+
+    @property
+    def setting(self) -> tuple[int, int, int]:
+        """With which speed, bits and mode it left."""
+        return self.speed_hz, self.bits, self.mode
+
+
+@dataclass
+class Message:
+    """What Linux worked on as one."""
+
+    transfers: list[Transfer] = field(default_factory=list)
+    status: int = 0
+    edges: list[tuple[bool, int]] = field(default_factory=list)
+    """Chip select asserted or released, and when."""
+    unprepared_ns: int = 0
+
+    @property
+    def data(self) -> list[bytes]:
+        return [each.data for each in self.transfers]
+
+
+def forget() -> None:
+    """Empty the log."""
+    LOG.write_text("0")
+
+
+def give(**parameters: int) -> None:
+    """Set parameters of the module."""
+    for name, value in parameters.items():
+        (PARAMETERS / name).write_text(str(value))
+
+
+def heal() -> None:
+    """No fault any more."""
+    give(**dict.fromkeys(_FAULTS, 0), fail_count=1, lose_count=1)
+
+
+def records() -> list[Record]:
+    """All since `forget`."""
+    return [Record(*each) for each in _RECORD.iter_unpack(LOG.read_bytes())]
+
+
+def messages() -> list[Message]:
+    """All since `forget`, in order; the last one may be unfinished."""
+    found: list[Message] = []
+    for each in records():
+        if each.kind == PREPARE:
+            found.append(Message())
+        elif each.kind != SETUP and found and not found[-1].unprepared_ns:
+            _note(found[-1], each)
+    return found
+
+
+def _note(message: Message, record: Record) -> None:
+    last = message.transfers[-1] if message.transfers else None
+    match record.kind:
+        case 3:
+            asserted_ns = message.edges[-1][1] if message.edges and message.edges[-1][0] else 0
+            message.transfers.append(
+                Transfer(
+                    record.data[: record.size], record.speed_hz, record.bits, record.mode, record.delay_us,
+                    record.ns, asserted_ns,
+                )
+            )  # fmt: skip
+        case 4 if last is not None:
+            last.end_ns, last.result = record.ns, record.result
+        case 1 | 2:
+            message.edges.append((record.kind == ASSERTED, record.ns))
+            if record.kind == RELEASED and last is not None and not last.released_ns:
+                last.released_ns = record.ns
+        case 7:
+            message.status, message.unprepared_ns = record.result, record.ns
+
+
+def passed() -> list[Transfer]:
+    """All transfers that reached a controller, in order."""
+    return [each for message in messages() for each in message.transfers if each.result == 0]
+
+
+def lost() -> list[Record]:
+    """All that Linux gave up on."""
+    return [each for each in records() if each.kind == LOST]
+
+
+def wait_until(holds: Callable[[], bool], what: str, within_s: float = 30) -> None:
+    """Look at the machine until it holds. Raises AssertionError."""
+    deadline_s = monotonic() + within_s
+    while not holds():
+        assert monotonic() < deadline_s, f"not within {within_s:g} s: {what}"
+        sleep(0.02)
+
+
+# ---- the bytes of the protocol, written down here once more, so that the gateway's code is not its own witness
+
+SIX: Final = range(1, 7)
+
+
+def leg(number: int, op: int, whole: int = 0) -> bytes:
+    """ONE LEG: all three servos of it."""
+    servos = (bytes((number * 10 + joint, op, whole, 0)) for joint in (1, 2, 3))
+    return bytes((14, 1)) + b"".join(servos)
+
+
+def stop(number: int) -> bytes:
+    """ONE LEG, stopped."""
+    return leg(number, 2)
+
+
+STOPS: Final = [stop(each) for each in SIX]
+
+
+def announced(frames: list[bytes]) -> list[bytes]:
+    """Frames as the published firmware wants them: each length first."""
+    return [part for frame in frames for part in (frame[:1], frame)]
+
+
+def in_order(found: list[bytes], wanted: list[bytes]) -> bool:
+    """Whether these come in this order, whatever comes between them."""
+    left: Iterator[bytes] = iter(found)
+    return all(each in left for each in wanted)
