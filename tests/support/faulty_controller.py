@@ -15,7 +15,7 @@ class FaultyController(SimulatedController):
         super().__init__(framing, clock=clock)
         self._failing_transfers = 0
         self._failing_until_ns = self._silent_until_ns = clock()
-        self._bytes_to_lose = 0
+        self._bytes_to_take = self._bytes_to_lose = 0
 
     def fail_next(self, count: int) -> None:
         """Let the next `count` transfers raise SpiError."""
@@ -29,9 +29,9 @@ class FaultyController(SimulatedController):
         """Let the controller receive nothing for a while, although transfers succeed."""
         self._silent_until_ns = self._clock() + round(duration_ms * 1e6)
 
-    def lose_bytes(self, count: int) -> None:
-        """Lose the next `count` bytes on the wire."""
-        self._bytes_to_lose = count
+    def lose_bytes(self, count: int, *, behind: int = 0) -> None:
+        """Lose `count` bytes on the wire, behind the next `behind`."""
+        self._bytes_to_take, self._bytes_to_lose = behind, count
 
     def take(self, data: bytes) -> None:
         if self._failing_transfers > 0 or self._clock() < self._failing_until_ns:
@@ -40,7 +40,9 @@ class FaultyController(SimulatedController):
         super().take(data)
 
     def _receive(self, data: bytes, now_ns: int) -> None:
-        lost = min(self._bytes_to_lose, len(data))
+        taken = min(self._bytes_to_take, len(data))
+        lost = min(self._bytes_to_lose, len(data) - taken)
+        self._bytes_to_take -= taken
         self._bytes_to_lose -= lost
         if now_ns >= self._silent_until_ns:
-            super()._receive(data[lost:], now_ns)
+            super()._receive(data[:taken] + data[taken + lost :], now_ns)
