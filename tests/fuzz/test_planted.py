@@ -47,6 +47,7 @@ INSTANTS = BY_NAME["one servo, instants in which time passes"]
 ONE_LEG = BY_NAME["one leg, commands for all of it and for a servo"]
 QUARTER = BY_NAME["one leg, frames a quarter of a period apart"]
 SLOW = BY_NAME["a rate slot later than the watchdog"]
+TWO_LEGS = BY_NAME["two legs"]
 BOTH_LEGS = BY_NAME["two legs, one silent leg stops both"]
 STAGGERED = BY_NAME["two legs, started one after the other"]
 SPEED = BY_NAME["one leg, a limited speed"]
@@ -80,6 +81,8 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
         making_up(Transmit(STOP_11, Cause.REPEAT), where=lambda robot: robot.legs.servos[11].running),
     ),
     ("only Stops are repeated", ONE_LEG, making_up(Transmit(SET_11, Cause.REPEAT))),
+    ("legs at rest get a Stop each", TWO_LEGS, losing(joins=True)),
+    ("wakes up in time", TWO_LEGS, ignoring(rest_ns=1000 * TICK)),
     ("no frame without a rate slot", QUARTER, ignoring(period_ns=2 * TICK)),
     ("no burst", QUARTER, made_of(slots=planted.Bursts)),
     ("two legs are energised with a pause", STAGGERED, ignoring(start_pause_ns=0)),

@@ -22,6 +22,7 @@ from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import Opened, SpiTestbed, Transfer
 from tests.hil.wire import (
+    LAST_STOP_3,
     LATE_S,
     SET_3,
     START_3,
@@ -238,7 +239,7 @@ def test_transfers_of_300_ms_delay_a_stop_and_lose_none(tmp_path: Path, wire: Wi
         heard = events(client)
         wire.bed.delay_ms(300)
         assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3, STOPS[2])
+        wire.expect(START_3, *LAST_STOP_3)
         assert heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED)
         stopped = client.ask(keys.ESTOP, {})  # once: `estop` would ask again before it is answered
         assert (stopped.accepted, stopped.stop_frames) == (True, 6)

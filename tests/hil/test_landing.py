@@ -28,6 +28,7 @@ TIMEOUT_MS, LANDING_MS, HZ = 400.0, 500.0, 50.0
 """On a busy machine three starts, each answered before the next, take longer than half of this timeout."""
 POSE = {31: 30.0, 32: 60.0, 33: 150.0, 41: 20.0, 42: 100.0, 51: 45.0}
 """Servo 43 holds its angle, and 51 does not run."""
+MOVED = (3, 4)
 MIDWAY = 20
 """Frames: of two legs, so about 200 ms."""
 
@@ -81,6 +82,11 @@ class Scene:
     def check(self, *, whole: bool = False) -> list[Seen]:
         """Nothing on the wire but the commands, a straight way down, and Stops after it; these."""
         _, _, _, *after = self.seen()
+        last = max((place for place, each in enumerate(after) if not each.frame.is_stop), default=0)
+        # Legs at rest may get Stops on the way (Behaviour 4).
+        after = [
+            each for place, each in enumerate(after) if place > last or each.leg in MOVED or not each.frame.is_stop
+        ]
         first = next((place for place, each in enumerate(after) if each.frame.is_stop), len(after))
         self.way.check(after[:first], whole=whole)
         stops = after[first:]

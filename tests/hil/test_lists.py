@@ -14,7 +14,7 @@ from gateway.robot.spi.bus import CS_CHANGE_NS
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import LATE_S, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
+from tests.hil.wire import LAST_STOP_3, LATE_S, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 
@@ -72,15 +72,15 @@ def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], in
     """Starts, a silence, an emergency stop whose Stops meet a fault, the end: the bytes that arrived, and the calls."""
     folder.mkdir()
     # Pauses that have room for all the zeros.
-    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 900}
+    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 750}
     with SpiTestbed() as bed:
         wire = Wire(bed, framing)
         with start(folder, wire, spi={"batch": batch}, watchdog=watchdog) as gateway, gateway.client() as client:
             wire.expect_repeats(2, *STOPS)
             assert client.start_leg(3, 90, 45, 120).accepted
             assert client.set_leg(3, 91, 45, 120).accepted
-            wire.expect(START_3, SET_3, STOPS[2])  # the last by the watchdog
-            wire.expect_repeats(2, STOPS[2])
+            wire.expect(START_3, SET_3, *LAST_STOP_3)  # by the watchdog
+            wire.expect_repeats(2, *STOPS)
             assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
             bed.fail(count=1, after=5)
             assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)

@@ -140,7 +140,7 @@ class CalibrationHistory:
     def read(self, effects: Iterable[Effect]) -> list[Effect]:
         """The same, with frames that say what users mean; raise Violation where no user can have meant one."""
         return [
-            Transmit(self._read(effect.frame), effect.cause, effect.deadline_ns, effect.numbers)
+            Transmit(self._read(effect.frame), effect.cause, effect.deadline_ns, effect.numbers, effect.joins)
             if isinstance(effect, Transmit)
             else effect
             for effect in effects

@@ -26,7 +26,7 @@ class FaultyController(SimulatedController):
         self._cost_ms = self._stall_ms = 0.0
         self._failing_transfers = 0
         self._failing_until_ns = self._silent_until_ns = clock()
-        self._bytes_to_lose = 0
+        self._bytes_to_take = self._bytes_to_lose = 0
         self.all_off_ns: int | None = None
         """When the last servo was off, since this was last None."""
 
@@ -42,9 +42,9 @@ class FaultyController(SimulatedController):
         """Let the controller receive nothing for a while, although transfers succeed."""
         self._silent_until_ns = self._clock() + round(duration_ms * 1e6)
 
-    def lose_bytes(self, count: int) -> None:
-        """Lose the next `count` bytes on the wire."""
-        self._bytes_to_lose = count
+    def lose_bytes(self, count: int, *, behind: int = 0) -> None:
+        """Lose `count` bytes on the wire, behind the next `behind`."""
+        self._bytes_to_take, self._bytes_to_lose = behind, count
 
     def fail_where(self, fails: Callable[[bytes], bool], cost_ms: float = 0.0) -> None:
         """Let each transfer of which this is true raise SpiError, after so long."""
@@ -74,7 +74,9 @@ class FaultyController(SimulatedController):
             self.all_off_ns = self._clock()
 
     def _receive(self, data: bytes, now_ns: int) -> None:
-        lost = min(self._bytes_to_lose, len(data))
+        taken = min(self._bytes_to_take, len(data))
+        lost = min(self._bytes_to_lose, len(data) - taken)
+        self._bytes_to_take -= taken
         self._bytes_to_lose -= lost
         if now_ns >= self._silent_until_ns:
-            super()._receive(data[lost:], now_ns)
+            super()._receive(data[:taken] + data[taken + lost :], now_ns)

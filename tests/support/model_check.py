@@ -74,11 +74,11 @@ _KNOWN: Final = (
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
-    (_ROBOT.legs, "_rules _reach by_number _all servos _pending _queue instant_ns landing land_ns"),
+    (_ROBOT.legs, "_rules _reach by_number _all servos _pending _queue instant_ns landing land_ns rest_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_moved stops"),  # these count within a step
+    (_ROBOT.legs, "_moved given _silent"),  # these count within a step
     (Leg, "number servos slots heard_ns expired source landed_ns"),
-    (Leg, "due_ns repeat_ns runs"),  # these follow, too
+    (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
     (Servo, "servo_id leg angle_cdeg waiting waiting_number target_cdeg since_ns passing_cdeg repeats_left repeat_ns"),
     (Servo, "stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
@@ -153,6 +153,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
+        supervisor._bus_ok and legs.rest_ns and legs.rest_ns - now_ns,
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         calibrating_key(supervisor),
@@ -297,7 +298,7 @@ def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, inst
     oracle.judge(event, now_ns, effects, supervisor, instant_ns)
     if isinstance(event, Command):  # after all others, every leg is looked at
         kept = _what_follows(supervisor.legs)
-        supervisor.legs.look()
+        supervisor.legs.look(now_ns)
         demand(kept == _what_follows(supervisor.legs), f"the legs that were not looked at have not changed: {kept}")
     if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")

@@ -145,6 +145,7 @@ class Oracle(RobotHistory):
         frames = [effect for effect in effects if isinstance(effect, Transmit)]
         if not self.bus_ok:
             demand(not frames, "nothing is sent while the bus is at fault")
+        ran = bool(self.energised)
         watchdog = self._unwatched(now_ns) + self._expired(now_ns)
         if isinstance(event, ButtonRequest):
             self.buttons.judge(event, now_ns, effects, ended=self.ended)
@@ -161,17 +162,20 @@ class Oracle(RobotHistory):
             self._reset(event, effects, now_ns)
         elif isinstance(event, Calibrate):
             self._calibrate(event, effects, now_ns)
+        unowed: list[Transmit] = []
         for effect in effects:
             match effect:
                 case Transmit(cause=Cause.COMMAND):
                     self._named(effect, event.number if isinstance(event, Command) else 0)
                     self._moved(effect, stops, now_ns)
                 case Transmit(cause=Cause.REPEAT):
-                    self._repeated(effect, now_ns)
+                    unowed += self._repeated(effect, now_ns)
                 case Transmit():
                     self._unasked(effect, now_ns)
                 case Completed() | Rejected():
                     self._answers(effect)
+        if self.bus_ok:
+            self.rest(effects, unowed, now_ns, ran=ran, silent=bool(watchdog))
         stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
         if self.rules.start_pause_ns and (stopped_all or watchdog):
             self._queue_ended(event)
@@ -358,14 +362,18 @@ class Oracle(RobotHistory):
                 self.energise(leg_number, now_ns)
             servo.written_cdeg, servo.want, servo.owed, servo.said_ns = op.angle_cdeg, None, 0, now_ns
 
-    def _repeated(self, transmit: Transmit, now_ns: int) -> None:
+    def _repeated(self, transmit: Transmit, now_ns: int) -> list[Transmit]:
+        """A Stop without a command: returns it if it is no repetition, and so must be for a leg at rest."""
         demand(transmit.frame.is_stop, "only Stops are repeated")
+        servos = [self.servos[servo_id] for servo_id, _ in transmit.frame.servos]
         for servo_id, _ in transmit.frame.servos:
-            servo = self.servos[servo_id]
-            demand(not servo.on, f"{servo_id} runs: its Stops are not repeated any more")
-            demand(servo.owed > 0 and servo.owed_ns <= now_ns, f"a Stop to {servo_id} that nobody owes")
+            demand(not self.servos[servo_id].on, f"{servo_id} runs: its Stops are not repeated any more")
+        if transmit.joins or not all(servo.owed > 0 and servo.owed_ns <= now_ns for servo in servos):
+            return [transmit]
+        for servo in servos:
             servo.owed -= 1
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
+        return []
 
     # ---- answers, and what holds after every step
 
@@ -393,6 +401,7 @@ class Oracle(RobotHistory):
             return
         latest = self.head_of_queue(now_ns) + theirs
         self.landing = self.landing if self.energised else None
+        latest += self.next_rest(now_ns)
         watched = not self.buttons.closed or self.landing is not None
         demand(watched or not self.alive, "nothing runs while fewer buttons are alive than are required")
         for number, leg in self.legs.items():

@@ -1,12 +1,12 @@
 """What a judge of the supervisor remembers of one robot, and how the model check tells two such histories apart."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Self
 
 from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.events import Command
+from gateway.robot.core.events import Command, Effect, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.protocol.frames import Op, servo_ids_of
+from gateway.robot.protocol.frames import Frame, Op, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Mode, Reason
 from tests.support.buttons_history import ButtonsHistory
@@ -42,6 +42,8 @@ class RobotHistory:
         self.landing: LandingHistory | None = None
         self.energised_leg: int | None = None
         self.energised_ns = 0
+        self.rest_ns: int | None = None
+        """When the legs at rest must get a Stop, since others run."""
         self.queue: tuple[int, ...] = ()
         """Legs with a start that waits, in the order in which they came."""
 
@@ -83,6 +85,7 @@ class RobotHistory:
             servos,
             landing,
             others,
+            self.bus_ok and self.rest_ns and self.rest_ns - now_ns,
         )
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
@@ -148,6 +151,50 @@ class RobotHistory:
     def too_few_buttons(self) -> Reason | None:
         """Why no start, set or reset is taken while fewer buttons are alive than are required."""
         return Reason.NO_BUTTON if self.buttons.closed else None
+
+    # ---- legs at rest
+
+    def rest(
+        self, effects: Sequence[Effect], unowed: Sequence[Transmit], now_ns: int, *, ran: bool, silent: bool
+    ) -> None:
+        """The Stops that no command wants and no Stop before them owes (`unowed`), at the end of a step.
+
+        `ran`: something ran before it; `silent`: the watchdog stops a leg in it.
+        """
+        came = ran and not self.energised
+        at_once = silent or came
+        expected: list[tuple[Frame, bool]] = []
+        stopped = {
+            servo_id
+            for effect in effects
+            if isinstance(effect, Transmit) and effect.frame.is_stop and effect not in unowed
+            for servo_id, _ in effect.frame.servos
+        }
+        if at_once or (self.rest_ns is not None and now_ns >= self.rest_ns):
+            self.rest_ns = None
+            for number in self.legs:
+                servos = servo_ids_of(number)
+                alone = any(not self.servos[each].owed and each not in stopped for each in servos)
+                if alone and not self.armed(number):
+                    expected += [(stop_leg(number), at_once)]
+                if not self.armed(number) and (came or (alone and at_once)):
+                    for servo in self.servos_of(number):
+                        servo.owe(self.rules, now_ns)
+        found = [(transmit.frame, transmit.joins) for transmit in unowed]
+        for frame, joins in found:
+            demand((frame, joins) in expected, f"a Stop to {frame.servos[0][0]} that nobody owes")
+        demand(found == expected, f"legs at rest get a Stop each: {expected}, not {found}")
+        last = [effect.joins for effect in effects if isinstance(effect, Transmit) and effect.frame.is_stop]
+        demand(last == sorted(last), "Stops to legs at rest come after all others")
+
+    def next_rest(self, now_ns: int) -> list[int]:
+        """When legs at rest get a Stop, while others run."""
+        if not self.energised or all(self.armed(number) for number in self.legs):
+            self.rest_ns = None
+            return []
+        self.rest_ns = now_ns + self.rules.rest_ns if self.rest_ns is None else self.rest_ns
+        demand(now_ns < self.rest_ns, "legs at rest get a Stop in time, while others run")
+        return [self.rest_ns]
 
     # ---- starts one after the other
 

@@ -53,6 +53,7 @@ def _rules(**changes: Any) -> Rules:
         "timeout_ns": 4 * TICK,
         "repeats": 1,
         "repeat_interval_ns": TICK,
+        "rest_ns": 3 * TICK,
         "period_ns": 2 * TICK,
         "unnumbered_reset_ns": 2 * TICK,
     }

@@ -118,12 +118,20 @@ class Steps:
             self.take(0, BusOpened())
 
     def take(self, at_ms: float, event: Event) -> list[str]:
-        """One step; in the instant that began at `instant_ms`, or in one of its own."""
+        """One step; in the instant that began at `instant_ms`, or in one of its own.
+
+        The words leave out the Stops that join first Stops, for legs at rest: the oracle demands each of them.
+        """
         now_ns = _ns(at_ms)
         instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
         self.effects = self.supervisor.step(event, now_ns, instant_ns)
         self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
-        return [said(effect) for effect in self.effects]
+        return [said(effect) for effect in self.effects if effect not in self.joining]
+
+    @property
+    def joining(self) -> list[Transmit]:
+        """The latest step's Stops to legs at rest that leave with its first Stops."""
+        return [effect for effect in self.effects if isinstance(effect, Transmit) and effect.joins]
 
     def only(self, kind: type[T]) -> T:
         """The only effect of this kind that the latest step has."""

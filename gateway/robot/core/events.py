@@ -187,6 +187,8 @@ class Transmit:
     deadline_ns: int | None = None
     numbers: tuple[int, ...] = ()
     """The commands that it carries out, or a part of them."""
+    joins: bool = False
+    """A repeated Stop that leaves in one call with the step's first Stops, behind them, and needs no preamble."""
 
 
 @value

@@ -19,6 +19,11 @@ class Rules:
     whole_robot: bool = False
     repeats: int = 3
     repeat_interval_ns: int = 20 * NS_PER_MS
+    rest_ns: int = 800 * NS_PER_MS
+    """How often legs at rest get a Stop while others run (Behaviour 4); not a setting, so nobody can switch it off.
+
+    Shorter than the default of `spi.resync_ms`: with the preamble ahead of these Stops, the stream needs no other one.
+    """
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     unnumbered_reset_ns: int = 2 * NS_PER_S
@@ -95,11 +100,13 @@ class Leg:
     landed_ns: int = 0
     """Which part of the way down its frames have said."""
     due_ns: int = NEVER
-    """When its deadline, its rate slot or a repeated Stop comes; like the next two as of the last `Legs.look`."""
+    """When its deadline, its rate slot or a repeated Stop comes; like the next three as of the last `Legs.look`."""
     repeat_ns: int = NEVER
     """When its next repeated Stop comes."""
     runs: bool = False
     """Whether one of its servos runs."""
+    rests: bool = True
+    """Whether none runs, and none waits to be started."""
 
     @property
     def waits_to_start(self) -> bool:

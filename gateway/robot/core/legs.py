@@ -82,10 +82,14 @@ class Legs:
         """When the next repeated Stop comes."""
         self.at_rest = True
         """Whether no servo of any leg runs."""
+        self.rest_ns: int | None = None
+        """When legs at rest get their next Stop; None: none is at rest, or none runs."""
         self._moved: list[Leg] | None = None
         """The only legs that this step has changed; None: any may have changed."""
-        self.stops = False
-        """Whether a Stop is among what this step wants sent."""
+        self.given: set[int] = set()
+        """The servos that get a Stop in this step."""
+        self._silent = False
+        """Whether the watchdog stops a leg in this step."""
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
         """The landing that is under way."""
@@ -100,9 +104,10 @@ class Legs:
     def begin(self, instant_ns: int) -> None:
         """A step begins."""
         self.instant_ns = instant_ns
-        self.stops = False
+        self.given = set()
+        self._silent = False
 
-    def look(self) -> None:
+    def look(self, now_ns: int) -> None:
         """A step ends: see what is due next, and whether anything runs.
 
         A command that only moves its own legs has changed nothing of the others, so these are not looked at.
@@ -111,11 +116,17 @@ class Legs:
             self._look_at(leg)
         self._moved = None
         due_ns = repeat_ns = NEVER
-        at_rest = True
+        at_rest, rests = True, False
         for leg in self._all:
             due_ns = leg.due_ns if leg.due_ns < due_ns else due_ns
             repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
             at_rest = at_rest and not leg.runs
+            rests = rests or leg.rests
+        if at_rest or not rests:
+            self.rest_ns = None
+        else:
+            self.rest_ns = now_ns + self._rules.rest_ns if self.rest_ns is None else self.rest_ns
+            due_ns, repeat_ns = min(due_ns, self.rest_ns), min(repeat_ns, self.rest_ns)
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
@@ -141,7 +152,8 @@ class Legs:
             slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
             if slot_ns is not None and slot_ns < due_ns:
                 due_ns = slot_ns
-        leg.due_ns, leg.repeat_ns, leg.runs = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns, runs
+        leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
+        leg.runs, leg.rests = runs, not armed
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """The repeated Stops that are due."""
@@ -151,6 +163,31 @@ class Legs:
         """The frames of the legs whose rate slot has come."""
         self._moved = None
         return [effect for leg in self for effect in self._send(leg, now_ns)]
+
+    def stop_at_rest(self, now_ns: int) -> list[Effect]:
+        """Stops to legs at rest, since a servo may run that nobody started; to be called at the end of a step.
+
+        A controller that lost bytes may take a frame for another servo's start. A leg for which a Stop leaves in this
+        step anyway, or is still to be repeated, gets no other.
+        """
+        ran = not self.at_rest and bool(self.given)
+        come_to_rest = ran and not any(servo.running for servo in self.servos.values())
+        at_once = come_to_rest or self._silent
+        if not at_once and (self.rest_ns is None or now_ns < self.rest_ns):
+            return []
+        self.rest_ns, self._moved = None, None
+        effects: list[Effect] = []
+        for leg in self:
+            if leg.armed:
+                continue
+            stops = any(not servo.repeats_left and servo.servo_id not in self.given for servo in leg.servos)
+            if stops:
+                effects += [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=at_once)]
+                self.given.update(servo.servo_id for servo in leg.servos)
+            if come_to_rest or (stops and at_once):
+                for servo in leg.servos:
+                    self._stopped(servo, now_ns)
+        return effects
 
     # ---- commands
 
@@ -346,6 +383,7 @@ class Legs:
         What waited for them is rejected with `reason`.
         """
         transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
+        self._silent = self._silent or cause is Cause.WATCHDOG
         servos = [servo for number in deadlines_ns for servo in self.by_number[number].servos]
         for servo in servos:
             servo.note_stop(cause, self.instant_ns)
@@ -356,7 +394,7 @@ class Legs:
         return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
-        self.stops = True
+        self.given.add(servo.servo_id)
         servo.angle_cdeg = servo.target_cdeg = None
         servo.repeats_left = self._rules.repeats
         servo.passing_cdeg = None
@@ -409,7 +447,7 @@ class Legs:
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
         due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
         for servo in due:
-            self.stops = True
+            self.given.add(servo.servo_id)
             servo.repeats_left -= 1
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         return _stops(leg, due, Cause.REPEAT)

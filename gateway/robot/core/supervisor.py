@@ -14,6 +14,9 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     the timeout. A Stop for one servo does not keep the others of its leg running.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
     Every Stop is repeated, until its servo is started again.
+    Legs at rest get Stops as well, since a controller that lost bytes may run a servo that nobody started: when the
+    watchdog stops a leg, when the last servo comes to rest, and every 0.8 s while others run (`Legs.stop_at_rest`).
+    None goes to a leg that runs or waits to be started, none takes a rate slot, and none precedes a first Stop.
  5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
     and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
  6. After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped.
@@ -158,7 +161,9 @@ class Supervisor:
             effects += self.legs.repeat_stops(now_ns)
             effects += self.legs.take_slots(now_ns)
             effects += self.legs.land(now_ns)
-        self.legs.look()
+        if self._bus_ok:
+            effects += self.legs.stop_at_rest(now_ns)
+        self.legs.look(now_ns)
         if self.legs.landing is not None and self.legs.at_rest:
             self.legs.landing = None  # people have stopped all that was on its way down
         self.mode = self._mode_now()
@@ -167,7 +172,7 @@ class Supervisor:
             self.due_ns = self.lease.due_ns if self.due_ns is None else min(self.due_ns, self.lease.due_ns)
         if self.buttons.due_ns is not None:
             self.due_ns = self.buttons.due_ns if self.due_ns is None else min(self.due_ns, self.buttons.due_ns)
-        return sorted(effects, key=_after_stops) if self.legs.stops else effects
+        return sorted(effects, key=_after_stops) if self.legs.given else effects
 
     def _take(self, event: Event, now_ns: int) -> list[Effect]:
         effects: list[Effect]

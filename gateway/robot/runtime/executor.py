@@ -101,7 +101,7 @@ class Executor:
         """
         unbatched = None
         for batch in _batches(transmits) if transmits[1:] else (transmits,):
-            report = self._bus.write([effect.frame for effect in batch], preamble=batch[0].cause is _REPEAT)
+            report = self._bus.write([effect.frame for effect in batch], preamble=_is_repeated(batch[0]))
             for sent in report.sent:
                 effect = batch[sent.place]
                 outcome.written += [(effect, sent)]
@@ -117,12 +117,20 @@ class Executor:
         return unbatched
 
 
+def _is_repeated(effect: Transmit) -> bool:
+    """Whether it is part of a repeated run of Stops."""
+    return effect.cause is _REPEAT and not effect.joins
+
+
 def _batches(transmits: list[Transmit]) -> list[list[Transmit]]:
-    """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits."""
+    """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits.
+
+    Legs at rest are stopped in the first call, behind the Stops that it is for.
+    """
     first: list[Transmit] = []
     repeated: list[Transmit] = []
     moves: list[Transmit] = []
     for effect in transmits:
-        batch = moves if not effect.frame.is_stop else repeated if effect.cause is _REPEAT else first
+        batch = moves if not effect.frame.is_stop else repeated if _is_repeated(effect) else first
         batch += [effect]
     return [batch for batch in (first, repeated, moves) if batch]

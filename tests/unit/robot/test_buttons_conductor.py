@@ -42,8 +42,8 @@ async def test_whoever_registers_hears_the_token_the_timeout_and_how_many_are_al
 async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
     robot, _ = await watched()
     assert robot.ask(LEG_3, START).accepted
-    before = len(robot.frames)
     await asyncio.sleep(0.999)
+    before = len(robot.frames)
     assert robot.mode == Mode.ACTIVE
     await asyncio.sleep(0.002)
     assert robot.mode == Mode.IDLE

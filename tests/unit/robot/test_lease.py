@@ -110,7 +110,7 @@ def test_silence_loses_it_in_its_ttl_and_the_legs_are_the_watchdogs_affair() -> 
 
 @pytest.mark.parametrize("kept", ["renew", "set", "stop", "reset"])
 def test_whatever_of_its_holder_is_accepted_keeps_it(kept: str) -> None:
-    robot = driven_by_anna(Rules(repeats=0, timeout_ns=10_000_000_000))
+    robot = driven_by_anna(Rules(repeats=0, timeout_ns=10_000_000_000, rest_ns=10_000_000_000))
     if kept == "renew":
         assert robot.lease(900, "renew", ANNA) == [GRANTED]
     elif kept == "reset":
@@ -133,7 +133,7 @@ def test_nothing_that_others_send_keeps_it(token: str | None) -> None:
 
 
 def test_a_command_that_comes_after_its_ttl_does_not_save_it() -> None:
-    robot = driven_by_anna(Rules(repeats=0, timeout_ns=10_000_000_000))
+    robot = driven_by_anna(Rules(repeats=0, timeout_ns=10_000_000_000, rest_ns=10_000_000_000))
     assert robot.command(1001, SET, lease=ANNA) == ["announce lease_expired", "rejected 2 not_holder"]
     assert robot.lease(1002, "release", ANNA) == ["not_holder"]
 

@@ -41,6 +41,11 @@ def runs(robot: Robot) -> list[tuple[str, float, int]]:
     return found
 
 
+def start_all(robot: Robot) -> None:
+    """No leg is at rest, so none gets a Stop ahead of which there would be a preamble."""
+    robot.put(keys.LEGS_COMMAND, {"legs": {str(number): START for number in LEGS}})
+
+
 async def test_the_first_stops_leave_at_once_and_each_repeat_finds_its_preamble_written() -> None:
     robot = await prefixed()
     robot.put(LEG_3, START)
@@ -92,9 +97,8 @@ async def test_a_deaf_controller_hears_the_first_repeat() -> None:
 
 
 async def test_a_stream_has_it_in_a_pause_behind_its_frames() -> None:
-    robot = await prefixed()
-    robot.put(LEG_3, START)
-    robot.put(LEG_1, START)
+    robot = await prefixed(timeout_ms=10_000)
+    start_all(robot)
     for _ in range(250):
         await asyncio.sleep(0.02)
         robot.put(LEG_3, SET)
@@ -117,13 +121,13 @@ async def test_a_stream_of_first_stops_has_it_behind_them() -> None:
 
 async def test_a_slow_stream_has_it_ahead_of_a_frame() -> None:
     robot = await prefixed(repeats=0, timeout_ms=10_000)
-    robot.put(LEG_3, START)
+    start_all(robot)
     for _ in range(6):
         await asyncio.sleep(0.7)
         robot.put(LEG_3, SET)
     kinds = [(kind, count) for kind, _, count in runs(robot)]
     assert kinds[:7] == [
-        ("frames", 2),
+        ("frames", 12),
         ("frames", 2),
         ("zeros", 16),
         *[("frames", 2)] * 2,
@@ -133,8 +137,8 @@ async def test_a_slow_stream_has_it_ahead_of_a_frame() -> None:
 
 
 async def test_a_first_stop_comes_into_a_preamble_that_is_under_way() -> None:
-    robot = await prefixed()
-    robot.put(LEG_3, START)
+    robot = await prefixed(timeout_ms=10_000)
+    start_all(robot)
     while not robot.conductor.bus.resync_due:
         await asyncio.sleep(0.02)
         robot.put(LEG_3, SET)

@@ -58,6 +58,7 @@ RULES = st.builds(
     whole_robot=st.booleans(),
     repeats=st.integers(0, 3),
     repeat_interval_ns=st.sampled_from([1, 20, 300]).map(lambda ms: ms * NS_PER_MS),
+    rest_ns=st.sampled_from([5, 30, 800]).map(lambda ms: ms * NS_PER_MS),
     period_ns=st.sampled_from([1, 20, 100, 1000]).map(lambda ms: ms * NS_PER_MS),
     unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
     start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
@@ -289,7 +290,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         """A step looks only at the legs that it has changed; to look at all of them must come to the same."""
         legs = self.supervisor.legs
         kept = legs.due_ns, legs.repeat_ns, legs.at_rest
-        legs.look()
+        legs.look(self.now_ns)
         assert kept == (legs.due_ns, legs.repeat_ns, legs.at_rest)
 
     @invariant()
