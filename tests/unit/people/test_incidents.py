@@ -84,14 +84,15 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
         == "20260921-141320-123-watchdog: a leg was silent, and was stopped: leg 3, at 2026-09-21T14:13:20.123457Z"
     )
     assert lines[1] == "Before it, anna sent 2 commands for leg 3."
-    assert [line.strip() for line in lines[-7:]] == [
+    assert [line.strip() for line in lines[-8:]] == [
         "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
         "0.000 s  watchdog: leg 3 was not heard for 250 ms; it is stopped",
         "0.000 s  Stop written to leg 3 (watchdog)",
+        "0.000 s  Stop repeated for legs 1, 2, 4, 5, 6, the last at 0.000 s",
         "0.000 s  mode idle",
-        "+20.0 ms  Stop repeated for leg 3",
-        "+40.0 ms  Stop repeated for leg 3",
-        "+60.0 ms  Stop repeated for leg 3",
+        "+20.0 ms  Stop repeated for all six legs, the last at +20.0 ms",
+        "+40.0 ms  Stop repeated for all six legs, the last at +40.0 ms",
+        "+60.0 ms  Stop repeated for all six legs, the last at +60.0 ms",
     ]
 
 
