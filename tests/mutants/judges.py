@@ -27,6 +27,7 @@ _INBOX: Final = (
     f"{_UNIT}test_ownership.py",
 )
 _SUPERVISOR: Final = (
+    f"{_UNIT}test_supervisor_at_rest.py",
     f"{_UNIT}test_supervisor.py",
     f"{_UNIT}test_supervisor_stops.py",
     f"{_UNIT}test_supervisor_faults.py",
@@ -55,11 +56,13 @@ _CALIBRATION_REQUESTS: Final = (
 _LEASE: Final = (f"{_UNIT}test_lease.py", f"{_UNIT}test_lease_conductor.py")
 _CHECKER: Final = ("tests/unit/people/test_lease_checker.py", f"{_UNIT}test_lease_conductor.py")
 _BUS: Final = (
+    f"{_UNIT}test_awaited.py",
     f"{_UNIT}test_bus.py",
     f"{_UNIT}test_bus_device.py",
     f"{_UNIT}test_preamble.py",
     f"{_UNIT}test_conductor_safety.py",
     "tests/unit/test_setting_effects.py",
+    f"{_UNIT}test_slow_failures.py",
 )
 
 JUDGES: Final = {
@@ -69,6 +72,7 @@ JUDGES: Final = {
         f"{_UNIT}test_guard.py",
         f"{_UNIT}test_bus_device.py",
     ),
+    "gateway/robot/spi/awaited.py": _BUS,
     "gateway/robot/spi/bus.py": _BUS,
     "gateway/robot/spi/stop_all.py": (f"{_UNIT}test_stop.py",),
     "gateway/robot/edge/exposure.py": (f"{_UNIT}test_exposure.py",),

@@ -150,7 +150,7 @@ class Bus:
         self._awaited = ANYTHING if self.announces else NOTHING
         self._suspect = False  # nobody knows what happened to the controller before the device was opened
         self._slow = False  # a call failed slowly, and since then not all Stops and a preamble passed in one `write`
-        self._received: set[bytes] = set()  # Stops that the controller received meanwhile
+        self._received: set[bytes] = set()  # Stops that the controller received since Stops began to fail
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since anything else was written
         self.resync_due = False
@@ -189,7 +189,7 @@ class Bus:
                 report.fault = SpiError(report.meddled)
                 return report
         data = [frame.to_bytes() for frame in frames]
-        one_by_one = stops and self._slow
+        one_by_one = stops and self._slow and self._device is not None
         try:
             if one_by_one:
                 self._insist(data, report)
@@ -202,7 +202,7 @@ class Bus:
                 self._insist(data, report)
         if report.fault is not None:
             self.errors += 1
-        elif one_by_one:
+        elif stops:
             self._slow = False
             self._received.clear()
         self.resync_due = (
