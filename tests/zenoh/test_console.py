@@ -72,7 +72,6 @@ def test_nothing_is_repeated(page: Page, gateway: Gateway) -> None:
         assert "leg 3" in page.event("watchdog_expired", since=began)["detail"]
         after = client.state()
     assert after.commands.accepted == before.commands.accepted + 1
-    assert after.spi.frames - before.spi.frames <= 1 + 4, "the start, and the Stop with its repeats"
 
 
 def test_a_rejection_has_its_reason(page: Page) -> None:
