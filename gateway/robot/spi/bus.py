@@ -202,7 +202,7 @@ class Bus:
                 self._insist(data, report)
         if report.fault is not None:
             self.errors += 1
-        elif stops:
+        elif stops and (self._slow or self._received):
             self._slow = False
             self._received.clear()
         self.resync_due = (
@@ -268,7 +268,7 @@ class Bus:
 
     def _zeros_ahead(self, *, stops: bool, preamble: bool) -> int:
         """How many zeros have to come first."""
-        wanted = preamble or self._suspect or self._awaited != NOTHING
+        wanted = preamble or self._suspect or self._awaited is not NOTHING
         if not wanted:
             now_ns = self._clock()
             if now_ns - self.ended_ns >= IDLE_NS:
@@ -306,14 +306,16 @@ class Bus:
         if ended_ns - begun_ns >= STALLED_NS:
             self._failed(batch, ended_ns - begun_ns, zeros_only=False)
             raise SpiError(f"the SPI device took {(ended_ns - begun_ns) / 1e9:.1f} s for a call of milliseconds")
-        heard = max(self._awaited) <= zeros
-        if not heard or self._awaited != NOTHING:
-            self._awaited = after(self._awaited, (each for each, _ in batch))
+        heard = True
+        if self._awaited is not NOTHING:
+            heard = max(self._awaited) <= zeros
+            awaited = after(self._awaited, (each for each, _ in batch))
+            self._awaited = NOTHING if awaited == NOTHING else awaited
         self._failures = 0
         if zeros:
             self._zeros_failed = self._zeros_failed_ns = 0
-        if zeros and zeros_before >= PREAMBLE_ZEROS:
-            self._synchronised_ns, self.resync_due, self._suspect = ended_ns, False, False
+            if zeros_before >= PREAMBLE_ZEROS:
+                self._synchronised_ns, self.resync_due, self._suspect = ended_ns, False, False
         if not data:
             self._zeros = zeros_before
         wire_ns = begun_ns + zeros * self._zero_ns
@@ -352,7 +354,8 @@ class Bus:
             self._zeros_failed += 1
             self._zeros_failed_ns += took_ns
         if self.announces:
-            self._awaited = after_failure(self._awaited, (data for data, _ in batch))
+            awaited = after_failure(self._awaited, (data for data, _ in batch))
+            self._awaited = NOTHING if awaited == NOTHING else awaited
 
     def _insist(self, data: Sequence[bytes], report: Report) -> None:
         """Write each Stop in a call of its own until the controller has received it, or time is up.
