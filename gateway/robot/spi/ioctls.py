@@ -56,12 +56,6 @@ class SpiDev:
         if fd != _CLOSED:
             os.close(fd)
 
-    def writebytes2(self, data: bytes) -> None:
-        """One transfer with nothing before and behind it."""
-        written = os.write(self._fd, data)
-        if written != len(data):
-            raise OSError(f"{written} of {len(data)} bytes were written")
-
     def _set_bits(self, bits: int) -> None:
         fcntl.ioctl(self._fd, _WRITE_BITS, struct.pack("B", bits))
 

@@ -5,7 +5,9 @@ Stops). The same on the emulated kernel device: hil/test_failing_bus.py.
 """
 
 import asyncio
+import itertools
 import statistics
+from collections.abc import Callable, Iterable
 
 import pytest
 
@@ -18,7 +20,6 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController
 from tests.support.robot import MS, Robot, leg, started_and_quiet
-from tests.support.transfers import on_wire
 
 pytestmark = pytest.mark.virtual_time
 
@@ -26,6 +27,28 @@ PREFIXED = Framing.LENGTH_PREFIXED
 COST_MS = 200.0
 TRIALS = 100
 ALL_START = {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}}
+
+
+class Bed:
+    """A bus without a service, whose six legs run, in a time that only failures take."""
+
+    def __init__(self, framing: Framing) -> None:
+        self.now_ns = 1_000 * MS
+        self.controller = FaultyController(framing, clock=lambda: self.now_ns, spend=self._spend)
+        self.bus = Bus(SpiSettings(framing=framing), lambda: self.controller, clock=lambda: self.now_ns)
+        self.bus.open()
+        assert self.bus.write([OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3) for leg in LEGS]).fault is None
+        assert len(self.controller.energised) == 18
+        self.controller.all_off_ns = None
+
+    def _spend(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+
+
+def numbered(lost: Iterable[int]) -> Callable[[bytes], bool]:
+    """Whether a transfer is one of these, counted from 0."""
+    numbers, found = itertools.count(), frozenset(lost)
+    return lambda _: next(numbers) in found
 
 
 async def six_legs_run(framing: Framing = PREFIXED, timeout_ms: int = 10_000) -> Robot:
@@ -93,24 +116,33 @@ async def test_where_zeros_fail_and_frames_pass_the_stops_leave_all_the_same() -
     assert robot.mode == Mode.IDLE
 
 
+@pytest.mark.parametrize("framing", Framing)
+def test_wherever_up_to_three_transfers_are_lost_each_delays_the_last_stop_by_its_own_time(framing: Framing) -> None:
+    """Of the first fourteen transfers, every choice: six Stops, the tries behind them, and openings."""
+    for lost in itertools.chain.from_iterable(itertools.combinations(range(14), count) for count in range(4)):
+        bed = Bed(framing)
+        bed.controller.fail_where(numbered(lost), COST_MS)
+        since_ns = bed.now_ns
+        for _ in range(1 + len(lost)):
+            if bed.bus.write([stop_leg(number) for number in LEGS]).fault is None:
+                break
+            bed.bus.close()
+            bed.bus.open()
+        assert bed.controller.all_off_ns is not None, lost
+        assert bed.controller.all_off_ns - since_ns <= len(lost) * COST_MS * MS, lost
+        assert not bed.controller.corruptions, lost
+
+
 def test_a_bus_that_knows_nothing_yet_tries_stops_soon_where_zeros_fail_slowly() -> None:
     """Such as that of `stop-servos`, when the gateway is dead: most likely the controller is synchronised."""
-    now_ns = 0
-
-    def spend(seconds: float) -> None:
-        nonlocal now_ns
-        now_ns += round(seconds * 1e9)
-
-    controller = FaultyController(PREFIXED, clock=lambda: now_ns, spend=spend)
-    for data in on_wire(PREFIXED, OneLeg(3, (ServoOp(Op.START, 90_00),) * 3)):
-        controller.take(data)
-    controller.all_off_ns = None
-    controller.fail_where(lambda data: data == ZERO, COST_MS)
-    bus = Bus(SpiSettings(framing=PREFIXED), lambda: controller, clock=lambda: now_ns)
-    bus.open()
-    bus.write([stop_leg(number) for number in LEGS], preamble=True)
-    assert controller.all_off_ns is not None
-    assert controller.all_off_ns <= 500 * MS
+    bed = Bed(PREFIXED)
+    fresh = Bus(SpiSettings(framing=PREFIXED), lambda: bed.controller, clock=lambda: bed.now_ns)
+    fresh.open()
+    bed.controller.fail_where(lambda data: data == ZERO, COST_MS)
+    since_ns = bed.now_ns
+    fresh.write([stop_leg(number) for number in LEGS], preamble=True)
+    assert bed.controller.all_off_ns is not None
+    assert bed.controller.all_off_ns - since_ns <= 500 * MS
 
 
 async def test_the_loop_goes_on_between_the_tries() -> None:
