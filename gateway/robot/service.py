@@ -120,7 +120,8 @@ def device_opener(
         settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
     )
     if faults is not None:
-        return lambda: UnreliableDevice(controller, faults)
+        unreliable = UnreliableDevice(controller, faults)
+        return lambda: unreliable
     return lambda: controller
 
 

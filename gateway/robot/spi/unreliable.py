@@ -5,7 +5,7 @@ import time
 from typing import Final, NamedTuple
 
 from gateway.errors import ConfigError, SpiError
-from gateway.robot.spi import ByteDevice, SpiDevice
+from gateway.robot.spi import Batch, ByteDevice, SpiDevice
 
 LONGEST_MS: Final = 60_000
 """Longer than any driver hangs and comes back."""
@@ -36,13 +36,24 @@ def read(text: str) -> Faults:
 
 
 class UnreliableDevice(ByteDevice):
-    """Passes transfers on to a device. One that fails is lost, and the rest of its call with it."""
+    """Passes transfers on to a device. One that fails is lost, and the rest of its call with it.
+
+    The first call passes: it has the Stops of the start, without which the service does not start.
+    """
 
     def __init__(self, device: SpiDevice, faults: Faults) -> None:
         self._device = device
         self._faults = faults
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
+        self._started = False
         self.most_transfers = device.most_transfers
+
+    def transfer(self, batch: Batch) -> None:
+        if self._started:
+            super().transfer(batch)
+        else:
+            self._started = True
+            self._device.transfer(batch)
 
     def take(self, data: bytes) -> None:
         if self._chance.random() < self._faults.share:
