@@ -108,8 +108,9 @@ def test_what_the_recorder_keeps(robot: InstalledGateway) -> None:
     recorder = Unit(robot.box, "hexapod-recorder.service")
     assert recorder.property("ActiveState") == "active"
     robot.unit.systemctl("start")
+    before = len(robot.bed.transfers)
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
-    robot.bed.wait_for(lambda seen: seen[-1].data == stop_leg(3).to_bytes())
+    robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=before)
 
     robot.configure("watchdog.timeout_ms = 10_000\n")  # else the watchdog is first each time
     restart_and_move(robot)
