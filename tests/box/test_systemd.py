@@ -12,7 +12,7 @@ import pytest
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.story import story
 from gateway.people.recordings import read
-from gateway.robot.protocol.frames import Op, decode, stop_leg
+from gateway.robot.protocol.frames import ONE_LEG_LEN, Op, decode, stop_leg
 from tests.box.box import Box, Unit
 from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
@@ -108,9 +108,9 @@ def test_what_the_recorder_keeps(robot: InstalledGateway) -> None:
     recorder = Unit(robot.box, "hexapod-recorder.service")
     assert recorder.property("ActiveState") == "active"
     robot.unit.systemctl("start")
-    before = len(robot.bed.transfers)
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
-    robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=before)
+    moved = max(place for place, each in enumerate(robot.bed.transfers) if starts_leg_3(each.data))
+    robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=moved)
 
     robot.configure("watchdog.timeout_ms = 10_000\n")  # else the watchdog is first each time
     restart_and_move(robot)
@@ -142,6 +142,10 @@ def test_what_the_recorder_keeps(robot: InstalledGateway) -> None:
 def restart_and_move(robot: InstalledGateway) -> None:
     robot.unit.systemctl("restart")
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
+
+
+def starts_leg_3(data: bytes) -> bool:
+    return len(data) == ONE_LEG_LEN and data[2:4] == bytes((31, Op.START))
 
 
 def has_started_hex(frame: str) -> bool:
