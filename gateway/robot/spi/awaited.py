@@ -11,7 +11,7 @@ executed as Stops or not at all (`tests/unit/robot/test_awaited.py` tries each).
 """
 
 import heapq
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Final
 
@@ -43,6 +43,17 @@ def after_failure(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
     for data in transfers:
         awaited = after(awaited, (data,))
         possible |= awaited
+    return frozenset(possible)
+
+
+def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
+    """What it may await where their call took so long that the controller may have given up a frame within it.
+
+    It then takes the rest, such as a body without its announcement, for lengths.
+    """
+    possible = set(after_failure(awaited, transfers))
+    for place in range(len(transfers)):
+        possible |= after_failure(NOTHING, transfers[place:])
     return frozenset(possible)
 
 

@@ -30,7 +30,7 @@ from gateway.robot.core.latency import Latency
 from gateway.robot.protocol.frames import ONE_LEG_LEN, Frame
 from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.spi import SpiDevice, Transfer
-from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import Guard
 from gateway.robot.spi.one_by_one import OneByOne
 from gateway.robot.spi.plain_settings import SpiValues
@@ -294,9 +294,10 @@ class Bus:
         self._failures += 1
         begun_ns = self._clock()
         try:
-            self._guard.transfer(batch)
-        except BatchRejectedError as rejection:
-            report.rejection = self._go_one_by_one(batch, rejection)
+            try:
+                self._guard.transfer(batch)
+            except BatchRejectedError as rejection:
+                report.rejection = self._go_one_by_one(batch, rejection)
         except SpiError:
             self._failed(batch, self._clock() - begun_ns, zeros_only=not data)
             raise
@@ -354,7 +355,8 @@ class Bus:
             self._zeros_failed += 1
             self._zeros_failed_ns += took_ns
         if self.announces:
-            awaited = after_failure(self._awaited, (data for data, _ in batch))
+            lost = after_stall if took_ns >= STALLED_NS else after_failure
+            awaited = lost(self._awaited, [data for data, _ in batch])
             self._awaited = NOTHING if awaited == NOTHING else awaited
 
     def _insist(self, data: Sequence[bytes], report: Report) -> None:

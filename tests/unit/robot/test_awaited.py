@@ -6,7 +6,7 @@ import pytest
 
 from gateway.robot.protocol.frames import STOP, OneServo, stop_leg
 from gateway.robot.protocol.framing import ZERO, Framing
-from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 
@@ -48,6 +48,13 @@ def test_what_may_have_been_lost_is_each_transfer_and_those_behind_it() -> None:
     assert after_failure(frozenset({0, 14}), transfers_of(LEG_STOPS[0])) == {0, 13, 14}
     assert after_failure(ANYTHING, [ZERO]) == ANYTHING
     assert after(ANYTHING, [ZERO] * 14) == NOTHING
+
+
+def test_a_controller_that_gave_up_within_a_frame_may_await_the_last_byte_of_another() -> None:
+    """It takes the body's first byte for a length; each frame behind it leaves it so, and only zeros bring it back."""
+    possible = after_stall(NOTHING, transfers_of(LEG_STOPS[0]))
+    assert possible == {0, 1, 14}
+    assert after(frozenset({1}), transfers_of(LEG_STOPS[1])) == {1}
 
 
 @pytest.mark.parametrize("stop", LEG_STOPS)

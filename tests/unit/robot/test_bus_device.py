@@ -261,6 +261,17 @@ def test_what_is_rejected_one_by_one_as_well_is_no_matter_of_lists() -> None:
         bus.open()
 
 
+def test_where_it_fails_one_by_one_after_a_list_was_rejected_nobody_believes_the_first_stop() -> None:
+    devices = Devices()
+    bus = devices.bus()
+    bus.write(STOPS, preamble=True)
+    devices.takes_lists = False
+    devices.fail(3)
+    report = bus.write(STOPS)
+    assert str(report.fault) == "told to fail"
+    assert [sent.heard for sent in report.sent][:2] == [False, True]
+
+
 def test_what_is_rejected_one_by_one_already_is_a_fault() -> None:
     devices = Devices()
     bus = devices.bus(Framing.PLAIN, batch=False)

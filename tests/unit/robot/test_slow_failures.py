@@ -45,6 +45,28 @@ class Bed:
         self.now_ns += round(seconds * 1e9)
 
 
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize("stalled", range(12))
+def test_stops_reach_a_controller_that_gave_up_within_a_call_that_was_stuck(stalled: int, fails: bool) -> None:
+    """Without a repeat: the Stops that count as received were."""
+    bed = Bed(PREFIXED)
+    now = numbered([stalled])
+
+    def stuck(data: bytes) -> bool:
+        if now(data):
+            bed.now_ns += 2_000 * MS
+            return fails
+        return False
+
+    bed.controller.fail_where(stuck)
+    for _ in range(3):
+        heard = {sent.place for sent in bed.bus.write([stop_leg(leg) for leg in LEGS]).sent if sent.heard}
+        if len(heard) == len(LEGS):
+            break
+    assert len(heard) == len(LEGS)
+    assert bed.controller.all_off_ns is not None
+
+
 def numbered(lost: Iterable[int]) -> Callable[[bytes], bool]:
     """Whether a transfer is one of these, counted from 0."""
     numbers, found = itertools.count(), frozenset(lost)
