@@ -13,7 +13,7 @@ import pytest
 
 from gateway.client import Client, leg_payload
 from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.robot.protocol.framing import ZERO, Framing
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed
@@ -55,7 +55,8 @@ def test_a_service_that_stood_still_in_the_middle_of_a_frame_still_stops_the_rob
         transfers = spi_testbed.transfers
     behind = [each.data for each in transfers[before:]]
     assert behind[0] == announcement.data
-    assert behind[2] in {stop_leg(leg).to_bytes() for leg in LEGS}, "in place of the body, which is too late"
+    stop = next(place for place, data in enumerate(behind) if data in {stop_leg(leg).to_bytes() for leg in LEGS})
+    assert set(behind[1 : stop - 1]) <= {ZERO}, "in place of the body, which is too late"
     replay = Replay(wire.framing)
     replay.play(transfers[:before])
     assert len(replay.controller.energised) == 18
