@@ -1,4 +1,4 @@
-# `make run`: the service with a simulated controller, and the console. `make test`: everything. `make help` for the rest.
+# `make run`: the service with a simulated controller, and the console. `make test`: what each commit shows. `make help` for the rest.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,14 +8,15 @@ WHEELS ?= dist/wheels
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross
 
-.PHONY: dist lock help run quick test check case bench kernel walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: dist lock help run quick test test-all check case bench kernel walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
 	@echo "              (CONSOLE=\"--listen 127.0.0.1:9000 --open\": options of the console; CONSOLE=no: without it)"
 	@echo "make quick    ruff, mypy and the tests that start no process: under a minute, no root"
-	@echo "make test     all tests; installs Debian packages for the hardware tests (APT=no: does not)"
+	@echo "make test     what each commit has to show; installs Debian packages for the hardware tests (APT=no: does not)"
 	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
+	@echo "make test-all and what searches or repeats: twenty minutes on two cores"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make case     the safety case (docs/safety.md): which claims the last make test has shown for these files"
 	@echo "              (RUN=yes: runs the tests that it needs first)"
@@ -39,8 +40,8 @@ help:
 run: $(VENV)/run
 	@$(BIN)/python -m gateway.people.tools.try_out $(CONSOLE)
 
-quick: check
-	$(BIN)/pytest -q -n 2 -m "not thorough" tests/unit
+quick: $(VENV)/dev
+	@$(BIN)/python -m tests --quick
 
 WORKERS ?= 3
 test: $(VENV)/dev debian-packages
@@ -49,6 +50,9 @@ ifdef PYTEST_ARGS
 else
 	@$(BIN)/python -m tests --workers $(WORKERS)
 endif
+
+test-all: $(VENV)/dev debian-packages
+	@$(BIN)/python -m tests --all --workers $(WORKERS)
 
 check: $(VENV)/dev
 	$(BIN)/ruff format --check .

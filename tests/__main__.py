@@ -1,14 +1,20 @@
-"""`python -m tests`: all tests in their stages (tests/support/schedule.py), for `make test`. Exit code 1: one failed.
+"""`python -m tests`: what each commit has to show, in stages (tests/support/schedule.py), for `make test`.
 
-A test that failed beside others is judged once more, alone: on two processors three workers, a browser and a robot with
-physics may hold a program up for longer than any patience. It is named as flaky then, and its failure stays on record:
-a claim of the safety case that leans on it is red until it passes the first time. What runs alone has no second chance.
+python -m tests            # make test
+python -m tests --all      # make test-all: searches and repetitions as well; leaves a record for the safety case
+python -m tests --quick    # make quick: ruff, mypy and the unit tests, at once
+
+Exit code 1: a test failed. One that failed beside others is run once more, alone: on two processors three workers, a
+browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then, and its
+failure stays on record: a claim of the safety case that leans on it is red until it passes the first time. What runs
+alone has no second chance.
 
 The model check's searches run behind the stages that leave processors idle, and only take these.
 """
 
 import argparse
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -21,33 +27,58 @@ from typing import Final
 
 import pytest
 
-from tests.case import left
-from tests.support import schedule
+from tests.case import extended, left
+from tests.support import schedule, seconds
 
 MOST_AGAIN: Final = 5
 """Where more have failed, it was not the machine."""
 TOGETHER: Final = "not alone and not attended and not searches"
+_PYTEST: Final = (sys.executable, "-m", "pytest")
 _FAILED: Final = Path(".pytest_cache") / "v" / "cache" / "lastfailed"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests", description="All tests, in their stages.")
     parser.add_argument("--workers", type=int, default=3, help="how many run side by side (default: %(default)s)")
-    workers: int = parser.parse_args().workers
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--all", action="store_true", help="searches and repetitions as well")
+    which.add_argument("--quick", action="store_true", help="ruff, mypy and the unit tests")
+    chosen = parser.parse_args()
     signal.signal(signal.SIGINT, lambda *_: None)  # pytest ends in its own time, and this behind it
+    begun_s = time.monotonic()
+    if chosen.quick:
+        green = _quick()
+    else:
+        green = _test(chosen.workers, everything=chosen.all)
+        print(seconds.report(left.cases(), schedule.SECONDS if not chosen.all else {}))
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(f"{time.monotonic() - begun_s:.0f} s, {used.ru_utime + used.ru_stime:.0f} s of processors")
+    return 0 if green else 1
+
+
+def _quick() -> bool:
+    with _behind(["make", "--no-print-directory", "check"]) as check:
+        unit = subprocess.run([*_PYTEST, "-q", "-n", "2", "-m", "not thorough", "tests/unit"], check=False)
+    return unit.returncode == check.returncode == 0
+
+
+def _test(workers: int, *, everything: bool) -> bool:
     left.begin()
-    beside = [_stage("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER)]
-    with _behind("searches", "-n", "auto", "-p", "no:cacheprovider", "-m", "searches") as searches:
-        beside.append(_stage("attended", "-n", "2", "-m", "attended"))
+    only = "" if everything else " and not extended"
+    beside = [_stage("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER + only)]
+    search = _command("searches", "-n", "auto", "-p", "no:cacheprovider", "-m", f"searches{only}")
+    with _behind(search, idle=True) as searches:
+        beside.append(_stage("attended", "-n", "2", "-m", f"attended{only}"))
         green = all(beside)
         flaky: list[str] = []
         if not green and len(failed := _failed()) <= MOST_AGAIN and _stage("again", "--last-failed"):
             green, flaky = True, failed
-        green = _stage("alone", "-m", "alone") and green
-        green = searches.wait() == pytest.ExitCode.OK and green
+        green = _stage("alone", "-m", f"alone{only}") and green
+    green = searches.returncode == pytest.ExitCode.OK and green
+    extended.leave(extended.commit())
     for test in flaky:
         print(f"FLAKY: {test} failed beside others and passed alone")
-    return 0 if green else 1
+    return green
 
 
 def _stage(name: str, *arguments: str) -> bool:
@@ -61,22 +92,27 @@ def _stage(name: str, *arguments: str) -> bool:
 
 
 @contextmanager
-def _behind(name: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Tests that run meanwhile, and only where a processor is idle; what they print is printed behind the others'."""
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(_command(name, *arguments), stdout=said, stderr=subprocess.STDOUT)
+def _behind(command: list[str], *, idle: bool = False) -> Iterator[subprocess.Popen[bytes]]:
+    """A program that runs meanwhile and is waited for at the end; `idle`: only where a processor is idle.
+
+    What it prints comes behind the others' output.
+    """
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
         try:
-            schedule.give_way(process.pid)
+            if idle:
+                schedule.give_way(process.pid)
             yield process
+            process.wait()
         finally:
             process.terminate()
             process.wait()
-            said.seek(0)
-            print(said.read().decode(errors="replace"), flush=True)
+            output.seek(0)
+            print(output.read().decode(errors="replace"), flush=True)
 
 
 def _command(name: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", "pytest", *arguments, f"--junitxml={left.LEFT / name}.xml"]
+    return [*_PYTEST, *arguments, f"--junitxml={left.LEFT / name}.xml"]
 
 
 def _failed() -> list[str]:

@@ -1,7 +1,7 @@
 """`python -m tests.case`: the safety case of these files, as a tree. Exit code 1: a claim is red.
 
 python -m tests.case            # judges what the tests and the benchmark have left in build/case
-python -m tests.case --run      # runs the tests that it names first, unless they were run for these files
+python -m tests.case --run      # runs first the tests that it names and that are not shown for these files
 python -m tests.case --draw     # writes docs/safety-case.svg anew
 """
 
@@ -14,9 +14,9 @@ from collections import Counter
 
 from pydantic import ValidationError
 
-from tests.case import kernel, left
+from tests.case import extended, kernel, left
 from tests.case.case import ROOT, Case, load
-from tests.case.judge import SCORES, Judged, Ran, Verdict, judge, tests_of, worst
+from tests.case.judge import SCORES, Judged, Ran, Verdict, is_shown, judge, worst
 from tests.case.picture import draw
 
 DRAWN = ROOT / "docs" / "safety-case.svg"
@@ -37,24 +37,28 @@ def main() -> int:
     if chosen.draw:
         DRAWN.write_text(draw(case))
         return 0
-    if chosen.run and left.outcomes() is None:
-        _run(tests_of(case))
-    verdicts = {name: judge(claim, _ran()) for name, claim in case.claims.items()}
+    if chosen.run:
+        _run(sorted(test for test in case.tests() if not is_shown(test, _ran(case))))
+    verdicts = {name: judge(claim, _ran(case)) for name, claim in case.claims.items()}
     (left.LEFT / "case.svg").write_text(draw(case, {name: worst(judged) for name, judged in verdicts.items()}))
     print(as_text(case, verdicts, every=chosen.all, colours=sys.stdout.isatty()))
     return 1 if any(worst(judged) is Verdict.RED for judged in verdicts.values()) else 0
 
 
-def _ran() -> Ran:
+def _ran(case: Case) -> Ran:
     scores = json.loads(SCORES.read_text()) if SCORES.exists() else {}
-    return Ran(left.outcomes(), left.bench(), scores, kernel.read())
+    return Ran(left.outcomes(), left.bench(), scores, kernel.read(), extended.read(), case.judges)
 
 
 def _run(tests: list[str]) -> None:
-    print(f"running the {len(tests)} tests that the case leans on (some minutes; `make test` runs them, too) …")
-    left.begin()
+    if not tests:
+        return
+    print(f"running the {len(tests)} tests that the case leans on and that are not shown for these files …")
+    if left.outcomes() is None:
+        left.begin()
     record = left.LEFT / "case.xml"
     subprocess.run([sys.executable, "-m", "pytest", "-q", f"--junitxml={record}", *tests], cwd=ROOT, check=False)
+    extended.leave(extended.commit())
 
 
 def as_text(case: Case, verdicts: dict[str, list[Judged]], *, every: bool = False, colours: bool = False) -> str:

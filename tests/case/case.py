@@ -9,6 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 ROOT: Final = Path(__file__).parents[2]
 CASE: Final = ROOT / "safety" / "case.toml"
 
+SEARCH: Final = "tests/fuzz/test_model_check.py::test_every_reachable_state_keeps_every_promise"
+"""It judges each step of each search by the promises of the model check."""
+
 Text = Annotated[str, Field(min_length=1)]
 
 
@@ -101,6 +104,8 @@ class Case(_Part):
 
     hazards: dict[str, Hazard]
     claims: dict[str, Claim]
+    judges: dict[str, list[Text]] = {}
+    """Files and folders that a test judges which only `make test-all` runs."""
 
     @model_validator(mode="after")
     def _is_connected(self) -> "Case":
@@ -111,6 +116,12 @@ class Case(_Part):
         if open_ones:
             raise ValueError(f"hazards without a claim: {', '.join(sorted(open_ones))}")
         return self
+
+    def tests(self) -> set[str]:
+        """All tests that some claim leans on."""
+        found = {test for claim in self.claims.values() for test in claim.tests}
+        found |= {figure.test for claim in self.claims.values() for figure in claim.figures}
+        return found | ({SEARCH} if any(claim.model for claim in self.claims.values()) else set())
 
     def about(self, hazard: str) -> dict[str, Claim]:
         """The claims that meet this hazard."""

@@ -1,6 +1,7 @@
 """Each piece of evidence: shown, red, or a person's; with a sentence that says why."""
 
 import ast
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -10,15 +11,16 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.people.tools.drill.steps import STEPS
-from tests.case.case import ROOT, Bench, Case, Claim, Figure, Kernel, Model, Mutants
+from tests.case import extended
+from tests.case.case import ROOT, SEARCH, Bench, Claim, Figure, Kernel, Model, Mutants
+from tests.case.extended import Shown
 from tests.case.kernel import Report
 from tests.case.left import Outcome, mark
 from tests.kernel.inside.scenes import SCENES
+from tests.support import schedule
 from tests.unit.test_docs import headings
 
 SCORES: Final = ROOT / "tests" / "mutants" / "scores.json"
-SEARCH: Final = "tests/fuzz/test_model_check.py::test_every_reachable_state_keeps_every_promise"
-"""It judges each step of each search by the promises."""
 
 
 class Verdict(StrEnum):
@@ -50,6 +52,10 @@ class Ran(NamedTuple):
     scores: Mapping[str, Mapping[str, Any]]
     kernel: Report | None = None
     """The last run of `make kernel`, of whichever files."""
+    extended: Mapping[str, Shown] = {}
+    """What `make test-all` last showed of the tests that `make test` leaves out."""
+    judges: Mapping[str, Sequence[str]] = {}
+    """What each of these judges."""
 
 
 def judge(claim: Claim, ran: Ran) -> list[Judged]:
@@ -67,16 +73,14 @@ def judge(claim: Claim, ran: Ran) -> list[Judged]:
     ]
 
 
+def is_shown(test: str, ran: Ran) -> bool:
+    """Whether this test, which a claim names, needs no run."""
+    return _test(test, ran).verdict is Verdict.SHOWN
+
+
 def worst(judged: Sequence[Judged]) -> Verdict:
     """A claim is as good as its worst evidence."""
     return max((each.verdict for each in judged), key=lambda verdict: verdict.worse)
-
-
-def tests_of(case: Case) -> list[str]:
-    """All tests that some claim leans on."""
-    found = {test for claim in case.claims.values() for test in claim.tests}
-    found |= {figure.test for claim in case.claims.values() for figure in claim.figures}
-    return sorted(found | ({SEARCH} if any(claim.model for claim in case.claims.values()) else set()))
 
 
 # ---- the kinds of evidence
@@ -96,15 +100,27 @@ def _test(test: str, ran: Ran) -> Judged:
     path, _, name = test.partition("::")
     if name not in _defined(ROOT / path):
         return Judged(Verdict.RED, test, "there is no such test")
+    found = (ran.tests or {}).get(test, ())
+    if not found and schedule.is_extended(test):
+        return _recorded(test, ran)
     if ran.tests is None:
         return Judged(Verdict.RED, test, "it was not run for these files: make test, or make case RUN=yes")
-    found = ran.tests.get(test, ())
     if not found:
         return Judged(Verdict.RED, test, "it was left out of the run")
     bad = [outcome for outcome in found if outcome.result != "passed"]
     if bad:
         return Judged(Verdict.RED, test, f"{bad[0].name} {bad[0].result}" + _more(len(bad) - 1))
     return Judged(Verdict.SHOWN, test, "" if len(found) == 1 else f"{len(found)} times")
+
+
+def _recorded(test: str, ran: Ran) -> Judged:
+    shown = ran.extended.get(test)
+    if shown is None:
+        return Judged(Verdict.RED, test, "only make test-all runs it, and nobody has: make case RUN=yes")
+    if shown.files != extended.digest(test, ran.judges.get(test, ())):
+        why = f"it last passed at {shown.commit}; what it judges has changed since: make case RUN=yes, or make test-all"
+        return Judged(Verdict.RED, test, why)
+    return Judged(Verdict.SHOWN, test, f"at {shown.commit}")
 
 
 def _more(count: int) -> str:
@@ -161,8 +177,11 @@ def _figure(figure: Figure, ran: Ran) -> Judged:
     passed = _test(figure.test, ran)
     if passed.verdict is not Verdict.SHOWN:
         return Judged(passed.verdict, evidence, passed.why)
-    found = [float(each.figures.get(figure.name, "nan")) for each in (ran.tests or {})[figure.test]]
-    least = min(found)
+    outcomes = (ran.tests or {}).get(figure.test)
+    if outcomes:
+        least = min(float(each.figures.get(figure.name, "nan")) for each in outcomes)
+    else:
+        least = ran.extended[figure.test].figures.get(figure.name, math.nan)
     if not least >= figure.at_least:  # a figure that is missing, too
         return Judged(Verdict.RED, evidence, f"it left {least:g}")
     return Judged(Verdict.SHOWN, evidence, f"{least:g}")

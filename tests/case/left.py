@@ -4,10 +4,10 @@ The mark is a digest of what is judged and what judges, not a commit's name: a c
 and a clone without its history has the same.
 """
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -23,17 +23,20 @@ _MADE: Final = ("__pycache__", ".hypothesis")
 
 def mark(root: Path = ROOT) -> str:
     """The digest of all that tests run and read."""
-    digest = hashlib.sha256()
-    for path in _files(root):
-        digest.update(f"{path.relative_to(root)}\0{hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
-    return digest.hexdigest()[:16]
+    return digest(root, _JUDGED)
 
 
-def _files(root: Path) -> Iterator[Path]:
-    for name in _JUDGED:
-        place = root / name
-        found = [place] if place.is_file() else sorted(place.rglob("*"))
-        yield from (path for path in found if path.is_file() and not any(made in path.parts for made in _MADE))
+def digest(root: Path, names: Iterable[str]) -> str:
+    """Of these files, and of all files in these folders; one that is gone counts as none."""
+    found = sha256()
+    for path in sorted({path for name in names for path in _files(root / name)}):
+        found.update(f"{path.relative_to(root)}\0{sha256(path.read_bytes()).hexdigest()}\n".encode())
+    return found.hexdigest()[:16]
+
+
+def _files(place: Path) -> Iterator[Path]:
+    found = [place] if place.is_file() else place.rglob("*")
+    yield from (path for path in found if path.is_file() and not any(made in path.parts for made in _MADE))
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,9 @@ class Outcome:
     result: str
     """`passed`, `failed` or `skipped`."""
     figures: dict[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
+    why: str = ""
+    """Why it was skipped."""
 
 
 def begin(left: Path = LEFT, root: Path = ROOT) -> None:
@@ -60,12 +66,20 @@ def outcomes(left: Path = LEFT, root: Path = ROOT) -> dict[str, list[Outcome]] |
     if not noted.exists() or noted.read_text().strip() != mark(root):
         return None
     found: dict[str, list[Outcome]] = {}
+    for test, outcome in cases(left):
+        found.setdefault(test, []).append(outcome)
+    return found
+
+
+def cases(left: Path = LEFT) -> Iterator[tuple[str, Outcome]]:
+    """Each test of the last run, once for each time it ran."""
     for record in sorted(left.glob("*.xml")):
         for case in ElementTree.parse(record).iter("testcase"):
             name = case.get("name", "")
             test = f"{case.get('classname', '').replace('.', '/')}.py::{name.partition('[')[0]}"
-            found.setdefault(test, []).append(Outcome(name, _result(case), _figures(case)))
-    return found
+            skipped = case.find("skipped")
+            why = "" if skipped is None else skipped.get("message", "")
+            yield test, Outcome(name, _result(case), _figures(case), float(case.get("time", 0)), why)
 
 
 def _result(case: ElementTree.Element) -> str:

@@ -15,6 +15,12 @@ STAGGERED = BY_NAME["two legs, started one after the other"]
 CALIBRATED = BY_NAME["one leg, a servo of which is calibrated"]
 
 
+@pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
+def test_the_states_near_the_beginning_keep_every_promise(configuration: Configuration) -> None:
+    """What `make test` has of the search: in all, some three commands deep."""
+    assert check(configuration, most_states=400).states >= 400
+
+
 @pytest.mark.searches
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
 def test_every_reachable_state_keeps_every_promise(configuration: Configuration) -> None:

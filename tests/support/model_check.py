@@ -8,6 +8,7 @@ no depth limits it. What is small is the robot (one or two legs, a few commands,
 of time (a tick is half a leg's period, or a quarter of it).
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -309,12 +310,15 @@ def _what_follows(legs: Legs) -> tuple[object, ...]:
     return legs.due_ns, legs.repeat_ns, legs.at_rest
 
 
-def check(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> Report:
-    """Visit every reachable state. Raises Violation, with the shortest way to it, where a promise is broken."""
+def check(
+    configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor, *, most_states: float = math.inf
+) -> Report:
+    """Visit every reachable state, the nearest first. Raises Violation, with the shortest way to it, where a promise is
+    broken."""
     seen: set[Key] = set()
     frontier = deque([start(configuration, make)])
     steps = 0
-    while frontier:
+    while frontier and len(seen) < most_states:
         for found, state in successors(configuration, frontier.popleft()):
             steps += 1
             if found not in seen:

@@ -1,4 +1,9 @@
-"""Which test runs when, on which worker of `pytest -n`, and which ones alone: decided here for all of them."""
+"""Which test runs when, on which worker of `pytest -n`, and which ones alone: decided here for all of them.
+
+`make quick` runs unit tests that are not THOROUGH. `make test` runs what each commit has to show: all unit and property
+tests, the wire, for each seam between two processes a scene that fails where the seam is broken, and each attack that
+concerns a Stop. `make test-all` adds what searches or repeats: EXTENDED.
+"""
 
 import os
 from collections.abc import Sequence
@@ -51,12 +56,75 @@ THOROUGH: Final = (
     "unit/robot/test_supervisor_machine.py",
 )
 """Searches of some seconds, which `make quick` leaves to `make test`."""
+EXTENDED: Final = (
+    # searches, and matrices of which `make test` has a row
+    "falls",
+    "fuzz/test_fuzz.py",
+    "fuzz/test_model_check.py::test_every_reachable_state_keeps_every_promise",
+    "fuzz/test_model_check.py::test_states_that_count_as_one_have_one_future",
+    "mutants",
+    "walking",
+    "attack/test_deaf_controller.py::test_a_firmware_that_rejects_other_lengths_than_6_and_14_survives_them",
+    "attack/test_deaf_controller.py::test_what_more_than_one_lost_byte_does_is_known",
+    "attack/test_held_back.py::test_a_stream_that_was_held_back_goes_on",
+    "hil/test_failing_bus.py::test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail[plain-0.1]",
+    "hil/test_failing_bus.py::test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail[plain-0.2]",
+    "hil/test_failing_bus.py::test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail[length-prefixed-0.03]",
+    "hil/test_failing_bus.py::test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail[length-prefixed-0.1]",
+    "hil/test_incidents.py",
+    "hil/test_lists.py::test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set",
+    "zenoh/test_check.py::test_a_port_is_free_or_taken",
+    "zenoh/test_diagnosis.py::test_one_line_names_the_step_and_what_to_do",
+    # floods of strangers, kills in dozens, real priorities under load
+    "attack/test_console_strangers.py::test_stop_all_beside_pages_that_flood",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[body-40]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[chunked-20]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[get-50]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[handshake-50]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[huge_headers-50]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[link-20]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[silent-700]",
+    "attack/test_console_strangers.py::test_stop_all_beside_strangers[upgrade-50]",
+    "attack/test_slow_metrics.py::test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more",
+    "hil/test_death.py::test_killed_at_random_moments_under_load",
+    "hil/test_load.py",
+    "zenoh/test_console_bounds.py",
+    "zenoh/test_record.py::test_a_killed_recorder_leaves_all_but_the_newest_and_the_next_one_repairs_it",
+    # the drill and its planted gateways; releases
+    "box/test_drill.py",
+    "hil/test_drill.py",
+    "zenoh/test_drill.py",
+    "zenoh/test_release.py",
+    "zenoh/test_release_spidev.py",
+    # what README, docs and docstrings show
+    "zenoh/test_client.py::test_the_examples_run",
+    "zenoh/test_examples.py",
+    "zenoh/test_first_steps.py::test_an_unfit_virtual_environment_is_made_anew",
+    "zenoh/test_readme.py",
+    # comfort: nothing here moves or stops a servo
+    "zenoh/test_physics_secured.py",
+    "zenoh/test_replay.py",
+    "zenoh/test_upkeep.py",
+)
+"""What only `make test-all` runs: folders, files, tests, or tests with some of their parameters."""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
 SEARCHES: Final = ("fuzz/test_model_check.py",)
 """The model check: minutes of a processor, while the attended, and then those that run alone, leave one idle."""
+SECONDS: Final = {
+    "unit": 75,
+    "hil": 110,
+    "attack": 75,
+    "zenoh": 220,
+    "ros2": 45,
+    "box": 80,
+    "console": 110,
+    "net": 50,
+    "fuzz": 40,
+}
+"""Of each folder: the seconds that its tests may take in `make test`, added up over the workers."""
 STAGES: Final = {"alone": ALONE, "attended": ATTENDED, "searches": SEARCHES}
 """By the mark that `make test` asks for: where its tests are."""
 
@@ -64,6 +132,8 @@ STAGES: Final = {"alone": ALONE, "attended": ATTENDED, "searches": SEARCHES}
 def arrange(items: list[pytest.Item]) -> None:
     """Sort the tests, and mark those that run alone."""
     for item in items:
+        if is_extended(item.nodeid):
+            item.add_marker(pytest.mark.extended)
         if _is_among(_file(item.nodeid), ALONE):
             item.add_marker(pytest.mark.alone)
         elif _is_among(_file(item.nodeid), ATTENDED):
@@ -78,9 +148,23 @@ def arrange(items: list[pytest.Item]) -> None:
     items.sort(key=place)
 
 
-def is_elsewhere(path: Path, stage: str) -> bool:
-    """Whether a file has no test of this stage; to import it for the sake of its marks would take its time."""
-    return stage in STAGES and path.suffix == ".py" and not _is_among(str(path.relative_to(TESTS)), STAGES[stage])
+def is_extended(nodeid: str) -> bool:
+    """Whether only `make test-all` runs this test; without parameters: whether it leaves all of the test to it."""
+    of_tests = nodeid.removeprefix("tests/")
+    return any(place in EXTENDED for place in (of_tests, of_tests.partition("[")[0])) or _is_among(
+        _file(nodeid), EXTENDED
+    )
+
+
+def is_elsewhere(path: Path, marks: str) -> bool:
+    """Whether a file has no test with these marks; to import it for the sake of its marks would take its time."""
+    if path.suffix != ".py":
+        return False
+    file = str(path.relative_to(TESTS))
+    stage = marks.partition(" ")[0]
+    if stage in STAGES and not _is_among(file, STAGES[stage]):
+        return True
+    return "not extended" in marks and _is_among(file, EXTENDED)
 
 
 def give_way(process: int) -> None:

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from gateway.people.tools.drill.steps import STEPS
-from tests.case import left
+from tests.case import extended, left
 from tests.case.__main__ import DRAWN, as_text
 from tests.case.case import ROOT, Case, Claim, Figure, Mutants, load
 from tests.case.judge import Judged, Ran, Verdict, judge, worst
@@ -138,6 +138,82 @@ VERDICTS: dict[str, tuple[dict[str, Any], Ran, Verdict]] = {
 def test_what_is_there_decides(what: str) -> None:
     parts, what_ran, wanted = VERDICTS[what]
     assert verdict(claim(**parts), what_ran).verdict is wanted
+
+
+def test_each_test_that_only_test_all_runs_states_what_it_judges() -> None:
+    case = load()
+    assert set(case.judges) == extended.needed(case)
+    assert not [path for judged in case.judges.values() for path in judged if not (ROOT / path).exists()]
+
+
+SLOW = "tests/fuzz/test_fuzz.py::test_a_short_run_finds_nothing"
+"""One that only `make test-all` runs."""
+
+
+def recorded(files: str, inputs: float = 500) -> Ran:
+    """It passed at an earlier commit, when what it judges had this digest."""
+    shown = extended.Shown("0123456789", files, 7, {"inputs": inputs})
+    return Ran({}, None, {}, extended={SLOW: shown}, judges={SLOW: ["schemas"]})
+
+
+@pytest.mark.parametrize(
+    ("what_ran", "expected"),
+    [
+        (recorded(extended.digest(SLOW, ["schemas"])), (Verdict.SHOWN, "at 0123456789")),
+        (recorded("other"), (Verdict.RED, "it last passed at 0123456789; what it judges has changed since")),
+        (Ran({}, None, {}), (Verdict.RED, "only make test-all runs it, and nobody has")),
+        (ran(Outcome("a", "failed"), test=SLOW), (Verdict.RED, "a failed")),
+    ],
+    ids=["unchanged", "changed since", "never run", "failed in this run"],
+)
+def test_what_test_all_showed_counts_until_what_it_judges_changes(what_ran: Ran, expected: tuple[Verdict, str]) -> None:
+    (found,) = (each for each in judge(claim(tests=[SLOW]), what_ran) if each.evidence == SLOW)
+    assert (found.verdict, found.why.partition(": make")[0]) == expected
+
+
+def test_a_figure_of_that_run_counts_as_well() -> None:
+    figure = Figure(test=SLOW, name="inputs", at_least=500)
+    files = extended.digest(SLOW, ["schemas"])
+    assert verdict(claim(tests=[], figures=[figure]), recorded(files, 500)).verdict is Verdict.SHOWN
+    assert verdict(claim(tests=[], figures=[figure]), recorded(files, 499)).verdict is Verdict.RED
+
+
+def test_the_record_has_what_passed_and_keeps_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failed one keeps the record of when it last passed; a record of other files then says so."""
+    case = Case.model_validate(
+        {
+            "hazards": {"h": {"text": "it falls"}},
+            "claims": {"a": claim(tests=[SLOW, THIS]).model_dump()},
+            "judges": {SLOW: ["schemas"]},
+        }
+    )
+    monkeypatch.setattr(extended, "load", lambda: case)
+    passed = {
+        SLOW: [Outcome("x[1]", "passed", {"inputs": "3"}), Outcome("x[2]", "passed", {"inputs": "2"})],
+        THIS: [PASSED],
+    }
+    record = tmp_path / "test-all.json"
+    monkeypatch.setattr(left, "outcomes", lambda: passed)
+    extended.leave("0123456789", record)
+    shown = extended.read(record)
+    assert set(shown) == {SLOW}
+    assert (shown[SLOW].times, shown[SLOW].figures) == (2, {"inputs": 2.0})
+    assert shown[SLOW].files == extended.digest(SLOW, ["schemas"])
+    monkeypatch.setattr(left, "outcomes", lambda: {SLOW: [Outcome("x[1]", "failed")]})
+    extended.leave("0123456789", record)
+    assert extended.read(record) == shown
+
+
+def test_a_digest_changes_with_the_test_and_with_each_file_that_it_judges(tmp_path: Path) -> None:
+    (tmp_path / "tests").mkdir()
+    for name in ("tests/test_x.py", "a.py", "b.py"):
+        (tmp_path / name).write_text("1")
+    found = [extended.digest("tests/test_x.py::test_y", ["a.py"], tmp_path)]
+    for name in ("b.py", "a.py", "tests/test_x.py"):
+        (tmp_path / name).write_text("2")
+        found.append(extended.digest("tests/test_x.py::test_y", ["a.py"], tmp_path))
+    assert found[0] == found[1]
+    assert len(set(found)) == 3
 
 
 def test_the_drill_names_the_claims_that_name_its_steps() -> None:
