@@ -48,10 +48,13 @@ ATTENDED: Final = (
 )
 """Pages and terminals with a person at them, who is slow, but not stalled: two at a time, between the others."""
 THOROUGH: Final = (
+    "unit/people/test_console_front.py",
     "unit/people/test_recordings.py",
     "unit/people/test_recordings_damaged.py",
     "unit/people/test_walking_gait.py",
     "unit/people/test_walking_postures.py",
+    "unit/people/test_replaying.py",
+    "unit/robot/test_ownership.py",
     "unit/robot/test_slow_failures.py",
     "unit/robot/test_supervisor_machine.py",
 )
