@@ -5,9 +5,9 @@ python -m tests --all      # make test-all: searches and repetitions as well; le
 python -m tests --quick    # make quick: ruff, mypy and the unit tests, at once
 
 Exit code 1: a test failed. One that failed beside others is run once more, alone: on two processors three workers, a
-browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then, and its
-failure stays on record: a claim of the safety case that leans on it is red until it passes the first time. What runs
-alone has no second chance.
+browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then, and a
+claim of the safety case that leans on it is not shown, but waits for a person to find out why. What runs alone has no
+second chance.
 
 The model check's searches run behind the stages that leave processors idle, and only take these.
 """
@@ -71,7 +71,7 @@ def _test(workers: int, *, everything: bool) -> bool:
         beside.append(_stage("attended", "-n", "2", "-m", f"attended{only}"))
         green = all(beside)
         flaky: list[str] = []
-        if not green and len(failed := _failed()) <= MOST_AGAIN and _stage("again", "--last-failed"):
+        if not green and len(failed := _failed()) <= MOST_AGAIN and _stage(left.AGAIN, "--last-failed"):
             green, flaky = True, failed
         green = _stage("alone", "-m", f"alone{only}") and green
     green = searches.returncode == pytest.ExitCode.OK and green

@@ -107,9 +107,18 @@ def _test(test: str, ran: Ran) -> Judged:
         return Judged(Verdict.RED, test, "it was not run for these files: make test, or make case RUN=yes")
     if not found:
         return Judged(Verdict.RED, test, "it was left out of the run")
-    bad = [outcome for outcome in found if outcome.result != "passed"]
+    return _outcome(test, found)
+
+
+def _outcome(test: str, found: Sequence[Outcome]) -> Judged:
+    """The worst of what became of its parameters."""
+    bad = [outcome for outcome in found if outcome.result not in {"passed", "flaky"}]
     if bad:
-        return Judged(Verdict.RED, test, f"{bad[0].name} {bad[0].result}" + _more(len(bad) - 1))
+        return Judged(Verdict.RED, test, f"{bad[0].name} {bad[0].result}{_more(len(bad) - 1)}")
+    flaky = [outcome for outcome in found if outcome.result == "flaky"]
+    if flaky:
+        why = f"{flaky[0].name} failed beside others and passed alone{_more(len(flaky) - 1)}: find out why"
+        return Judged(Verdict.PERSON, test, why)
     return Judged(Verdict.SHOWN, test, "" if len(found) == 1 else f"{len(found)} times")
 
 

@@ -6,7 +6,7 @@ and a clone without its history has the same.
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +16,8 @@ from tests.case.case import ROOT
 
 LEFT: Final = ROOT / "build" / "case"
 BENCH: Final = "bench.json"
+AGAIN: Final = "again"
+"""The record of tests that failed beside others and were run once more, alone."""
 MARK: Final = "files"
 _JUDGED: Final = ("gateway", "schemas", "tests", "deploy", "examples", "pyproject.toml")
 _MADE: Final = ("__pycache__", ".hypothesis")
@@ -45,7 +47,7 @@ class Outcome:
 
     name: str
     result: str
-    """`passed`, `failed` or `skipped`."""
+    """`passed`, `failed`, `skipped`, or `flaky`: it failed beside others and passed alone."""
     figures: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
     why: str = ""
@@ -65,21 +67,31 @@ def outcomes(left: Path = LEFT, root: Path = ROOT) -> dict[str, list[Outcome]] |
     noted = left / MARK
     if not noted.exists() or noted.read_text().strip() != mark(root):
         return None
-    found: dict[str, list[Outcome]] = {}
+    found: dict[str, dict[str, Outcome]] = {}
     for test, outcome in cases(left):
-        found.setdefault(test, []).append(outcome)
-    return found
+        found.setdefault(test, {})[outcome.name] = outcome
+    for test, outcome in _cases(left / f"{AGAIN}.xml"):
+        if outcome.result == "passed" and found[test][outcome.name].result == "failed":
+            found[test][outcome.name] = replace(outcome, result="flaky")
+    return {test: list(outcomes.values()) for test, outcomes in found.items()}
 
 
 def cases(left: Path = LEFT) -> Iterator[tuple[str, Outcome]]:
-    """Each test of the last run, once for each time it ran."""
+    """What became of each test in the last run, the first time."""
     for record in sorted(left.glob("*.xml")):
-        for case in ElementTree.parse(record).iter("testcase"):
-            name = case.get("name", "")
-            test = f"{case.get('classname', '').replace('.', '/')}.py::{name.partition('[')[0]}"
-            skipped = case.find("skipped")
-            why = "" if skipped is None else skipped.get("message", "")
-            yield test, Outcome(name, _result(case), _figures(case), float(case.get("time", 0)), why)
+        if record.stem != AGAIN:
+            yield from _cases(record)
+
+
+def _cases(record: Path) -> Iterator[tuple[str, Outcome]]:
+    if not record.exists():
+        return
+    for case in ElementTree.parse(record).iter("testcase"):
+        name = case.get("name", "")
+        test = f"{case.get('classname', '').replace('.', '/')}.py::{name.partition('[')[0]}"
+        skipped = case.find("skipped")
+        why = "" if skipped is None else skipped.get("message", "")
+        yield test, Outcome(name, _result(case), _figures(case), float(case.get("time", 0)), why)
 
 
 def _result(case: ElementTree.Element) -> str:

@@ -96,6 +96,7 @@ def played(holds: bool, files: str | None = None, scene: str = "atomic") -> Ran:
 
 VERDICTS: dict[str, tuple[dict[str, Any], Ran, Verdict]] = {
     "a test that passed with all its parameters": ({}, ran(PASSED, PASSED), Verdict.SHOWN),
+    "a test that failed beside others and passed alone": ({}, ran(PASSED, Outcome("x", "flaky")), Verdict.PERSON),
     "a test that was left out": ({}, ran(), Verdict.RED),
     "no run of these files": ({}, Ran(None, None, {}), Verdict.RED),
     "a section that is gone": ({"section": "docs/safety.md#renamed"}, ran(PASSED), Verdict.RED),
@@ -276,6 +277,16 @@ def test_what_ran_counts_for_the_files_that_it_ran_on(tmp_path: Path) -> None:
     assert left.outcomes(folder, root) is None
     left.begin(folder, root)
     assert left.outcomes(folder, root) == {}
+
+
+def test_one_that_passed_alone_is_flaky_and_one_that_failed_again_has_failed(tmp_path: Path) -> None:
+    root, folder = files(tmp_path / "tree"), tmp_path / "left"
+    left.begin(folder, root)
+    record(folder / "together.xml", ("test_a", "failure"), ("test_b", "failure"), ("test_c", ""))
+    record(folder / "again.xml", ("test_a", ""), ("test_b", "failure"))
+    found = left.outcomes(folder, root) or {}
+    assert [each.result for outcomes in found.values() for each in outcomes] == ["flaky", "failed", "passed"]
+    assert [each.result for _, each in left.cases(folder)] == ["failed", "failed", "passed"]
 
 
 def test_the_benchmarks_rows_are_kept_for_these_files_part_by_part(tmp_path: Path) -> None:
