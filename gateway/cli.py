@@ -20,9 +20,30 @@ from gateway.people.tools import attended, certs, incidents, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 from gateway.robot import protocol
 
+_PANELS = {
+    "Stop": ("estop", "stop", "reset"),
+    "Look": ("status", "watch", "console", "foxglove", "incidents"),
+    "Drive": ("walk", "send", "lease", "button", "ros2"),
+    "The robot": ("run", "check", "drill", "calibrate", "stop-servos", "install-service"),
+    "People": ("certs", "revoke"),
+    "Files": ("record", "recordings", "replay", "decode"),
+}
+"""Commands as `--help` groups them, what a person may need in a hurry first."""
+
 
 class _Commands(TyperGroup):
-    """All commands, with Typer's words for a mistake in the arguments, but for those of pydantic beneath it."""
+    """All commands in their panels, with Typer's words for a mistake in the arguments, but for those of pydantic."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        del ctx
+        return [name for names in _PANELS.values() for name in names]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        command: Any = super().get_command(ctx, cmd_name)
+        for panel, names in _PANELS.items():
+            if cmd_name in names:
+                command.rich_help_panel = panel
+        return command
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -277,6 +298,22 @@ def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
     from gateway.people.tools.watch import watch
 
     watch(connect, zenoh_config, timeout)
+
+
+@app.command()
+def status(
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+    as_json: Annotated[bool, typer.Option("--json", help="As the gateway publishes it.")] = False,
+) -> None:
+    """Show the robot's state once, in sentences: may it move, what runs, who drives, what has gone wrong.
+
+    Exit codes: 0 shown; 2 the --zenoh-config is faulty; 4 no gateway answers.
+    """
+    from gateway.people.tools.status import status
+
+    status(connect, zenoh_config, timeout, as_json=as_json)
 
 
 @app.command()

@@ -2,8 +2,8 @@
 
 >>> from gateway.client import Client
 >>> with Client(endpoint) as robot:                 # such as "tcp/192.0.2.7:7447"
-...     robot.start_leg(3, 90, 45, 120).accepted    # acknowledged: the frame has been handed to SPI
-...     robot.set_leg(3, 91, 45, 120).accepted      # only what runs can be set
+...     bool(robot.start_leg(3, 90, 45, 120))       # acknowledged: the frame has been handed to SPI
+...     robot.set_leg(3, 91, 45, 120).or_raise().accepted  # only what runs can be set
 ...     robot.set_leg(4, 91, 45, 120).detail        # leg 4 was never started
 ...     robot.stop().accepted
 True
@@ -29,10 +29,13 @@ from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
+from gateway.people.walking import Odometry, Posture, WalkState
 from gateway.zenoh_config import DEFAULT_ENDPOINT
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
 
 __all__ = [
     "DEFAULT_ENDPOINT",
+    "Ack",
     "AsyncButton",
     "AsyncClient",
     "AsyncLease",
@@ -41,15 +44,22 @@ __all__ = [
     "Button",
     "Client",
     "DisconnectedError",
+    "Event",
     "GatewayError",
+    "GatewayState",
+    "Kind",
     "Lease",
     "LeaseError",
     "LeaseLostError",
+    "Odometry",
+    "Posture",
+    "Reason",
     "RejectedError",
     "StoppedError",
     "Stream",
     "Walk",
     "WalkError",
+    "WalkState",
     "ZenohError",
     "calibration_payload",
     "leg_payload",

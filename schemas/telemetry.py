@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
@@ -135,6 +135,18 @@ class Ack(Answer):
     stop_frames: Count | None = None
     estop: Count | None = None
     latency_us: Annotated[float, Field(ge=0)] | None = None
+
+    def __bool__(self) -> bool:
+        """Whether the command was accepted."""
+        return self.accepted
+
+    def or_raise(self) -> Self:
+        """Itself. Raises gateway.errors.RejectedError, with the gateway's reason, if the command was rejected."""
+        if not self.accepted:
+            from gateway.errors import RejectedError  # noqa: PLC0415  # a reader of payloads alone needs no gateway
+
+            raise RejectedError(str(self.reason or ""), self.detail or "no reason was given")
+        return self
 
 
 class ServoReport(Report):

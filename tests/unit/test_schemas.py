@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from gateway.errors import RejectedError
 from schemas import telemetry
 from schemas.__main__ import documents
 from schemas.button import BUTTON_REQUEST, ButtonAck
@@ -214,6 +215,15 @@ def test_an_ack_leaves_out_what_it_does_not_say() -> None:
     assert json.loads(rejected.model_dump_json()) == {"accepted": False, "reason": "stale", "detail": "late"}
     stopped = Ack(accepted=True, stop_frames=6, latency_us=0.0)
     assert json.loads(stopped.model_dump_json()) == {"accepted": True, "stop_frames": 6, "latency_us": 0.0}
+
+
+def test_an_acknowledgement_is_true_where_the_command_was_accepted_and_raises_its_reason_otherwise() -> None:
+    accepted, rejected = Ack(accepted=True), Ack(accepted=False, reason=Reason.STALE, detail="late")
+    assert accepted
+    assert not rejected
+    assert accepted.or_raise() is accepted
+    with pytest.raises(RejectedError, match="rejected: stale: late"):
+        rejected.or_raise()
 
 
 def test_what_carries_a_token_does_not_show_it() -> None:

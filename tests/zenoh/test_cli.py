@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 import typer.main
+from typer.core import TyperGroup
 
 from gateway import certs, cli
 from gateway.people.tools.kept_lease import me
 from gateway.people.tools.send import person_of
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
@@ -167,6 +168,19 @@ def test_help_teaches_every_exit_code_and_option() -> None:
         assert "Exit codes: 0 " in text, name
         assert all(each.help for each in parameters), name
     assert "Exit codes: 0 accepted" in run_here("send", "--help").stdout
+
+
+def test_status_is_a_look_in_sentences_or_as_published(gateway: Gateway) -> None:
+    shown = gateway.run("status")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "Idle: no servo runs. Gateway " in shown.stdout
+    assert GatewayState.model_validate_json(gateway.run("status", "--json").stdout).mode == "idle"
+
+
+def test_each_command_is_in_a_panel_of_help() -> None:
+    group = typer.main.get_command(cli.app)
+    assert isinstance(group, TyperGroup)
+    assert sorted(group.commands) == sorted(group.list_commands(typer.Context(group)))
 
 
 def test_python_m_is_the_same_program() -> None:

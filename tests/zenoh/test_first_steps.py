@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -65,6 +66,31 @@ def test_an_unfit_virtual_environment_is_made_anew(tmp_path: Path) -> None:
     planned = subprocess.run(["make", "-n", ".venv/run"], cwd=tmp_path, check=True, capture_output=True, text=True)
     assert "venv --clear" not in planned.stdout
     assert "pip install" in planned.stdout
+
+
+def test_a_type_checker_finds_the_types_from_any_folder(tmp_path: Path) -> None:
+    """Installed as `make` installs them, but without what they need."""
+    clone, bin_folder = tmp_path / "clone", tmp_path / "venv" / "bin"
+    for name in ("gateway", "schemas"):
+        shutil.copytree(REPOSITORY / name, clone / name)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(REPOSITORY / name, clone)
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    install = next(line for line in (REPOSITORY / "Makefile").read_text().splitlines() if line.startswith("INSTALL = "))
+    command = install.removeprefix("INSTALL = ").replace("$(BIN)", str(bin_folder)).split()
+    subprocess.run([*command, "--no-deps", "-e", clone], check=True)
+    (tmp_path / "gait.py").write_text("from gateway.client import Ack\n\n\nreveal_type(Ack.or_raise)\n")
+    mypy = [sys.executable, "-m", "mypy", "--python-executable", str(bin_folder / "python"), "gait.py"]
+    checked = subprocess.run(mypy, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert 'gait.py:4: note: Revealed type is "def ' in checked.stdout, checked.stdout
+
+
+def test_a_file_that_hides_a_package_is_named(tmp_path: Path) -> None:
+    (tmp_path / "schemas.py").touch()
+    program = "import sys; sys.path.insert(0, ''); from gateway.client import Client"
+    child = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert child.returncode == 1
+    assert child.stderr.splitlines()[-1].endswith("schemas.py hides the gateway's package of that name; rename it")
 
 
 def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(tmp_path: Path) -> None:

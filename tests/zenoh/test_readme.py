@@ -35,9 +35,10 @@ def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
         assert "ticks missed" in end.stdout
         with gateway.client() as client:
             state = client.state()
-        # The payload, its Stop, leg 3; the setpoints, of which a busy gateway takes the newest; the Stop at their end.
-        assert 50 < state.commands.accepted <= 2 + 1 + 100 + 1
+        # The payload, its Stop; the setpoints, of which a busy gateway takes the newest; the Stops at their end.
+        assert 50 < state.commands.accepted <= 2 + 100 + 2
         assert state.commands.rejected == 0
+        assert state.watchdog.expirations == 0, "a first program leaves nothing to the watchdog"
 
 
 def test_the_walk_walks(tmp_path: Path) -> None:

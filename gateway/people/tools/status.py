@@ -1,0 +1,61 @@
+"""`hexapod-gateway status`: one look at the state, in sentences or as published."""
+
+import sys
+from pathlib import Path
+
+from gateway.people.terminal import say
+from gateway.people.tools.reach import connection
+from schemas.telemetry import GatewayState, LegReport, Mode
+
+_MODES = {
+    Mode.STARTING: "It starts",
+    Mode.IDLE: "Idle: no servo runs",
+    Mode.ACTIVE: "Active",
+    Mode.ESTOPPED: "Emergency stop: all six legs are stopped, and commands are rejected until a reset",
+    Mode.BUS_FAULT: "Bus fault: what was written may not have arrived",
+    Mode.STOPPING: "It ends, and stops all six legs",
+}
+
+
+def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> None:
+    """Print it. Raises ZenohError where no gateway answers."""
+    with connection(connect, zenoh_config, timeout_s, source="status")() as client:
+        state = client.state()
+    if as_json:
+        sys.stdout.write(f"{state.model_dump_json()}\n")
+        return
+    for sentence in sentences(state):
+        say(sentence)
+
+
+def sentences(state: GatewayState) -> list[str]:
+    """What a person asks first, a line each: may it move, what runs, who drives, what has gone wrong."""
+    found = [_mode(state), *(_leg(leg) for leg in state.legs if any(servo.running for servo in leg.servos))]
+    lease, buttons, spi, watchdog = state.lease, state.buttons, state.spi, state.watchdog
+    if lease.holder is not None:
+        found.append(f"{lease.holder} {'drives' if lease.held_s is not None else 'is handed the lease'}.")
+    if buttons.required or buttons.alive:
+        found.append(f"Stop buttons: {buttons.alive} alive, {buttons.required} required.")
+    if state.calibration.fault is not None:
+        found.append(f"Nothing can be started: {state.calibration.fault}")
+    device = "a simulated controller" if state.simulated else spi.device
+    found.append(f"{spi.frames} frames to {device} ({spi.framing}), {spi.errors} SPI errors.")
+    found.append(
+        f"{state.commands.accepted} commands accepted, {state.commands.rejected} rejected; "
+        f"the watchdog ({watchdog.timeout_ms:g} ms) has stopped {watchdog.expirations} legs."
+    )
+    if state.incident is not None:
+        found.append(f"Latest incident: {state.incident} (hexapod-gateway incidents show {state.incident}).")
+    return found
+
+
+def _mode(state: GatewayState) -> str:
+    mode = _MODES.get(Mode(state.mode), "") if state.mode in set(Mode) else f"Mode {state.mode}"
+    by = f", engaged by {state.estop_source}" if state.mode == Mode.ESTOPPED and state.estop_source else ""
+    return f"{mode}{by}. Gateway {state.version}, up {state.uptime_s:.0f} s."
+
+
+def _leg(leg: LegReport) -> str:
+    angles = ", ".join(f"{servo.angle_deg:g}°" if servo.running else "off" for servo in leg.servos)
+    by = "" if leg.source is None else f", by {leg.source}"
+    return f"Leg {leg.leg} runs at {angles}{by}."

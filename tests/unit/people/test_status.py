@@ -1,0 +1,31 @@
+"""`hexapod-gateway status`: the state in sentences."""
+
+import pytest
+
+from gateway.people.tools.status import sentences
+from schemas.telemetry import ButtonsReport, LeaseReport, Mode
+from tests.support.watch_reports import state
+
+
+def test_at_rest_nothing_runs() -> None:
+    found = sentences(state())
+    assert found[0] == "Idle: no servo runs. Gateway 0.1.0, up 10 s."
+    assert not [line for line in found if line.startswith("Leg ")]
+
+
+@pytest.mark.parametrize("mode", [*Mode, "dancing"])
+def test_every_mode_is_a_sentence_also_one_of_a_later_version(mode: str) -> None:
+    assert sentences(state().model_copy(update={"mode": mode}))[0].endswith(". Gateway 0.1.0, up 10 s.")
+
+
+def test_what_runs_who_drives_and_what_watches() -> None:
+    changed = {"lease": LeaseReport(holder="anna", held_s=3.0), "buttons": ButtonsReport(alive=1, required=2)}
+    found = sentences(state(mode=Mode.ACTIVE, running=True).model_copy(update=changed))
+    assert "Leg 3 runs at 90°, 90°, 90°." in found
+    assert "anna drives." in found
+    assert "Stop buttons: 1 alive, 2 required." in found
+
+
+def test_who_engaged_the_emergency_stop() -> None:
+    changed = {"mode": Mode.ESTOPPED, "estop_source": "bert"}
+    assert "a reset, engaged by bert. " in sentences(state().model_copy(update=changed))[0]
