@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from tests.support.closing import Closing
+from tests.support.descendants import MARK
 
 
 class Child(Closing):
@@ -20,7 +21,10 @@ class Child(Closing):
         self.command = list(command)
         self._popen = subprocess.Popen(
             self.command,
-            env=dict(env),
+            env={
+                MARK: os.environ.get(MARK, ""),
+                **env,
+            },  # so that it ends with the run, whatever becomes of this process
             cwd=cwd,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
