@@ -1,6 +1,5 @@
 """Boxes as fixtures, and the wheels that go into it; where no box can be, its tests are skipped, but fail in CI."""
 
-import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,16 +10,15 @@ from tests.box.box import Box, lacks
 from tests.box.installed import NAME, InstalledGateway
 from tests.box.machine import CONFIG_TXT, STOCK, Machine, Prepared
 from tests.hil.bed import SYSTEM_PYTHON, missing_packages
+from tests.support.lacks import skip_where
 
 REPOSITORY = Path(__file__).parents[2]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip or fail in one line that says why."""
-    if item.get_closest_marker("systemd") and (lack := lacks() or missing_packages()):
-        if os.environ.get("CI") == "true":
-            pytest.fail(lack, pytrace=False)
-        pytest.skip(lack)
+    if item.get_closest_marker("systemd"):
+        skip_where(lacks() or missing_packages())
 
 
 @pytest.fixture(scope="session")

@@ -5,8 +5,8 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -144,6 +144,18 @@ class Child(Closing):
         with self._heard:
             self._open -= 1
             self._heard.notify_all()
+
+
+@contextmanager
+def frozen(*processes: int) -> Iterator[None]:
+    """Each of these stands still (SIGSTOP) while the `with` lasts."""
+    for process in processes:
+        os.kill(process, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for process in processes:
+            os.kill(process, signal.SIGCONT)
 
 
 def without_file_privileges(command: Sequence[str]) -> list[str]:
