@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import FrameType
 
 import async_solipsism
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
 from tests.support import schedule
+from tests.support.descendants import Run
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(
@@ -32,6 +34,26 @@ def pytest_configure(config: pytest.Config) -> None:
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    _let_signals_interrupt()
+    config.add_cleanup(Run().close)  # what fixtures leave behind: xdist kills a worker some seconds after the signal
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """pytest's hook."""
+    _let_signals_interrupt()  # asyncio gives a signal back its default behind a loop that had it
+
+
+def _let_signals_interrupt() -> None:
+    """SIGTERM, and the end of the terminal, take down what is there as Ctrl-C does."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: None)  # once is enough
+    raise KeyboardInterrupt
 
 
 def pytest_asyncio_loop_factories(

@@ -50,8 +50,13 @@ def lacks() -> str:
 class Box(Closing):
     """A booted box; its end is the end of everything in it."""
 
-    def __init__(self, folder: Path, *, disk: Path | None = None) -> None:
-        """Boot it. `folder` gets the script and the shared folder; `disk`, an ext4 image, what is written inside."""
+    def __init__(
+        self, folder: Path, *, disk: Path | None = None, base: Path | None = None, keep: Path | None = None
+    ) -> None:
+        """Boot it. `folder` gets the script and the shared folder; `disk`, an ext4 image, what is written inside.
+
+        `keep` becomes an archive of that at the end; a box with it as its `base` begins there.
+        """
         self.shared = folder / "shared"
         self.shared.mkdir()
         self.shared.chmod(0o755)  # pytest's folders are for their owner only, and services have users of their own
@@ -60,8 +65,9 @@ class Box(Closing):
         for name in ("up", "end"):
             os.mkfifo(self.shared / name)
         up = os.open(self.shared / "up", os.O_RDONLY | os.O_NONBLOCK)
-        environment = {**os.environ, "BOX_OUT": str(self.shared), **({"BOX_DISK": str(disk)} if disk else {})}
-        self._system = Child([str(PROGRAM), str(script), str(LIFE_S)], environment)
+        places = {"BOX_OUT": self.shared, "BOX_DISK": disk, "BOX_BASE": base, "BOX_KEEP": keep}
+        given = {name: str(place) for name, place in places.items() if place is not None}
+        self._system = Child([str(PROGRAM), str(script), str(LIFE_S)], {**os.environ, **given})
         try:
             if not select.select([up], [], [], BOOT_S)[0]:
                 raise TimeoutError(f"the box did not boot within {BOOT_S} s: {self._system}")

@@ -15,7 +15,7 @@ import pytest
 from tests.box.box import SHARED_INSIDE, Box
 from tests.box.bundles import Bundles
 from tests.box.installed import INSTALLER, NAME
-from tests.box.test_installer import Machine
+from tests.box.machine import CONFIG_TXT, STOCK, Machine
 
 pytestmark = pytest.mark.systemd
 
@@ -61,15 +61,16 @@ class Robot(Machine):
 
 
 @pytest.fixture(scope="module")
-def robot(box: Box, bundles: Bundles) -> Iterator[Robot]:
-    found = Robot(box, bundles)
-    found.simulate()
-    said = found.upgrade(bundles.make(FIRST, "ours"))
-    assert any(f"is what the key {bundles.fingerprint('ours')} has signed" in line for line in said), said
-    assert any("this key is trusted from now on" in line for line in said), said
-    box.run("systemctl", "start", NAME)
-    yield found
-    print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
+def robot(tmp_path_factory: pytest.TempPathFactory, bundles: Bundles) -> Iterator[Robot]:
+    with Box(tmp_path_factory.mktemp("robot")) as box:
+        box.write(CONFIG_TXT, STOCK)
+        found = Robot(box, bundles)
+        said = found.upgrade(bundles.make(FIRST, "ours"))
+        assert any(f"is what the key {bundles.fingerprint('ours')} has signed" in line for line in said), said
+        assert any("this key is trusted from now on" in line for line in said), said
+        found.simulate()
+        yield found
+        print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
 
 
 def test_installed_without_a_network_by_the_installer_of_the_release(robot: Robot) -> None:
@@ -158,7 +159,7 @@ def test_killed_at_any_moment_it_leaves_one_whole_release(robot: Robot) -> None:
         box.run("sh", "-c", WHOLE)
         assert robot.unit.property("ActiveState") == "active", seen
         box.run("systemctl", "restart", NAME)
-        assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout, seen
+        assert "accepted" in robot.send(), seen
     print("\n".join(seen))
     said = robot.upgrade(robot.bundles.make(SECOND, "ours"))
     assert robot.version() == SECOND, said

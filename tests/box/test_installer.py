@@ -1,41 +1,16 @@
 """The installer, from end to end on a bare system in a box: what it rejects, what it writes, what it leaves alone."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gateway import certs
-from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box, Unit
+from tests.box.box import PATH_INSIDE
 from tests.box.installed import CONFIGURATION, INSTALLER, NAME, share
+from tests.box.machine import CONFIG_TXT, DROP_IN, STOCK, Machine, Prepared
 
 pytestmark = pytest.mark.systemd
-
-CONFIG_TXT = "/boot/firmware/config.txt"
-STOCK = "#dtparam=i2c_arm=on\n#dtparam=spi=on\n\ndtoverlay=vc4-kms-v3d\n[cm4]\notg_mode=1\n"
-DROP_IN = f"/etc/systemd/system/{NAME}.service.d/simulated.conf"
-KEPT = "/opt/kept"
-DRY = ("--dry-run", "--force")
-_KEEP = f"""
-cd /opt/{NAME} && [ -e venv/complete ] && [ ! -e {KEPT} ] || exit 0
-mkdir {KEPT} && cp -a "$(readlink -e venv)" {KEPT}
-"""
-_RESTORE = f"[ ! -e {KEPT} ] || {{ mkdir -p /opt/{NAME} && cp -a {KEPT}/* /opt/{NAME}; }}"
-_BUILD = f"""
-set -e
-kept=$(echo {KEPT}/venv-*) old=/opt/{NAME}/${{kept##*/}}
-cp -a "$kept" "$1"
-find "$1/bin" -type f -exec sed -i "1s|^#!$old/|#!$1/|" {{}} +
-init=$(echo "$1"/lib/python*/site-packages/gateway/__init__.py)
-printf '%s' "$2" >>"$init"
-"$1/bin/python" -m compileall -q "$init"
-cd "$1"
-rm complete
-list=$(find . -type f -print0 | sort -z | xargs -0 sha256sum)
-printf '%s\n' "$list" >complete
-"""
-"""What pip would make of another release's wheels, in the folder $1: its `gateway` has $2 besides."""
 
 WITHOUT_COMPILER = """
 mkdir -p /run/small
@@ -43,96 +18,6 @@ for program in /usr/sbin/* /usr/bin/*; do ln -sf "$program" /run/small; done
 rm -f /run/small/*gcc* /run/small/*g++* /run/small/cc /run/small/c[89]9* /run/small/clang* /run/small/tcc
 """
 """A PATH with all that this machine has, but no compiler."""
-
-
-class Machine:
-    """A Raspberry Pi to be, as the installer finds it."""
-
-    def __init__(self, box: Box, wheels: Path) -> None:
-        self.box = box
-        self.unit = Unit(box, f"{NAME}.service")
-        self.wheels = share(box, wheels)
-        box.write(CONFIG_TXT, STOCK)
-
-    def install(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
-        """Run the installer from the wheels, with a framing; the lines that it printed."""
-        lines = self.run("--framing", "plain", "--wheels", self.wheels, *options, check=check, python=python)
-        self.box.run("sh", "-c", _KEEP)
-        return lines
-
-    def run(self, *options: str, check: bool = True, python: str | None = None) -> list[str]:
-        """Run the installer; the lines that it printed."""
-        env = {"PYTHON": python} if python else {}
-        done = self.box.run(INSTALLER, *options, check=check, env=env, timeout_s=300)
-        assert check or done.returncode != 0, done.stdout
-        return (done.stdout + done.stderr).splitlines()
-
-    def restore_venv(self) -> None:
-        """Put what pip installs, half a minute of work and always the same, to where the installer finds it."""
-        self.box.run("sh", "-c", _RESTORE)
-
-    def release(self, name: str, change: str) -> str:
-        """The wheels of another release, which is installed but for the switch; its `gateway` has `change` besides."""
-        folder = f"/opt/{name}"
-        if not self.box.exists(folder):
-            self.box.run("sh", "-c", f"cp -r {self.wheels} {folder} && echo '# {name}' >>{folder}/requirements.txt")
-        (venv,) = re.findall(
-            f"^make (/opt/{NAME}/venv-[0-9a-f]+) ", "\n".join(self.run(*DRY, "--wheels", folder)), re.M
-        )
-        self.box.run("sh", "-c", _BUILD, "sh", venv, change)
-        return folder
-
-    def simulate(self) -> None:
-        """The simulated controller in place of SPI, as deploy/systemd/simulated.conf says."""
-        self.box.run("install", "-Dm644", f"{SHARED_INSIDE}/deploy/systemd/simulated.conf", DROP_IN)
-        self.box.run("systemctl", "daemon-reload")
-
-    def traces(self) -> list[str]:
-        """What of an installation is there."""
-        paths = [f"/opt/{NAME}", f"/etc/{NAME}", f"/etc/systemd/system/{NAME}.service", f"/usr/local/bin/{NAME}"]
-        paths.append(f"/etc/udev/rules.d/60-{NAME}.rules")
-        found = [path for path in paths if self.box.exists(path)]
-        users = [kind for kind in ("passwd", "group") if self.box.run("getent", kind, NAME, check=False).stdout]
-        return found + users
-
-
-@pytest.fixture(scope="module")
-def machine(box: Box, wheels: Path) -> Machine:
-    """The one machine of this file's tests."""
-    return Machine(box, wheels)
-
-
-@pytest.fixture
-def bare(machine: Machine) -> Iterator[Machine]:
-    """It, with nothing installed before and after."""
-    clear(machine)
-    yield machine
-    print(machine.box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
-    clear(machine)
-
-
-@pytest.fixture
-def with_venv(bare: Machine) -> Machine:
-    """It, with what pip installs, and nothing else, if an earlier test has come that far."""
-    bare.restore_venv()
-    return bare
-
-
-@pytest.fixture(scope="module")
-def installed_machine(machine: Machine) -> Iterator[Machine]:
-    """It, with the gateway installed once for several tests."""
-    clear(machine)
-    machine.restore_venv()
-    machine.install()
-    yield machine
-    clear(machine)
-
-
-def clear(machine: Machine) -> None:
-    machine.run("--uninstall", "--force")
-    machine.box.run("rm", "-rf", f"/etc/{NAME}", str(Path(DROP_IN).parent))
-    machine.box.run("systemctl", "daemon-reload")
-    machine.box.write(CONFIG_TXT, STOCK)
 
 
 def test_rejections(bare: Machine) -> None:
@@ -175,46 +60,42 @@ def test_rejections(bare: Machine) -> None:
     assert box.read(CONFIG_TXT) == STOCK
 
 
-def test_life(bare: Machine) -> None:
+def test_life(machine: Machine, prepared: Prepared) -> None:
     """Dry run, install, service up, command accepted, install again, uninstall, install again, all in one life."""
-    box = bare.box
-    promised = bare.install("--dry-run")
-    assert bare.traces() == []
-    assert box.read(CONFIG_TXT) == STOCK
-
-    assert bare.install() == promised
+    box, unit = machine.box, machine.unit
+    assert prepared.before == ([], STOCK)
+    assert prepared.said == prepared.promised
     assert box.read(CONFIG_TXT) == STOCK.replace("#dtparam=spi", "dtparam=spi")
-    assert "not started: reboot, SPI comes with it, and so does the service" in promised
-    assert bare.unit.systemctl("is-enabled").stdout == "enabled\n"
+    assert "not started: reboot, SPI comes with it, and so does the service" in prepared.said
+    assert unit.systemctl("is-enabled").stdout == "enabled\n"
     modes = box.run("stat", "--format=%A %U:%G", f"/etc/{NAME}", CONFIGURATION).stdout.splitlines()
     assert modes == [f"drwxr-x--- root:{NAME}", f"-rw-r----- root:{NAME}"]
     assert set(box.run("id", "--groups", "--name", NAME).stdout.split()) == {NAME, "spi"}
     assert box.run("find", f"/opt/{NAME}", "!", "-user", "root").stdout == ""
 
-    bare.simulate()
     box.run("sh", "-c", f"echo '# mine' >>{CONFIGURATION}")
-    bare.unit.systemctl("start")
-    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
+    machine.simulate()
+    assert "accepted" in machine.send()
 
-    running = bare.unit.property("MainPID")
-    again = bare.install()
+    running = unit.property("MainPID")
+    again = machine.install()
     done = [line for line in again if not line.startswith("keep ")]  # then what to do next
     assert [line.split()[0] for line in done] == ["start", "Next:"], "what is kept goes through its trial again"
     assert f"keep {CONFIGURATION}, your configuration" in again
-    assert bare.unit.property("MainPID") == running, "nothing changed, so nothing was restarted"
+    assert unit.property("MainPID") == running, "nothing changed, so nothing was restarted"
 
     box.write(f"/etc/systemd/system/{NAME}.service", "# an older version's\n[Service]\nExecStart=/bin/false\n")
-    assert "restart the service: all legs stop" in bare.install()
-    assert bare.unit.property("ActiveState") == "active"
-    assert bare.unit.property("MainPID") != running
+    assert "restart the service: all legs stop" in machine.install()
+    assert unit.property("ActiveState") == "active"
+    assert unit.property("MainPID") != running
 
-    promised = bare.run("--dry-run", "--uninstall")
-    assert bare.run("--uninstall") == promised
-    assert bare.traces() == [f"/etc/{NAME}"]
-    assert bare.unit.property("ActiveState") == "inactive"
+    promised = machine.run("--dry-run", "--uninstall")
+    assert machine.run("--uninstall") == promised
+    assert machine.traces() == [f"/etc/{NAME}"]
+    assert unit.property("ActiveState") == "inactive"
     assert box.read(CONFIGURATION).endswith("# mine\n")
     assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == "-rw------- root:root\n"
-    assert bare.run("--uninstall") == [
+    assert machine.run("--uninstall") == [
         f"keep /var/lib/{NAME}, your incidents, for root only",
         f"keep /etc/{NAME}, your configuration, for root only",
         f"keep {DROP_IN}, your change to the service",
@@ -233,57 +114,53 @@ def test_without_a_compiler(bare: Machine) -> None:
     assert "leave spidev out (/opt/without has none): the gateway makes the kernel's calls itself\n" in said
     assert box.run(f"/opt/{NAME}/venv/bin/python", "-c", "import spidev", check=False).returncode == 1
     bare.simulate()
-    bare.unit.systemctl("start")
-    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
+    assert "accepted" in bare.send()
     own = box.run("sh", "-c", f"echo {bare.wheels}/hexapod_gateway-*.whl").stdout.strip()
     said = box.run(*installer, "--dry-run", "--force", "--own-wheel", own).stdout
     assert "leave spidev out (it would have to be compiled, and gcc is missing): the gateway makes" in said
 
 
-def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(with_venv: Machine) -> None:
+def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(machine: Machine) -> None:
     """Found out with a simulated controller, nothing is changed; found out by systemd, it goes back by itself."""
-    machine, box = with_venv, with_venv.box
-    machine.install()
+    box = machine.box
     machine.simulate()
-    machine.unit.systemctl("start")
-    first = box.run("readlink", f"/opt/{NAME}/venv").stdout
+    first = machine.venv()
     pid = machine.unit.property("MainPID")
 
     broken = machine.release("broken", "\nimport sys\nif 'run' in sys.argv: raise SystemExit(7)\n")
     said = machine.run("--wheels", broken, check=False)
     assert any("does not start (above is why); the service stays as it was" in line for line in said), said
-    assert (box.run("readlink", f"/opt/{NAME}/venv").stdout, machine.unit.property("MainPID")) == (first, pid)
+    assert (machine.venv(), machine.unit.property("MainPID")) == (first, pid)
 
     under = "\nimport os, sys\nif 'run' in sys.argv and 'NOTIFY_SOCKET' in os.environ: raise SystemExit(7)\n"
     said = machine.run("--wheels", machine.release("under-systemd", under), check=False)
-    assert said[-1].endswith(f"so {first.strip()} runs again: journalctl -u {NAME} says why"), said
-    assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
+    assert said[-1].endswith(f"so {first} runs again: journalctl -u {NAME} says why"), said
+    assert machine.venv() == first
     assert machine.unit.property("ActiveState") == "active"
-    assert box.run("sh", "-c", f"ls -d /opt/{NAME}/venv-*").stdout == first, "the broken ones are gone"
+    assert box.run("sh", "-c", f"ls -d /opt/{NAME}/venv-*").stdout == f"{first}\n", "the broken ones are gone"
     assert machine.run("--rollback", check=False) == ["install.sh: there is no release before this one to go back to"]
 
 
 SERVO_RUNS = "install.sh: a servo runs, and a restart would stop it: stop the robot first, or add --force"
 
 
-def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine, tmp_path: Path) -> None:
+def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(machine: Machine, tmp_path: Path) -> None:
     """Nor do other certificates, a way back or an uninstallation let it fall, where only certificates may ask."""
-    machine, box = with_venv, with_venv.box
+    box = machine.box
     certs.folder.init(tmp_path / "own-certs", ["127.0.0.1"])
     certs.folder.issue(tmp_path / "own-certs", "bob", "operator")
     certs.folder.init(tmp_path / "other-certs", ["127.0.0.1"])
     own, other = share(box, tmp_path / "own-certs"), share(box, tmp_path / "other-certs")
     machine.install("--certs", own)
     machine.simulate()
-    machine.unit.systemctl("start")
-    first = box.run("readlink", f"/opt/{NAME}/venv").stdout
+    first = machine.venv()
     newer = machine.release("newer", "\n# newer\n")
     held = start_holding(machine, own)
     configuration = box.run("sha256sum", CONFIGURATION, f"/etc/{NAME}/zenoh/gateway.key").stdout
     running = machine.unit.property("MainPID")
     for attempt in (("--wheels", newer), ("--wheels", machine.wheels, "--certs", other), ("--uninstall",)):
         assert machine.run(*attempt, check=False)[-1] == SERVO_RUNS, attempt
-    assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
+    assert machine.venv() == first
     assert box.run("sha256sum", CONFIGURATION, f"/etc/{NAME}/zenoh/gateway.key").stdout == configuration
     assert machine.unit.property("MainPID") == running
     promised = machine.run("--dry-run", "--wheels", newer, "--force")
@@ -291,7 +168,7 @@ def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine
     (versions,) = (line for line in promised if line.startswith("from "))
     assert re.fullmatch(r"from 1\.\d+\.\d+\+g[0-9a-f]{7}\S* to 1\.\d+\.\d+\+g[0-9a-f]{7}\S*", versions), versions
     box.run("kill", held, check=False)
-    second = box.run("readlink", f"/opt/{NAME}/venv").stdout
+    second = machine.venv()
     assert second != first
 
     held = start_holding(machine, own)
@@ -303,10 +180,10 @@ def test_an_upgrade_waits_for_the_robot_and_can_be_taken_back(with_venv: Machine
     promised = machine.run("--dry-run", "--rollback", "--force")
     assert machine.run("--rollback", "--force") == promised
     box.run("kill", held, check=False)
-    assert box.run("readlink", f"/opt/{NAME}/venv").stdout == first
+    assert machine.venv() == first
     assert machine.unit.property("ActiveState") == "active"
     machine.run("--rollback", "--force")
-    assert box.run("readlink", f"/opt/{NAME}/venv").stdout == second
+    assert machine.venv() == second
 
 
 def start_holding(machine: Machine, folder: str) -> str:
@@ -317,12 +194,10 @@ def start_holding(machine: Machine, folder: str) -> str:
     return held
 
 
-def test_an_installation_that_was_ended_is_noticed(with_venv: Machine) -> None:
+def test_an_installation_that_was_ended_is_noticed(machine: Machine) -> None:
     """Killed between the switch and the restart: run again, it restarts, and `check` says what runs until then."""
-    machine, box = with_venv, with_venv.box
-    machine.install()
+    box = machine.box
     machine.simulate()
-    machine.unit.systemctl("start")
     old = machine.unit.property("MainPID")
     newer = machine.release("newer", "\n# newer\n")
     box.write(
@@ -350,12 +225,10 @@ def test_an_installation_that_was_ended_is_noticed(with_venv: Machine) -> None:
     assert machine.unit.property("MainPID") != old
 
 
-def test_what_a_power_cut_has_emptied_is_made_anew(with_venv: Machine) -> None:
+def test_what_a_power_cut_has_emptied_is_made_anew(machine: Machine) -> None:
     """Files of the release, its mark, the configuration and the unit, in whatever combination."""
-    machine, box = with_venv, with_venv.box
-    machine.install()
-    machine.simulate()
-    first = box.run("readlink", f"/opt/{NAME}/venv").stdout.strip()
+    box = machine.box
+    first = machine.venv()
     unit = f"/etc/systemd/system/{NAME}.service"
     written = box.read(CONFIGURATION)
     box.run(
@@ -369,17 +242,17 @@ def test_what_a_power_cut_has_emptied_is_made_anew(with_venv: Machine) -> None:
     assert f"make anew what is in {first}: its files are not those that were installed" in said
     assert box.read(CONFIGURATION) == written
     assert f"write {unit}" in said
-    machine.unit.systemctl("start")
-    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
+    machine.simulate()
+    assert "accepted" in machine.send()
     assert not box.exists(first), "what was broken is gone"
-    second = box.run("readlink", f"/opt/{NAME}/venv").stdout.strip()
+    second = machine.venv()
     box.run("truncate", "--size=0", f"{second}/complete")  # as older installers made it, whatever was beside it
     assert any(line.startswith(f"make anew what is in {second}") for line in machine.install("--dry-run", "--force"))
 
 
-def test_the_exact_interpreter(installed_machine: Machine) -> None:
+def test_the_exact_interpreter(machine: Machine) -> None:
     """A system whose python3 becomes another one takes nothing from the service."""
-    box = installed_machine.box
+    box = machine.box
     exact = box.run("readlink", "-f", "/usr/bin/python3").stdout.strip()
     links = box.run("sh", "-c", f"readlink /opt/{NAME}/venv/bin/python*").stdout.split()
     assert exact in links
@@ -394,9 +267,9 @@ def test_the_exact_interpreter(installed_machine: Machine) -> None:
         box.run("ln", "-sf", exact, "/usr/bin/python3")
 
 
-def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
+def test_certificates(machine: Machine, tmp_path: Path) -> None:
     """Brought with --certs or by hand, the service's user can read them, and the service takes only certificates."""
-    machine, box = installed_machine, installed_machine.box
+    box = machine.box
     certs.folder.init(tmp_path / "certs", ["127.0.0.1"])
     certs.folder.issue(tmp_path / "certs", "alice", "operator")
     folder = share(box, tmp_path / "certs")
@@ -424,25 +297,22 @@ def test_certificates(installed_machine: Machine, tmp_path: Path) -> None:
     assert f"let {NAME} read all of /etc/{NAME}, and nobody else (root:{NAME})" in said
     assert f"keep /etc/{NAME}/zenoh/gateway.json5, your configuration" in said
     machine.simulate()
-    machine.unit.systemctl("start")
     command = (NAME, "send", "leg", "3", "stop")
     alice = box.run(*command, "--zenoh-config", f"{folder}/alice.json5")
     assert "accepted" in alice.stdout
     assert box.run(*command, "--timeout", "0.5", check=False).returncode == 4
-    print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
-    machine.unit.systemctl("stop")
 
 
 @pytest.mark.parametrize(
     ("before", "after"),
     [("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", None), ("dtparam=spi=off\n", "dtparam=spi=on\n")],
 )
-def test_config_txt(installed_machine: Machine, before: str, after: str | None) -> None:
+def test_config_txt(machine: Machine, before: str, after: str | None) -> None:
     """SPI is switched on where it is not; what counts as that is in test_config_txt.py."""
-    installed_machine.box.write(CONFIG_TXT, before)
-    said = installed_machine.install()
+    machine.box.write(CONFIG_TXT, before)
+    said = machine.install()
     assert (f"switch SPI on in {CONFIG_TXT} (dtparam=spi=on)" in said) == (after is not None)
-    assert installed_machine.box.read(CONFIG_TXT) == (before if after is None else after)
+    assert machine.box.read(CONFIG_TXT) == (before if after is None else after)
 
 
 LENGTH_PREFIXED = ("--framing", "length-prefixed")
@@ -460,38 +330,38 @@ def test_no_framing_no_installation(bare: Machine) -> None:
     assert bare.box.read(CONFIG_TXT) == STOCK
 
 
-def test_a_terminal_is_asked_and_the_framing_stays(with_venv: Machine) -> None:
+def test_a_terminal_is_asked_and_the_framing_stays(machine: Machine) -> None:
     """Until it says one of the two. Installed again it needs no option, and another one is rejected at once."""
-    wheels = ("--wheels", with_venv.wheels)
+    wheels = ("--wheels", machine.wheels)
+    machine.box.run("rm", "-r", f"/etc/{NAME}")
     asked = f"printf 'prefixed\nlength-prefixed\n' | script -qec '{INSTALLER} {' '.join(wheels)}' /dev/null"
-    assert with_venv.box.run("sh", "-c", asked, timeout_s=300).stdout.count("length-prefixed or plain? ") == 2
-    written = with_venv.box.read(CONFIGURATION)
+    assert machine.box.run("sh", "-c", asked, timeout_s=300).stdout.count("length-prefixed or plain? ") == 2
+    written = machine.box.read(CONFIGURATION)
     assert 'framing = "length-prefixed"' in written.splitlines()
-    assert f"keep {CONFIGURATION}, your configuration" in with_venv.run(*wheels)
-    assert f"keep {CONFIGURATION}, your configuration" in with_venv.run(*wheels, *LENGTH_PREFIXED)
-    (said,) = with_venv.run(*wheels, "--framing", "plain", check=False)
+    assert f"keep {CONFIGURATION}, your configuration" in machine.run(*wheels)
+    assert f"keep {CONFIGURATION}, your configuration" in machine.run(*wheels, *LENGTH_PREFIXED)
+    (said,) = machine.run(*wheels, "--framing", "plain", check=False)
     assert said.startswith(f'install.sh: {CONFIGURATION} says framing = "length-prefixed", and --framing plain; ')
-    assert with_venv.box.read(CONFIGURATION) == written
+    assert machine.box.read(CONFIGURATION) == written
 
 
-def test_a_robot_from_before_there_was_a_framing(with_venv: Machine) -> None:
+def test_a_robot_from_before_there_was_a_framing(machine: Machine) -> None:
     """It goes on as it is until somebody says the framing, which is then added to its configuration; Stops included."""
-    box, wheels = with_venv.box, ("--wheels", with_venv.wheels)
-    with_venv.install()
+    box, wheels = machine.box, ("--wheels", machine.wheels)
     older = '[zenoh]\n[spi] # mine\n# framing = "plain"\nspeed_hz = 1_000_000\n[log]\n'
     box.write(CONFIGURATION, older)
     box.write(f"/run/{NAME}/gateway.toml", "[spi]\nspeed_hz = 500\n")
-    (said,) = with_venv.run(*wheels, check=False)
+    (said,) = machine.run(*wheels, check=False)
     assert "which framing does the controller need?" in said
     assert box.read(CONFIGURATION) == older
-    promised = with_venv.run("--dry-run", *wheels, *LENGTH_PREFIXED)
-    assert with_venv.run(*wheels, *LENGTH_PREFIXED) == promised
+    promised = machine.run("--dry-run", *wheels, *LENGTH_PREFIXED)
+    assert machine.run(*wheels, *LENGTH_PREFIXED) == promised
     assert f'add framing = "length-prefixed" to {CONFIGURATION}, and keep the rest of your configuration' in promised
     assert box.read(CONFIGURATION) == older.replace('# framing = "plain"', 'framing = "length-prefixed"')
     assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
     assert box.read(f"/run/{NAME}/gateway.toml") == '[spi]\nframing = "length-prefixed"\nspeed_hz = 500\n'
     for unclear in ("spi.speed_hz = 5\n", "spi = {}\n"):
         box.write(CONFIGURATION, unclear)
-        (said,) = with_venv.run(*wheels, *LENGTH_PREFIXED, check=False)
+        (said,) = machine.run(*wheels, *LENGTH_PREFIXED, check=False)
         assert said.startswith(f"install.sh: {CONFIGURATION} does not say which framing the controller needs; add ")
         assert box.read(CONFIGURATION) == unclear

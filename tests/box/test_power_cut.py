@@ -9,21 +9,21 @@ from pathlib import Path
 
 import pytest
 
-from tests.box.box import Box, Unit
+from tests.box.box import Box
 from tests.box.disk import Disk
-from tests.box.installed import CONFIGURATION, INSTALLER, NAME, share
+from tests.box.installed import CONFIGURATION, NAME
+from tests.box.machine import Machine
 
 pytestmark = pytest.mark.systemd
 
 MOMENTS = int(os.environ.get("HEXAPOD_POWER_CUTS", "2"))
 FILES = f"find /opt/{NAME} /etc/{NAME} /etc/systemd/system -type f -print0 | sort -z | xargs -0 sha256sum | sha256sum"
-SIMULATED = f"/run/systemd/system/{NAME}.service.d/simulated.conf"
 
 
 def test_the_plug_is_pulled(tmp_path: Path, wheels: Path) -> None:
     disk = Disk.new(tmp_path / "disk")
     with Box(folder(tmp_path, "first"), disk=disk.image) as box:
-        box.run(INSTALLER, "--framing", "plain", "--wheels", share(box, wheels), timeout_s=300)
+        Machine(box, wheels).install()
         end_s = time.monotonic()
         cuts = [disk.cut(tmp_path / "cut-0")]
         installed = box.run("sh", "-c", FILES).stdout
@@ -37,21 +37,14 @@ def test_the_plug_is_pulled(tmp_path: Path, wheels: Path) -> None:
     for cut in cuts:
         with Box(folder(tmp_path, f"after-{cut.image.name}"), disk=cut.image) as box:
             assert box.run("sh", "-c", FILES).stdout == installed, cut.image.name
-            start_simulated(box)
+            machine = Machine(box, wheels)
+            assert machine.unit.property("UnitFileState") == "enabled"
+            machine.simulate()
+            assert "accepted" in machine.send()
+            assert 'framing = "plain"' in box.read(CONFIGURATION).splitlines()
         cut.image.unlink()
 
 
 def folder(parent: Path, name: str) -> Path:
     (parent / name).mkdir()
     return parent / name
-
-
-def start_simulated(box: Box) -> None:
-    """The service that is enabled starts, from the configuration that is there, and takes a command."""
-    unit = Unit(box, f"{NAME}.service")
-    assert unit.property("UnitFileState") == "enabled"
-    box.write(SIMULATED, "[Service]\nEnvironment=GATEWAY_OPTIONS=--sim\n")
-    box.run("systemctl", "daemon-reload")
-    unit.systemctl("restart")
-    assert "accepted" in box.run(NAME, "send", "leg", "3", "start", "90", "45", "120").stdout
-    assert 'framing = "plain"' in box.read(CONFIGURATION).splitlines()

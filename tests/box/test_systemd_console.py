@@ -1,7 +1,4 @@
-"""The console as a service of its own, beside the gateway's: installed, signed in to, kept in its place, removed.
-
-It is the last that uses the robot of test_systemd.py, as its name has it: it takes the installation away.
-"""
+"""The console as a service of its own, beside the gateway's: installed, signed in to, kept in its place, removed."""
 
 import pytest
 

@@ -178,6 +178,7 @@ class Opened:
             return False
         self.page.mouse.up()
         self.page.keyboard.up("h")
+        self.page.evaluate("localStorage.clear(); sessionStorage.clear()")  # the key comes again as the page is loaded
         self.page.goto("about:blank")
         return True
 
@@ -194,10 +195,13 @@ class Opened:
         """Wait until it shows the robot as it is now."""
         expect(self.page.locator("body")).to_have_attribute("data-live", "yes")
 
-    def drive(self, *legs: int) -> None:
-        """Get the lease and choose these legs."""
+    def get_lease(self) -> None:
         self["lease-acquire"].click()
         expect(self["driver"]).to_have_text("you")
+
+    def drive(self, *legs: int) -> None:
+        """Get the lease and choose these legs."""
+        self.get_lease()
         self.show_joints()
         self["run-none"].click()
         for leg in legs:

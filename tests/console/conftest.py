@@ -1,7 +1,6 @@
 """One Chromium for all tests of the console's page; where it is missing they are skipped, but fail in CI."""
 
 import inspect
-import os
 from collections.abc import Iterator
 from typing import Final
 
@@ -13,6 +12,7 @@ from tests.hil.bed import missing_packages
 from tests.support.console_process import Console, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
+from tests.support.lacks import skip_where
 
 TRIES: Final = 3
 
@@ -22,10 +22,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     lack = "" if CHROMIUM.exists() else "Debian package missing: chromium"
     if item.get_closest_marker("hil"):
         lack = lack or missing_packages()
-    if lack:
-        if os.environ.get("CI") == "true":
-            pytest.fail(lack, pytrace=False)
-        pytest.skip(lack)
+    skip_where(lack)
 
 
 @pytest.fixture(scope="package")

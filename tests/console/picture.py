@@ -41,8 +41,7 @@ def main() -> None:
         Gateway(Path(name), patient()) as gateway,
         looked_at(gateway.endpoint) as page,
     ):
-        page["lease-acquire"].click()
-        expect(page["driver"]).to_have_text("you")
+        page.get_lease()
         page["stand"].click()
         expect(page["walk-known"]).to_contain_text("It stands")
         for _ in range(TRIES):

@@ -1,7 +1,5 @@
 """The console's /button: a page that is a stop button."""
 
-import os
-import signal
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +12,7 @@ from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.console.browser import HIDE, Opened, Visitor
+from tests.support.child import frozen
 from tests.support.console_process import Console, sign_in
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, states
@@ -110,16 +109,13 @@ def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_co
     visitor: Visitor, watcher: Client, console: Console
 ) -> None:
     page = watching(visitor, watcher, PHONE, **LANDSCAPE)
-    console.child.send_signal(signal.SIGSTOP)
-    try:
+    with frozen(console.child.pid):
         expect(page["word"]).to_have_text("NOT HEARD")
         expect(page["known"]).to_contain_text("use the switch")
         assert page.page.evaluate("window.shakes.length") > 0
         assert page.page.evaluate("document.body.scrollHeight <= innerHeight"), "all of it is seen"
         page["button"].tap()
         expect(page["known"]).to_have_text("STOPPING …")
-    finally:
-        console.child.send_signal(signal.SIGCONT)
     expect(page["known"]).to_have_text("6 Stops written")
     expect(page["word"]).to_have_text("STOPPED")
 
@@ -180,13 +176,7 @@ def test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter(
 
 def test_a_page_that_is_frozen_is_silent_and_the_console_says_nothing_for_it(visitor: Visitor, watcher: Client) -> None:
     page = watching(visitor, watcher)
-    renderers = visitor.renderers()
-    for pid in renderers:
-        os.kill(pid, signal.SIGSTOP)
-    try:
+    with frozen(*visitor.renderers()):
         alive(watcher, 0)
-    finally:
-        for pid in renderers:
-            os.kill(pid, signal.SIGCONT)
     alive(watcher, 1)
     expect(page["word"]).to_have_text("STOP")

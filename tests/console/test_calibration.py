@@ -11,17 +11,12 @@ from playwright.sync_api import expect
 from gateway.client import Client
 from schemas.calibration import ServoChange
 from tests.console.browser import HIDE, Opened, Visitor
-from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
 
 PHONE: Final = {"width": 390, "height": 844}
-
-gateway = gateway_fixture(patient())
-console = console_fixture()
-session = session_fixture()
 
 
 @pytest.fixture(autouse=True)
@@ -38,8 +33,7 @@ def running(robot: Client) -> dict[int, float | None]:
 
 def start_32(page: Opened, begin: str = "90") -> None:
     """Open the calibration and start servo 32, after its question."""
-    page["lease-acquire"].click()
-    expect(page["driver"]).to_have_text("you")
+    page.get_lease()
     page["cal-title"].click()
     expect(page["cal-revision"]).to_have_text(re.compile("revision"))
     page["cal-servo"].select_option("32")
@@ -139,8 +133,7 @@ def test_an_angle_that_the_calibration_forbids_starts_nothing(visitor: Visitor, 
     with gateway.client() as robot:
         assert robot.calibrate({32: ServoChange(max_deg=100)}).accepted
         page = visitor.open()
-        page["lease-acquire"].click()
-        expect(page["driver"]).to_have_text("you")
+        page.get_lease()
         page["cal-title"].click()
         page["cal-servo"].select_option("32")
         page["cal-begin"].fill("120")

@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +15,7 @@ from gateway.people.tools.drill.cut_link import CutLink
 from gateway.robot.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
 from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.support.child import Child
+from tests.support.child import Child, frozen
 from tests.support.console_process import Console
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
@@ -231,14 +230,8 @@ def test_a_page_that_is_closed_stops_nothing_itself(pages: Visitor, robot: Robot
 def test_a_renderer_that_is_frozen_goes_on_with_nothing_when_it_wakes(pages: Visitor, robot: Robot) -> None:
     page = pages.open()
     since = hold(page, robot, 1, 4)
-    renderers = pages.renderers()
-    for renderer in renderers:
-        os.kill(renderer, signal.SIGSTOP)
-    try:
+    with frozen(*pages.renderers()):
         robot.expect_stopped(1, 4, since=since)
-    finally:
-        for renderer in renderers:
-            os.kill(renderer, signal.SIGCONT)
     expect(page.said).to_contain_text("this page was frozen for")
     page.expect_live()
     robot.expect_stopped(1, 4, since=since)

@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +11,7 @@ from playwright.sync_api import Browser, expect
 
 from schemas.robot import LEGS, SERVO_IDS
 from tests.console.browser import Visitor
-from tests.support.child import Child
+from tests.support.child import Child, frozen
 from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, Gateway
 
@@ -216,14 +215,11 @@ def test_a_stop_that_was_asked_of_a_frozen_console_is_asked_again(
 ) -> None:
     page = visitor.open()
     page.page.evaluate(COUNT_SOCKETS)
-    console.child.send_signal(signal.SIGSTOP)
-    try:
+    with frozen(console.child.pid):
         page.page.keyboard.press("Escape")
         expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
         expect(page["stop-known"]).to_contain_text("asked again once connected")
         page.page.wait_for_function("() => window.sockets >= 1")  # the old connection is given up
-    finally:
-        console.child.send_signal(signal.SIGCONT)
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
     assert any("no answer yet: use the switch" in line for line in visitor.lines)
     with gateway.client() as robot:

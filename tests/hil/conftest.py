@@ -1,6 +1,5 @@
 """The emulated SPI device as a fixture; where its packages are missing, `hil` tests are skipped, but fail in CI."""
 
-import os
 from collections.abc import Iterator
 
 import pytest
@@ -8,14 +7,13 @@ import pytest
 from gateway.robot.protocol.framing import Framing
 from tests.hil.bed import SpiTestbed, missing_packages
 from tests.hil.wire import Wire
+from tests.support.lacks import skip_where
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip or fail in one line that names the packages."""
-    if item.get_closest_marker("hil") and (lack := missing_packages()):
-        if os.environ.get("CI") == "true":
-            pytest.fail(lack, pytrace=False)
-        pytest.skip(lack)
+    if item.get_closest_marker("hil"):
+        skip_where(missing_packages())
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Where no network can be, its tests are skipped, but fail in CI; a network, a robot and laptops as fixtures."""
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -8,14 +7,13 @@ import pytest
 
 from tests.net.hosts import LaptopHost, RobotHost
 from tests.net.namespaces import Network, lacks
+from tests.support.lacks import skip_where
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip or fail in one line that says why."""
-    if item.get_closest_marker("net") and (lack := lacks()):
-        if os.environ.get("CI") == "true":
-            pytest.fail(lack, pytrace=False)
-        pytest.skip(lack)
+    if item.get_closest_marker("net"):
+        skip_where(lacks())
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,13 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from tests.support.closing import Closing
+from tests.support.descendants import MARK
 
 
 class Child(Closing):
@@ -20,7 +21,10 @@ class Child(Closing):
         self.command = list(command)
         self._popen = subprocess.Popen(
             self.command,
-            env=dict(env),
+            env={
+                MARK: os.environ.get(MARK, ""),
+                **env,
+            },  # so that it ends with the run, whatever becomes of this process
             cwd=cwd,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -140,6 +144,18 @@ class Child(Closing):
         with self._heard:
             self._open -= 1
             self._heard.notify_all()
+
+
+@contextmanager
+def frozen(*processes: int) -> Iterator[None]:
+    """Each of these stands still (SIGSTOP) while the `with` lasts."""
+    for process in processes:
+        os.kill(process, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for process in processes:
+            os.kill(process, signal.SIGCONT)
 
 
 def without_file_privileges(command: Sequence[str]) -> list[str]:

@@ -11,11 +11,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Self
 
-import pytest
-
 from tests.support.gateway_process import COMMAND
+from tests.support.lacks import skip_where
 
-LACK: Final = "Debian package missing: tmux"
 POLL_S: Final = 0.05
 RESIZED_S: Final = 2.0
 RESIZES: Final = 10
@@ -33,10 +31,7 @@ class Terminal:
     """
 
     def __init__(self, folder: Path, command: Sequence[str], *, columns: int = 80, rows: int = 24) -> None:
-        if shutil.which("tmux") is None:
-            if os.environ.get("CI") == "true":
-                pytest.fail(LACK, pytrace=False)
-            pytest.skip(LACK)
+        skip_where("" if shutil.which("tmux") else "Debian package missing: tmux")
         self._socket = folder / "tmux"  # a path, so that no server of somebody else's is met
         options = folder / "tmux.conf"
         options.write_text('set -g default-terminal "screen-256color"\n')

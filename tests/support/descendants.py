@@ -1,0 +1,98 @@
+"""What a run of the tests has started, wherever it hangs in the tree of processes: found by a mark, and ended.
+
+A process does not end with its parent: it goes on as init's child, and a console among them goes on listening. So each
+process of a run has the run's mark in its environment, and hands it on to all that it starts. The mark of a run within
+another one begins with that one's.
+"""
+
+import os
+import secrets
+import select
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+from tests.support.closing import Closing
+
+MARK: Final = "TESTS_RUN"
+PATIENCE_S: Final = {signal.SIGTERM: 10.0, signal.SIGKILL: 5.0}
+"""How long each has to work. After the first, a browser writes its profile, and a box takes its mounts away."""
+LOOK_S: Final = 0.5
+"""What ends may start something: after so long it is looked for anew, where nothing has ended before."""
+
+
+class Run(Closing):
+    """This process, and all that it and they start from now on; `close` ends what is left of these."""
+
+    def __init__(self) -> None:
+        self.mark = f"{os.environ.get(MARK, '')}/{os.getpid()}-{secrets.token_hex(4)}"
+        os.environ[MARK] = self.mark
+
+    def processes(self) -> set[int]:
+        """What runs of it, without this process: what has the mark or was started by this process or by what has it."""
+        parents = dict(_parents())
+        found = {pid for pid in parents if self._has_mark(pid)} | {os.getpid()}
+        while more := {pid for pid, parent in parents.items() if parent in found} - found:
+            found |= more
+        return found - {os.getpid()}
+
+    def close(self) -> None:
+        for number, patience_s in PATIENCE_S.items():
+            until_s = time.monotonic() + patience_s
+            asked: set[int] = set()
+            while (left := self.processes()) and time.monotonic() < until_s:
+                for pid in left - asked:
+                    _send(pid, number)
+                    _send(pid, signal.SIGCONT)  # a test may have stopped it
+                asked |= left
+                _wait_for_one_of(left)
+
+    def pass_on(self) -> None:
+        """From now on, what ends this process by a signal ends what it has started, in order; and this behind it."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._pass_on)
+
+    def _pass_on(self, number: int, _frame: FrameType | None) -> None:
+        children = [pid for pid, parent in _parents() if parent == os.getpid()]
+        for pid in children:
+            _send(pid, signal.SIGTERM)
+        if not children:
+            raise SystemExit(128 + number)
+
+    def _has_mark(self, pid: int) -> bool:
+        with suppress(OSError):  # it has ended, or is of another user
+            marks = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+            mine = f"{MARK}={self.mark}".encode()
+            return any(each == mine or each.startswith(mine + b"/") for each in marks)
+        return False
+
+
+def _parents() -> Iterator[tuple[int, int]]:
+    """Each process that has not ended, and its parent."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
+            if state not in "ZX":
+                yield int(folder.name), int(parent)
+
+
+def _send(pid: int, number: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        os.kill(pid, number)
+
+
+def _wait_for_one_of(processes: set[int]) -> None:
+    """Until one of them ends, `LOOK_S` at the most."""
+    poll, opened = select.poll(), []
+    for pid in processes:
+        with suppress(ProcessLookupError):
+            opened.append(os.pidfd_open(pid))
+            poll.register(opened[-1], select.POLLIN)
+    if len(opened) == len(processes):
+        poll.poll(LOOK_S * 1000)
+    for each in opened:
+        os.close(each)
