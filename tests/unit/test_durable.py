@@ -49,14 +49,15 @@ def test_the_file_is_on_the_disk_before_it_takes_its_place_and_the_folder_after_
 ) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"old")
-    synced: list[tuple[bool, bytes]] = []
+    synced: list[tuple[int | None, bytes]] = []
 
     def fsync(descriptor: int) -> None:
-        synced.append((stat.S_ISDIR(os.fstat(descriptor).st_mode), path.read_bytes()))
+        status = os.fstat(descriptor)
+        synced.append((status.st_size if stat.S_ISREG(status.st_mode) else None, path.read_bytes()))
 
     monkeypatch.setattr(os, "fsync", fsync)
     write(path, b"new")
-    assert synced == [(False, b"old"), (True, b"new")]
+    assert synced == [(3, b"old"), (None, b"new")]
 
 
 def test_an_end_from_the_keyboard_leaves_the_old_one(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from gateway.text import visible, visible_json
     ("text", "shown"),
     [
         ("Zoë drives 火星", "Zoë drives 火星"),
+        ('it\'s "C:\\"\a', r"""it's "C:\"\x07"""),
         ("eve\x1b[2J\nok\r", r"eve\x1b[2J\nok\r"),
         ("\x00\x7f\x9b\u2028\ud800\U000e0001", r"\x00\x7f\x9b\u2028\ud800\U000e0001"),
     ],
