@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from gateway.robot.protocol.framing import Framing
 from tests.hil.bed import SpiTestbed, missing_packages
-from tests.hil.wire import Wire
+from tests.hil.wire import Wire, start
+from tests.support.gateway_process import Gateway
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -29,3 +31,9 @@ def spi_testbed() -> Iterator[SpiTestbed]:
 def wire(request: pytest.FixtureRequest, spi_testbed: SpiTestbed) -> Wire:
     """The emulated device, in the published firmware's framing; for tests that are marked `EACH_FRAMING`, in each."""
     return Wire(spi_testbed, getattr(request, "param", Framing.LENGTH_PREFIXED))
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
+    with start(tmp_path, wire) as gateway:
+        yield gateway
