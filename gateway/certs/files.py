@@ -9,6 +9,7 @@ import secrets
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +18,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from gateway.durable import sync
+from gateway import durable
 from gateway.errors import ConfigError
 
 SECRET = 0o600
@@ -101,39 +102,27 @@ def publish(files: Mapping[Path, Content]) -> None:
             with _explained(path):
                 _make_directory(path.parent, undo)
                 passing.callback(_discard, staged[path])
-                _write(staged[path], content)
+                check = partial(_check_mode, path, content.mode)
+                durable.create(staged[path], content.data, content.mode, prepare=check)
         for path in files:
             with _explained(path):
                 os.link(staged[path], path)
             undo.callback(_discard, path)
         for directory in {path.parent for path in files}:
             with _explained(directory):
-                sync(directory)
+                durable.sync(directory)
         undo.pop_all()
 
 
 def replace(path: Path, content: Content) -> None:
-    """Replaces the content of the file at `path` in one step: certificates and router.json5, never keys."""
-    staged = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    with _explained(path), contextlib.ExitStack() as passing:
-        passing.callback(_discard, staged)
-        _write(staged, content)
-        staged.replace(path)
-        sync(path.parent)
+    """Replaces the content of the file at `path` in one step. Raises ConfigError."""
+    with _explained(path):
+        durable.write_with_mode(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))
 
 
-def _write(path: Path, content: Content) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, SECRET)
-    with os.fdopen(descriptor, "wb") as file:
-        # Exactly this mode, whatever the umask; before the content, so that a key is never readable by others.
-        os.fchmod(descriptor, content.mode)
-        if os.fstat(descriptor).st_mode & 0o777 != content.mode:
-            raise ConfigError(
-                f"{path.parent} cannot keep a file private (FAT?): choose a directory on a Linux file system"
-            )
-        file.write(content.data)
-        file.flush()
-        os.fsync(descriptor)
+def _check_mode(path: Path, mode: int, descriptor: int) -> None:
+    if os.fstat(descriptor).st_mode & 0o777 != mode:
+        raise ConfigError(f"{path.parent} cannot keep a file private (FAT?): choose a directory on a Linux file system")
 
 
 def _make_directory(directory: Path, undo: contextlib.ExitStack) -> None:

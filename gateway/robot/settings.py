@@ -26,6 +26,7 @@ from pydantic_core import ErrorDetails
 from gateway.errors import ConfigError
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.protocol.framing import Framing
+from gateway.text import visible_json
 from schemas.robot import SERVO_IDS
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
@@ -427,8 +428,7 @@ def _name(name: str) -> str:
 
 def _echo(value: object) -> str:
     """The value on one line, cut to `_MAX_ECHO` characters."""
-    text = json.dumps(value, default=str, ensure_ascii=False)
-    text = text if text.isprintable() else json.dumps(value, default=str)
+    text = visible_json(value)
     return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"
 
 

@@ -1,12 +1,14 @@
 """The emulated SPI device as a fixture; where its packages are missing, `hil` tests are skipped, but fail in CI."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from gateway.robot.protocol.framing import Framing
 from tests.hil.bed import SpiTestbed, missing_packages
-from tests.hil.wire import Wire
+from tests.hil.wire import Wire, start
+from tests.support.gateway_process import Gateway
 from tests.support.lacks import skip_where
 
 
@@ -27,3 +29,9 @@ def spi_testbed() -> Iterator[SpiTestbed]:
 def wire(request: pytest.FixtureRequest, spi_testbed: SpiTestbed) -> Wire:
     """The emulated device, in the published firmware's framing; for tests that are marked `EACH_FRAMING`, in each."""
     return Wire(spi_testbed, getattr(request, "param", Framing.LENGTH_PREFIXED))
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
+    with start(tmp_path, wire) as gateway:
+        yield gateway

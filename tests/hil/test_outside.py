@@ -1,7 +1,6 @@
 """`stop-servos` beside a running gateway, each a process on the emulated device: what the gateway then says is true."""
 
 import signal
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Kind, Mode, Reason
-from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, settings_for, start
+from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, write_settings
 from tests.support.heard import events
@@ -20,12 +19,6 @@ from tests.support.heard import events
 pytestmark = pytest.mark.hil
 
 NOTICED = "The running gateway counts all servos as stopped"
-
-
-@pytest.fixture
-def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
-    with start(tmp_path, wire) as gateway:
-        yield gateway
 
 
 def begin_to_stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:

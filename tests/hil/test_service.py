@@ -8,7 +8,6 @@ import fcntl
 import json
 import signal
 import time
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,12 +37,6 @@ from tests.support.gateway_process import COMMAND, Gateway, write_settings
 from tests.support.heard import events, states
 
 pytestmark = pytest.mark.hil
-
-
-@pytest.fixture
-def gateway(tmp_path: Path, wire: Wire) -> Iterator[Gateway]:
-    with start(tmp_path, wire) as gateway:
-        yield gateway
 
 
 # ---- start

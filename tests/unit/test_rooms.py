@@ -9,7 +9,7 @@ import pytest
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("durable", "errors", "limits"),
+    ("allowance", "durable", "errors", "limits", "text"),
     ("robot.protocol", "geometry"),
     ("robot.core", "people.walking", "people.ros2"),
     ("robot.settings",),
@@ -34,7 +34,7 @@ ROOMS: Final = (
 
 WINGS: Final = ("robot", "people")
 PURE: Final = ("robot.protocol", "robot.core", "people.walking", "people.ros2")
-ALSO_PURE: Final = frozenset({"errors", "geometry", *WINGS})
+ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(
     {"zenoh", "spidev", "asyncio", "time", "logging", "socket", "threading", "subprocess", "os"}

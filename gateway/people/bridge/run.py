@@ -12,8 +12,9 @@ from gateway.people.bridge.driving import Driving
 from gateway.people.client.blocking import Client
 from gateway.people.client.live import subscribed
 from gateway.people.ros2.messages import DISTRIBUTIONS
-from gateway.people.terminal import hint, on_end_signals, say, visible
+from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
+from gateway.text import visible
 
 try:
     from gateway.people.bridge.node import Node, Senders, open_router

@@ -17,6 +17,7 @@ import socket
 import ssl
 import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,19 +29,19 @@ from websockets.http11 import Request
 from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
 
+from gateway.allowance import NS_PER_S, Allowance
 from gateway.people.console.door import SUBPROTOCOL, Door, SignedIn
 from gateway.people.console.messages import MAX_BYTES
 from gateway.people.console.tls import Layer, Tls
-from gateway.people.console.websocket import Allowance
 from gateway.robot.host.realtime import SWITCH_INTERVAL_S
 
 MAX_UNKNOWN: Final = 64
 """Connections of whom we do not know; each takes one descriptor, and some 100 kB with TLS."""
 MAX_SIGNED_IN: Final = 32
 """The same of those who are signed in and load the page's files: a browser opens six."""
-CONNECTIONS_A_SECOND: Final = 50.0
+CONNECTIONS_A_SECOND: Final = 50
 """With TLS each takes some 2 ms of this thread, so a flood takes a tenth of a processor."""
-CONNECTIONS_AT_ONCE: Final = 64.0
+CONNECTIONS_AT_ONCE: Final = 64
 """Without a pause: a page loads 30 files."""
 READS: Final = 40
 """From one connection: a handshake and a request take five, on a bad network some more."""
@@ -145,7 +146,7 @@ class Front:
         loop.set_exception_handler(report)
         self._listening.setblocking(False)
         while True:
-            await asyncio.sleep(self._allowance.wait_s)
+            await asyncio.sleep(self._allowance.wait_ns(time.monotonic_ns()) / NS_PER_S)
             try:
                 connection, address = await loop.sock_accept(self._listening)
             except OSError as error:
@@ -153,7 +154,7 @@ class Front:
                 self._unknown.end_all()
                 await asyncio.sleep(AGAIN_S)
                 continue
-            self._allowance.take()
+            self._allowance.take(time.monotonic_ns())
             self._begin(connection, str(address[0]))
 
     def _begin(self, connection: socket.socket, address: str) -> None:

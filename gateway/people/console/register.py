@@ -12,11 +12,13 @@ import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from gateway import durable
 from gateway.errors import ConfigError
 from gateway.people.console.messages import Role
 
@@ -171,7 +173,7 @@ class Register:
         try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
-                _like_the_folder(self.path, lock.fileno())
+                durable.like_the_folder(self.path, lock.fileno())
                 fcntl.flock(lock, fcntl.LOCK_EX)
                 now_s = self._now_s()
                 found = self._load() if self.path.exists() else _Entries()
@@ -188,20 +190,11 @@ class Register:
 
 
 def write_private(path: Path, content: str) -> None:
-    """Replace a file, which nobody else may read, at once. Raises OSError."""
-    staged = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    descriptor = os.open(staged, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-    with os.fdopen(descriptor, "w") as file:
-        _like_the_folder(path, descriptor)
-        file.write(content)
-    staged.replace(path)
+    """Replace a file, which nobody else may read, at once. Raises OSError.
 
-
-def _like_the_folder(path: Path, descriptor: int) -> None:
-    """Give it the folder's owner: `sudo hexapod-gateway console --link` must not lock the service out."""
-    if os.geteuid() == 0:
-        folder = path.parent.stat()
-        os.fchown(descriptor, folder.st_uid, folder.st_gid)
+    `sudo hexapod-gateway console --link` must not lock the service out.
+    """
+    durable.write_with_mode(path, content.encode(), 0o600, prepare=partial(durable.like_the_folder, path))
 
 
 def folder() -> Path:

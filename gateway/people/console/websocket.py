@@ -16,6 +16,7 @@ from websockets.exceptions import InvalidState, ProtocolError
 from websockets.frames import Frame, Opcode
 from websockets.server import ServerProtocol
 
+from gateway.allowance import Allowance
 from gateway.people.console.tls import Layer
 
 SEND_BYTES: Final = 4096
@@ -24,11 +25,11 @@ READ_BYTES: Final = 1024
 """Taken from one page before all others have their turn: some ten messages, or 170 of the smallest frames (2.5 ms)."""
 SLICE_BYTES: Final = 256
 """Parsed before the frames in it are counted."""
-FRAMES_A_SECOND: Final = 300.0
+FRAMES_A_SECOND: Final = 300
 """From one page, control frames too. A page that drives each leg by a message of its own sends 120 setpoints."""
-FRAMES_AT_ONCE: Final = 150.0
+FRAMES_AT_ONCE: Final = 150
 """A page whose network stalled for a second sends what waited."""
-BYTES_A_SECOND: Final = 131_072.0
+BYTES_A_SECOND: Final = 131_072
 """From one page; one that drives each leg by a message of its own sends 40 000."""
 PING_S: Final = 20.0
 """A page of which nothing comes for so long is asked, and given up after as long again."""
@@ -43,30 +44,6 @@ REASON_BYTES: Final = 123
 
 class ClosedError(Exception):
     """The WebSocket is closed."""
-
-
-class Allowance:
-    """So many a second on average, and at most `at_once` without a pause."""
-
-    def __init__(self, a_second: float, at_once: float) -> None:
-        self._a_second = a_second
-        self._at_once = at_once
-        self._left = at_once
-        self._counted_s = time.monotonic()
-
-    def take(self, count: float = 1) -> bool:
-        """Use so many; False if that is more than was left."""
-        now_s = time.monotonic()
-        refilled = self._left + (now_s - self._counted_s) * self._a_second
-        self._left = min(self._at_once, refilled) - count
-        self._counted_s = now_s
-        return self._left >= 0
-
-    @property
-    def wait_s(self) -> float:
-        """How long until one more is allowed."""
-        refilled = self._left + (time.monotonic() - self._counted_s) * self._a_second
-        return max(0.0, (1 - refilled) / self._a_second)
 
 
 class WebSocket(asyncio.BufferedProtocol):
@@ -139,7 +116,7 @@ class WebSocket(asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         self._asked = False
-        if not self._bytes.take(nbytes):
+        if not self._bytes.take(time.monotonic_ns(), nbytes):
             self._flooded()
             return
         try:
@@ -174,7 +151,7 @@ class WebSocket(asyncio.BufferedProtocol):
     def _take_events(self) -> bool:
         """Take the frames that were parsed; False if no more may be parsed."""
         frames = self._protocol.events_received()
-        if frames and not self._frames.take(len(frames)):
+        if frames and not self._frames.take(time.monotonic_ns(), len(frames)):
             self._flooded()
             return False
         for frame in frames:

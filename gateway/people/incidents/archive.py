@@ -26,7 +26,6 @@ from schemas.telemetry import Event
 MAX_FILES: Final = 100
 MAX_BYTES: Final = 200_000_000
 SUFFIX: Final = ".mcap"
-_UNFINISHED: Final = ".new"
 _ORDER: Final = "order"
 """A line for each incident, oldest first: its id, whether its file was written after the incident's end, and what
 happened."""
@@ -101,16 +100,11 @@ def keep(folder: Path, incident: Incident, records: Records, later: Sequence[str
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     path = path_of(folder, incident)
-    unfinished = path.with_suffix(_UNFINISHED)
-    unfinished.unlink(missing_ok=True)
-    try:
-        said = write(unfinished, incident, records)
-        durable.sync(unfinished)
-        unfinished.replace(path)
-        _note(folder, incident.name, later, f"{_OVER if over else _OPEN} {said}"[:_MAX_LINE])
-    except BaseException:
-        unfinished.unlink(missing_ok=True)
-        raise
+    with durable.replacing(path) as staged:
+        staged.unlink(missing_ok=True)
+        said = write(staged, incident, records)
+        durable.sync(staged)
+    _note(folder, incident.name, later, f"{_OVER if over else _OPEN} {said}"[:_MAX_LINE])
     return path
 
 

@@ -12,6 +12,7 @@ from gateway.people.recordings import Message
 from gateway.people.recordings.user_angles import FrameIn, frames_in
 from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
 from gateway.robot.protocol.frames import Op
+from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
@@ -85,7 +86,7 @@ def story(messages: list[Message]) -> list[str]:
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
     timed = (f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)
-    return [_visible(line) for line in (head, *_summary(reported), *timed)]
+    return [visible(line) for line in (head, *_summary(reported), *timed)]
 
 
 def headline(messages: Iterable[Message]) -> str:
@@ -120,7 +121,7 @@ def headline(messages: Iterable[Message]) -> str:
     first = words.pop(worst)
     if worst in ("watchdog", "landing"):
         first = _stood_still(reported, moved_ns, zero.time_ns) or first
-    return _visible("; also: ".join((first, *words.values())))
+    return visible("; also: ".join((first, *words.values())))
 
 
 def _is_headline(message: Message) -> bool:
@@ -145,13 +146,6 @@ def _stood_still(notes: Sequence[Message], moved_ns: Sequence[int], zero_ns: int
             came = any(begun_ns <= each <= note.time_ns + CAME_NS for each in moved_ns)
             return f"the gateway stood still for {lag_ns / 1e9:.1f} s{'; commands kept coming' if came else ''}"
     return ""
-
-
-def _visible(line: str) -> str:
-    """A sender's text must not control the terminal."""
-    if line.isprintable():
-        return line
-    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in line)
 
 
 def _at(at_ns: int) -> str:

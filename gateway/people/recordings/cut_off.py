@@ -5,6 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from gateway import durable
 from gateway.errors import ConfigError
 from gateway.people.recordings.pieces import MAGIC, Losses
 from gateway.people.recordings.reading import records
@@ -47,19 +48,12 @@ def repair(path: Path) -> Repaired:
     One of which more than its unfinished end could not be read is kept beside it, as `.damaged`. Raises ConfigError
     where there is nothing to be read, OSError where the disk does not take it; the file is then as it was.
     """
-    partial = path.with_name(f".{path.name}.repair")
     losses = Losses()
-    original = None
-    try:
-        with partial.open("wb") as file:
+    with durable.replacing(path) as staged:
+        with staged.open("wb") as file:
             count, seconds = _copy(path, losses, Copy(file))
-            file.flush()
-            os.fsync(file.fileno())
-        if losses:
-            original = _kept_beside(path)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+        durable.sync(staged)
+        original = _kept_beside(path) if losses else None
     return Repaired(count, seconds, losses, original)
 
 

@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Final, Self
 
 from gateway.errors import ConfigError, GatewayError
+from gateway.text import visible
 
 PROGRESS_S: Final = 0.2
 """How often a line of progress changes."""
@@ -27,11 +28,6 @@ def this_command() -> str:
     if called.endswith("__main__.py") or (found is not None and Path(called).absolute() == Path(found).absolute()):
         return "hexapod-gateway"
     return called
-
-
-def visible(text: str) -> str:
-    """The text on one line, without control characters: a stranger's name must not control the terminal."""
-    return text if text.isprintable() else "".join(char if char.isprintable() else "�" for char in text)
 
 
 def say(text: str) -> None:

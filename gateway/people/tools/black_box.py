@@ -19,9 +19,10 @@ from gateway.people.incidents.story import NoStoryError, headline, story, what
 from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
 from gateway.people.recordings.writing import making
-from gateway.people.terminal import hint, say, this_command, visible
+from gateway.people.terminal import hint, say, this_command
 from gateway.robot.blackbox import place
 from gateway.robot.settings import Settings
+from gateway.text import visible
 
 LAST: Final = "last"
 

@@ -10,9 +10,10 @@ from typing import Final
 
 from gateway.errors import LeaseError, LeaseLostError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import agrees, hint, on_end_signals, say, this_command, visible
+from gateway.people.terminal import agrees, hint, on_end_signals, say, this_command
 from gateway.people.tools import kept_lease, reach
 from gateway.people.tools.reach import Connection
+from gateway.text import visible
 from schemas.telemetry import GatewayState, LeaseReport, Reason
 
 connection = partial(reach.connection, source="hexapod-gateway lease")

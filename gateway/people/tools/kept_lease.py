@@ -9,12 +9,12 @@ import hashlib
 import json
 import os
 import socket
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from gateway import durable
 from gateway.errors import ConfigError, LeaseLostError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
@@ -50,10 +50,7 @@ def _keep(file: Path, token: str) -> None:
     """Keep a token for the other commands of this person. Raises ConfigError."""
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        descriptor, new = tempfile.mkstemp(dir=file.parent)  # for its owner only
-        with open(descriptor, "w", encoding="ascii") as out:
-            out.write(token)
-        Path(new).replace(file)
+        durable.write_with_mode(file, token.encode(), 0o600)
     except OSError as error:
         raise ConfigError(f"cannot keep the lease in {file}: {error.strerror}") from error
 

@@ -24,6 +24,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import RingChannel
 
+from gateway.allowance import Allowance
 from gateway.certs import BUTTON, OPERATOR, pool
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
@@ -55,7 +56,7 @@ class ConnectionLimiter:
         self._count = count
         self._since: dict[str, int] = {}
         self._visits = 0
-        self._said_s = float("-inf")
+        self._warnings = Allowance(1 / SAY_AGAIN_S, 1)
         # One event in the ring is enough: each look reads all links.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
         self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)
@@ -91,9 +92,8 @@ class ConnectionLimiter:
             return
         with suppress(OSError):  # no descriptor left to look
             shut_down({address for link in surplus + shut_out if (address := _address(str(link.dst))) is not None})
-        if time.monotonic() - self._said_s <= SAY_AGAIN_S:
+        if not self._warnings.take(time.monotonic_ns()):
             return
-        self._said_s = time.monotonic()
         if shut_out:
             names = sorted({str(link.auth_identifier) for link in shut_out})
             logger.warning("%s is revoked, tries to connect, and is turned away", ", ".join(names))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 
 from gateway import certs
+from gateway.allowance import Allowance
 from gateway.robot.core.nonces import Nonces
 from gateway.zenoh_config import get
 from schemas.lease import Proof
@@ -46,8 +47,7 @@ class Proofs:
         self.fresh = fresh
         self._purpose = purpose
         self._nonces = Nonces()
-        self._checks = float(CHECKS_PER_S)
-        self._checked_ns = 0
+        self._checks = Allowance(CHECKS_PER_S, CHECKS_PER_S)
 
     @property
     def wanted(self) -> bool:
@@ -66,11 +66,8 @@ class Proofs:
             return f"proof is missing: this gateway wants to know that {do} comes from source"
         if not self._nonces.spend(proof.nonce, now_ns):
             return "proof.nonce is none of this gateway's, is older than 5 s, or has been used; get another (challenge)"
-        self._checks = min(CHECKS_PER_S, self._checks + (now_ns - self._checked_ns) * CHECKS_PER_S / 1e9)
-        self._checked_ns = now_ns
-        if self._checks < 1:
+        if not self._checks.take(now_ns):
             return "too many proofs have come within a second; try again"
-        self._checks -= 1
         if self._purpose is None:
             return self._checker.fault(proof, do, source, self._wall_clock())
         return self._checker.fault(proof, do, source, self._wall_clock(), self._purpose)

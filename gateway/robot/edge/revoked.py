@@ -5,8 +5,8 @@ Zenoh's access control is read when a session opens, so a newer list takes effec
 
 import json
 import logging
-import os
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -83,15 +83,8 @@ def keep(path: Path, found: "RevocationList") -> None:
 
     Written by root, it belongs to the folder's owner, which is the service.
     """
-
-    def make_readable(descriptor: int) -> None:
-        os.fchmod(descriptor, 0o644)
-        if os.geteuid() == 0:
-            owner = path.parent.stat()
-            os.fchown(descriptor, owner.st_uid, owner.st_gid)
-
     try:
-        durable.write(path, found.pem, prepare=make_readable)
+        durable.write_with_mode(path, found.pem, 0o644, prepare=partial(durable.like_the_folder, path))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); the list before stays in force") from error
 

@@ -6,7 +6,6 @@ them it is 290, and a service that starts anew writes its Stops so much earlier.
 
 import atexit
 import faulthandler
-import json
 import logging
 import os
 import re
@@ -21,6 +20,7 @@ from typing import Final
 from gateway.robot.host.directories import runtime_directory
 from gateway.robot.host.log_writer import LogWriter, Stream
 from gateway.robot.settings import LogSettings
+from gateway.text import visible, visible_json
 
 FLUSH_S: Final = 0.3
 """How long the end waits for unwritten lines: what the Stops leave of its second (docs/interface.md, Behaviour 7)."""
@@ -130,9 +130,7 @@ class _JsonLines(logging.Formatter):
         }
         if record.exc_info is not None:
             line["exception"] = _exceptions(record.exc_info[1])
-        text = json.dumps(line, ensure_ascii=False, default=repr)
-        # What cannot be printed ends a line for some readers, or controls a terminal.
-        return text if text.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
+        return visible_json(line)
 
 
 class _LinesForPeople(logging.Formatter):
@@ -144,13 +142,13 @@ class _LinesForPeople(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         level = self._paint(_COLOURS.get(record.levelno, _RED), f"{record.levelname.lower():9}")
-        message = self._paint(_BOLD, f"{_visible(record.getMessage()):30}")
+        message = self._paint(_BOLD, f"{visible(record.getMessage()):30}")
         parts = [self._paint(_DIM, _time(record)), f"[{level}]", message, f"[{self._paint(_BLUE, record.name)}]"]
         for name, value in sorted(_fields(record).items()):
-            text = repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else _visible(str(value))
+            text = repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else visible(str(value))
             parts.append(f"{self._paint(_CYAN, name)}={self._paint(_MAGENTA, text)}")
         fault = "" if record.exc_info is None else self.formatException(record.exc_info)
-        return "\n".join([" ".join(parts), *map(_visible, fault.splitlines())])
+        return "\n".join([" ".join(parts), *map(visible, fault.splitlines())])
 
     def _paint(self, colour: str, text: str) -> str:
         return f"\x1b[{colour}m{text}\x1b[0m" if self._colours else text
@@ -183,7 +181,3 @@ def _exceptions(error: BaseException | None) -> list[dict[str, object]]:
         found.append({"exc_type": type(error).__name__, "exc_value": str(error), "frames": frames})
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
     return found
-
-
-def _visible(text: str) -> str:
-    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -9,7 +9,7 @@ from gateway.people.terminal import hint, say, this_command
 from tests.support.command import run_here
 
 EVIL = "eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
-SHOWN = "eve�[2J�]0;owned���accepted"
+SHOWN = r"eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
 
 
 def test_what_strangers_wrote_is_shown_on_one_line_and_does_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -20,7 +20,7 @@ def test_what_strangers_wrote_is_shown_on_one_line_and_does_nothing(capsys: pyte
 
 def test_nor_does_it_in_an_error() -> None:
     end = run_here("run", "--config", "/nowhere\x1b[2J.toml")
-    assert end == (2, "", "hexapod-gateway: /nowhere�[2J.toml: there is no such file; name another with --config\n")
+    assert end == (2, "", "hexapod-gateway: /nowhere\\x1b[2J.toml: there is no such file; name another with --config\n")
 
 
 def test_a_program_that_is_not_on_the_path_is_named_as_it_was_called(

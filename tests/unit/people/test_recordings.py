@@ -302,7 +302,7 @@ def test_a_strangers_names_do_not_control_the_terminal_and_what_is_empty_is_not_
         recording.declare("\x1b[2J", "X", {"type": "object"})
         recording.add("\x1b[2J", {}, START_NS)
     info(path)
-    assert "1  \ufffd[2J" in capsys.readouterr().out
+    assert r"1  \x1b[2J" in capsys.readouterr().out
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()

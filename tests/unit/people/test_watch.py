@@ -328,7 +328,7 @@ def driven(part: LeaseReport | ButtonsReport, mode: Mode = Mode.ACTIVE) -> Model
         (ANNA.model_copy(update={"asked_by": "bert"}), "  anna drives, bert asks  tcp/robot:7447"),
         (ANNA.model_copy(update={"verified": False}), "  anna? drives  "),
         (ANNA.model_copy(update={"held_s": None, "holder": "bert"}), "  handed to bert  "),
-        (ANNA.model_copy(update={"holder": "x\x1b[2J" + "y" * 60}), "  x�[2Jyyyyyyyy… drives  "),
+        (ANNA.model_copy(update={"holder": "x\x1b[2J" + "y" * 60}), "  x\\x1b[2Jyyyyy… drives  "),
         (ButtonsReport(required=1, alive=2, names=("kitchen", "door")), "1 leg running  buttons 2/1  tcp/robot:7447"),
         (ButtonsReport(required=2, alive=1, names=("kitchen",)), "1 leg running  buttons 1/2  tcp/robot:7447"),
     ],
@@ -382,7 +382,7 @@ def test_what_became_of_a_take() -> None:
     assert model.asking(2) is None
     model.answered(Tone.BAD, "NOT DONE: lease_denied: no\x1b", 4)
     assert model.remark is not None
-    assert (model.remark.tone, model.remark.text) == (Tone.BAD, "NOT DONE: lease_denied: no�")
+    assert (model.remark.tone, model.remark.text) == (Tone.BAD, "NOT DONE: lease_denied: no\\x1b")
 
 
 def test_the_keys_stand_on_the_last_line() -> None:

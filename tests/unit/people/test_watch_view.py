@@ -60,7 +60,7 @@ def test_who_commands_each_leg_and_who_stopped_the_robot_is_shown() -> None:
     legs = (first.model_copy(update={"source": "anna's tripod gait"}), *others)
     model.received_state(heard.model_copy(update={"legs": legs, "estop_source": "ben\x1b[2J"}), 0, WALL)
     lines = screen(model).splitlines()
-    assert lines[0].startswith(" ESTOPPED  by ben�[2J ")
+    assert lines[0].startswith(" ESTOPPED  by ben\\x1b[2J ")
     assert next(line for line in lines if line.startswith("leg ")).endswith("commanded by")
     assert next(line for line in lines if line.startswith(" 1 ")).endswith("  anna's tripod…")
 
@@ -73,7 +73,7 @@ def test_a_calibration_that_cannot_be_used_is_shown() -> None:
     )
     shown = " ".join(line.strip() for line in screen(model).splitlines()[1:3])
     assert shown.startswith("Nothing can be started (calibrate --accept-default): /var/lib/hexapod-gateway/calibration")
-    assert "is not TOML:�[2J Invalid statement" in shown
+    assert "is not TOML:\\x1b[2J Invalid statemen" in shown
 
 
 @pytest.mark.parametrize("mode", list(Mode))

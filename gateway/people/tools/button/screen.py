@@ -10,9 +10,10 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.live import reports, subscribed
 from gateway.people.client.stops import UntilConfirmed
-from gateway.people.terminal import check_terminal, screen, visible
+from gateway.people.terminal import check_terminal, screen
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection
+from gateway.text import visible
 from schemas import keys as wire
 from schemas.telemetry import Ack, GatewayState, Mode
 

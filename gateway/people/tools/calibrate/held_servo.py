@@ -13,7 +13,7 @@ import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import visible
+from gateway.text import visible
 from schemas.telemetry import Ack, Reason
 
 PERIOD_S: Final = 0.05

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from gateway.errors import LeaseError, LeaseLostError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import check_terminal, say, screen, visible
+from gateway.people.terminal import check_terminal, say, screen
 from gateway.people.tools import driving
 from gateway.people.tools.calibrate import once
 from gateway.people.tools.calibrate.guide import Guide
@@ -18,6 +18,7 @@ from gateway.people.tools.calibrate.view import picture
 from gateway.people.tools.reach import Connection, why_not_at_rest
 from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.protocol.framing import avoided_by
+from gateway.text import visible
 from schemas.telemetry import GatewayState
 
 STOP_S: Final = 2.5

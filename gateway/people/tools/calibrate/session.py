@@ -11,12 +11,12 @@ from typing import Final
 import zenoh
 
 from gateway.errors import GatewayError, LeaseLostError
-from gateway.people.terminal import visible
 from gateway.people.tools.calibrate.guide import COARSE_CDEG, FINE_CDEG, Guide
 from gateway.people.tools.calibrate.held_servo import HeldServo
 from gateway.people.tools.calibrate.robot import ChangedMeanwhileError, Robot
 from gateway.robot.core.calibration import CalibrationError
 from gateway.robot.protocol.frames import MAX_ANGLE_CDEG
+from gateway.text import visible
 from schemas.robot import SERVO_IDS
 
 STEPS: Final = {"left": -COARSE_CDEG, "right": COARSE_CDEG, "down": -FINE_CDEG, "up": FINE_CDEG}

@@ -30,6 +30,7 @@ from gateway.people.tools.check import (
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError, Settings
+from gateway.text import visible
 from gateway.zenoh_config import listen_endpoints
 
 _STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
@@ -162,12 +163,8 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
 def line(result: Result) -> Text:
     """`verdict  what  sentence → fix`, in columns."""
     text = Text().append(f"{result.verdict:8}", _STYLES[result.verdict]).append(f" {result.name:14} ", "bold")
-    text.append(_one_line(result.sentence))
-    return text.append(f" → {_one_line(result.fix)}", "cyan") if result.fix else text
-
-
-def _one_line(text: str) -> str:
-    return "".join(char if char.isprintable() else " " for char in text)
+    text.append(visible(result.sentence))
+    return text.append(f" → {visible(result.fix)}", "cyan") if result.fix else text
 
 
 def _count(number: int, word: str) -> str:

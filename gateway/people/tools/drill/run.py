@@ -10,13 +10,14 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say, this_command, visible
+from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say, this_command
 from gateway.people.tools import kept_lease
 from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Seen, Skipped
 from gateway.people.tools.drill.steps import STEPS, Step
 from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
 from gateway.people.tools.reach import Connection, check_at_rest
+from gateway.text import visible
 from schemas.telemetry import GatewayState, Mode
 
 SOURCE: Final = "hexapod-gateway drill"

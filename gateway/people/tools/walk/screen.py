@@ -14,12 +14,13 @@ from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import check_terminal, screen, visible
+from gateway.people.terminal import check_terminal, screen
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
 from gateway.people.walking import Velocity
+from gateway.text import visible
 from schemas.telemetry import Ack, Mode
 
 TICK_S: Final = 0.02

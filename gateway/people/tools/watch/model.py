@@ -11,7 +11,7 @@ from enum import Enum, StrEnum, auto
 from typing import Final, NamedTuple
 
 from gateway.people.client.live import Order, Starts
-from gateway.people.terminal import visible
+from gateway.text import visible
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
 

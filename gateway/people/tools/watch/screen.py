@@ -17,10 +17,11 @@ from gateway.errors import LeaseLostError, RejectedError, ZenohError
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
 from gateway.people.client.stops import UntilConfirmed
-from gateway.people.terminal import screen, visible
+from gateway.people.terminal import screen
 from gateway.people.tools import kept_lease
 from gateway.people.tools.watch.model import Model, Presence, Question, Tone
 from gateway.people.tools.watch.view import picture
+from gateway.text import visible
 from schemas import keys as wire
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, GatewayState

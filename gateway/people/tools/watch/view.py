@@ -10,8 +10,8 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
-from gateway.people.terminal import visible
 from gateway.people.tools.watch.model import Counts, Model, Presence, Tone
+from gateway.text import visible
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
 _MODES: Final[dict[str, str]] = {
