@@ -15,7 +15,6 @@ The model check's searches run behind the stages that leave processors idle, and
 import argparse
 import json
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,7 @@ import pytest
 
 from tests.case import extended, left
 from tests.support import schedule, seconds
+from tests.support.descendants import Run
 
 MOST_AGAIN: Final = 5
 """Where more have failed, it was not the machine."""
@@ -44,12 +44,11 @@ def main() -> int:
     which.add_argument("--all", action="store_true", help="searches and repetitions as well")
     which.add_argument("--quick", action="store_true", help="ruff, mypy and the unit tests")
     chosen = parser.parse_args()
-    signal.signal(signal.SIGINT, lambda *_: None)  # pytest ends in its own time, and this behind it
     begun_s = time.monotonic()
-    if chosen.quick:
-        green = _quick()
-    else:
-        green = _test(chosen.workers, everything=chosen.all)
+    with Run() as run:
+        run.pass_on()
+        green = _quick() if chosen.quick else _test(chosen.workers, everything=chosen.all)
+    if not chosen.quick:
         print(seconds.report(left.cases(), schedule.SECONDS if not chosen.all else {}))
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(f"{time.monotonic() - begun_s:.0f} s, {used.ru_utime + used.ru_stime:.0f} s of processors")

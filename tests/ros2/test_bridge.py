@@ -152,8 +152,7 @@ def test_any_peer_stops_it_always(peer: Peer, bridge: Bridge, watcher: Client) -
         False,
         "rejected: estopped: the emergency stop is engaged; reset leaves it",
     )
-    assert peer.call("/hexapod/reset")[0]
-    assert watcher.state().mode == Mode.IDLE
+    assert watcher.reset().accepted
 
 
 def test_a_flood_keeps_no_emergency_stop_waiting(bridge: Bridge, peer: Peer, watcher: Client) -> None:
@@ -296,7 +295,7 @@ def test_what_it_cannot_begin_with(gateway: Gateway) -> None:
     for arguments, why in (
         (("--distro", "foxy"), "--distro foxy is not known"),
         (("--ros-namespace", "hexapod"), "'hexapod' is no ROS namespace"),
-        (("--router", gateway.endpoint), "leads to a gateway, where no ROS peer should be"),
+        (("--router", gateway.endpoint), "leads to no router, where no ROS peer should be"),
     ):
         wrong = run_here("ros2", *ours, *arguments)
         assert wrong.returncode == 2, wrong

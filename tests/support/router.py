@@ -8,11 +8,13 @@ import zenoh
 
 
 @contextmanager
-def zenoh_listening(endpoint: str) -> Iterator[zenoh.Session]:
-    """A session that listens there meanwhile."""
+def zenoh_listening(*endpoints: str, **settings: object) -> Iterator[zenoh.Session]:
+    """A session that listens there meanwhile, with these sections of a Zenoh file besides."""
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("listen/endpoints", json.dumps(endpoints))
     config.insert_json5("scouting/multicast/enabled", "false")
+    for section, value in settings.items():
+        config.insert_json5(section, json.dumps(value))
     with zenoh.open(config) as session:
         yield session

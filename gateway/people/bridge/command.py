@@ -1,6 +1,8 @@
 """The command line of `ros2`."""
 
 import sys
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,8 +15,17 @@ app = typer.Typer()
 @app.command()
 def ros2(
     router: Annotated[
-        str, typer.Option("--router", metavar="ENDPOINT", help="Where ROS 2's Zenoh router (rmw_zenohd) listens.")
-    ] = "tcp/localhost:7447",
+        str | None,
+        typer.Option(
+            "--router",
+            metavar="ENDPOINT",
+            help="Where ROS 2's Zenoh router (rmw_zenohd) listens. Default: tcp/localhost:7447, or as --router-config.",
+        ),
+    ] = None,
+    router_config: Annotated[
+        Path | None,
+        typer.Option("--router-config", metavar="PATH", help="A Zenoh configuration with certificates for the router."),
+    ] = None,
     domain: Annotated[
         int, typer.Option("--domain", metavar="N", min=0, max=232, envvar="ROS_DOMAIN_ID", help="The ROS domain.")
     ] = 0,
@@ -30,6 +41,16 @@ def ros2(
     drive: Annotated[
         bool, typer.Option("--drive", help="Drive from the beginning; else the service drive must be called.")
     ] = False,
+    allow_reset: Annotated[
+        bool,
+        typer.Option("--allow-reset", help="Let the service reset leave any emergency stop, a person's, too."),
+    ] = False,
+    open_graph: Annotated[
+        bool,
+        typer.Option(
+            "--open-graph", help="Start although others reach the router without certificates: they can drive."
+        ),
+    ] = False,
     tf: Annotated[
         bool, typer.Option("--tf", help="Publish /tf, too: for viewers without a robot_state_publisher.")
     ] = False,
@@ -42,7 +63,8 @@ def ros2(
 
     It publishes joint_states, robot_description and diagnostics. It takes joint_commands, joint_trajectory, cmd_vel
     (cmd_vel_stamped), cmd_base_height, roll_setpoint, pitch_setpoint and cmd_gait_type, once somebody has called its
-    service drive; it holds the lease then, until release. The services estop and reset are for everybody, always.
+    service drive; it holds the lease then, until release. The service estop is for everybody, always. reset leaves an
+    emergency stop that came through ROS alone while the bridge drove.
 
     Exit codes: 0 ended on request, 2 the extra \\[ros2] is missing, or an argument or a file is wrong, 4 no gateway
     answers, or no ROS 2 router.
@@ -50,11 +72,13 @@ def ros2(
     from gateway.people.bridge import run
     from gateway.people.tools import reach
 
-    connection = reach.connection(connect, zenoh_config, timeout, source=run.NAME)
     sys.exit(
         run.serve(
-            connection,
+            partial(reach.connection, connect, zenoh_config, timeout),
             router=router,
+            router_config=router_config,
+            allow_reset=allow_reset,
+            open_graph=open_graph,
             domain=domain,
             namespace=namespace,
             distribution=distribution,

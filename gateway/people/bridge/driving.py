@@ -13,13 +13,18 @@ from typing import Final, TypeVar
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
 from gateway.geometry import Geometry
 from gateway.people.bridge.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
+from gateway.people.bridge.own_stop import OwnStop
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
-from schemas.telemetry import GatewayState, Mode, Reason
+from schemas.telemetry import Ack, GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
+NOT_OURS: Final = (
+    "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
+    "start the bridge with --allow-reset"
+)
 M = TypeVar("M", bound=Motion)
 
 
@@ -41,8 +46,10 @@ class Driving:
         self._motion: Motion | None = None
         self._estop = 0
         """The latest when it began to drive."""
+        self._own = OwnStop()
         self._received: GatewayState | None = None
         self._gait = "tripod"
+        self._held_as = name
         self._closed = False
         self._why_not = NOBODY_DRIVES
 
@@ -74,12 +81,15 @@ class Driving:
             lease = self._client.lease(source=self._name, on_lost=self._lost, on_asked=self._asked)
             lease.acquire()
             self._lease, self._estop, self._gait = lease, state.estop, "tripod"
+            self._own.drives(state, time.monotonic())
+            self._held_as = lease.holder
             self._show(f"drives as {lease.holder}")
             return f"drives as {lease.holder}"
 
     def release(self, *, sits: bool = True) -> str:
         """Sit down, stop what runs by it, and take nothing any more. Raises GatewayError."""
         with self._lock:
+            self._own.forget()
             if self._lease is None:
                 return self._why_not
             try:
@@ -87,6 +97,27 @@ class Driving:
             finally:
                 self._give_back(NOBODY_DRIVES)
             return "released"
+
+    def estop(self) -> Ack:
+        """Engage the emergency stop, waiting for nothing here. Raises GatewayError."""
+        drove = self.drives
+        ack = self._client.estop()
+        self._own.engaged(ack.estop, drove=drove)
+        return ack
+
+    def reset(self, *, of_anybody: bool) -> None:
+        """Leave the emergency stop, unless a person may have engaged it too (`of_anybody`: even so).
+
+        Whoever reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
+        Raises GatewayError.
+        """
+        state = self._client.state()
+        number = state.estop if of_anybody else self._own.may_leave(state, time.monotonic())
+        if number is None:
+            raise RejectedError(Reason.ESTOPPED, NOT_OURS)
+        ack = self._client.reset(number)
+        if not ack.accepted:
+            raise RejectedError(str(ack.reason), ack.detail or "")
 
     def close(self) -> None:
         """Stop what runs by it at once, and take nothing any more, not even `drive`. Raises GatewayError."""
@@ -145,6 +176,8 @@ class Driving:
                 state, self._received = self._received, None
                 if self._motion is None and self._lease is not None and state is not None:
                     self._check_estop(state)
+                if self._lease is None and state is not None and state.lease.holder not in (None, self._held_as):
+                    self._own.forget()  # whoever drives now has taken the robot over, with its emergency stop
             except GatewayError as error:
                 self._fail(error)
 

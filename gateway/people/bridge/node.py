@@ -17,6 +17,7 @@ from zenoh import ext
 from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, GatewayError, ZenohError
+from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE, TriggerResponse
 from gateway.people.ros2.wire import (
@@ -30,20 +31,25 @@ from gateway.people.ros2.wire import (
     WireError,
     gid_of,
 )
-from gateway.zenoh_config import client_config, one_line
-from schemas.keys import ALIVE
+from gateway.zenoh_config import connect_endpoints, one_line
+from schemas.keys import STATE
 
 JOIN_S: Final = 1.0
 _QUERIES: Final = 16
 """Calls of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
+_APART_S: Final = 1.0
+_NO_ROS_PEER: Final = (
+    ", where no ROS peer should be: --router names ROS 2's own router. Where both are on one machine, the gateway "
+    'needs another port, such as zenoh.listen = ["tcp/127.0.0.1:7448"]'
+)
 _NOBODY: Final = bytes(16)
 
 _log: Final = logging.getLogger(__name__)
 
 
-def open_router(endpoint: str) -> zenoh.Session:
+def open_router(config: zenoh.Config) -> zenoh.Session:
     """A session to ROS 2's router, which comes back by itself. Raises ConfigError, ZenohError."""
-    config = client_config(endpoint)
+    endpoint = ", ".join(connect_endpoints(config))
     config.insert_json5("timestamping/enabled", "true")  # the cache of a latched topic wants it; so has rmw_zenoh
     try:
         session = zenoh.open(config)
@@ -51,13 +57,24 @@ def open_router(endpoint: str) -> zenoh.Session:
         raise ZenohError(
             f"no ROS 2 router answers on {endpoint} ({one_line(error)}); `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one"
         ) from error
-    if any(reply.ok for reply in session.liveliness().get(f"**/{ALIVE}", timeout=1.0)):
+    if not session.info.routers_zid():
         session.close()
-        raise ConfigError(
-            f"{endpoint} leads to a gateway, where no ROS peer should be: --router names ROS 2's own router. Where "
-            'both are on one machine, the gateway needs another port, such as zenoh.listen = ["tcp/127.0.0.1:7448"]'
-        )
+        raise ConfigError(f"{endpoint} leads to no router{_NO_ROS_PEER}")
     return session
+
+
+def check_apart(router: zenoh.Session, client: Client) -> None:
+    """Raises ConfigError where ROS peers reach the gateway itself.
+
+    Its Zenoh id decides, which no ROS peer knows: anybody can declare the token of a gateway.
+    """
+    client.state()
+    gateway = client.answerers(STATE)
+    replies: Any = router.get(f"**/{STATE}", timeout=_APART_S, target=zenoh.QueryTarget.ALL)
+    there = {str(reply.replier_id.zid) for reply in replies if reply.replier_id is not None}
+    same = {str(zid) for zid in router.info.routers_zid()} & {str(zid) for zid in client.session.info.routers_zid()}
+    if same or gateway & there:
+        raise ConfigError(f"--router leads to the gateway{_NO_ROS_PEER}")
 
 
 class Publisher:

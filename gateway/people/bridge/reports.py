@@ -29,6 +29,7 @@ SILENT_S: Final = 1.0
 DIAGNOSTICS_S: Final = 1.0
 CHANGED_S: Final = 0.1
 """Where the mode has changed, or what the bridge does: sooner."""
+OPEN: Final = "; the graph is open: whoever reaches its router can drive the robot"
 CHANNELS: Final[dict[str, Any]] = {
     keys.CALIBRATION: RingChannel(1),
     keys.STATE: RingChannel(1),
@@ -51,8 +52,10 @@ class Reports:
         topics: Topics,
         *,
         with_tf: bool,
+        is_open: bool,
     ) -> None:
-        """`received`: the rings of `CHANNELS`, by their keys."""
+        """`received`: the rings of `CHANNELS`, by key; `is_open`: others reach the graph without certificates."""
+        self._is_open = is_open
         self._received = received
         self._geometry = geometry
         self._driving = driving
@@ -112,9 +115,10 @@ class Reports:
         taken, rejected = self._topics.taken, self._topics.rejected
         return status(
             "ROS 2 bridge",
-            DiagnosticStatus.OK,
-            self._driving.does,
+            DiagnosticStatus.WARN if self._is_open else DiagnosticStatus.OK,
+            f"{self._driving.does}{OPEN if self._is_open else ''}",
             drives=self._driving.drives,
+            open_graph=self._is_open,
             **{f"taken {topic}": count for topic, count in sorted(taken.items())},
             **{f"rejected {topic}": count for topic, count in sorted(rejected.items())},
             latest_rejection=self._topics.latest_rejection or None,

@@ -130,6 +130,14 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
         yield from _tls(connection, host, identity, end_s) if tls else _plain(connection, end_s)
 
 
+def demands_certificate(endpoint: str, identity: Identity, timeout_s: float = TIMEOUT_S) -> bool:
+    """Whether a listener of the CA in `identity` rejects, over TLS, whoever shows no certificate."""
+    nobody = Identity(ca=identity.ca, verify_name=False)  # its addresses may be none of the names in its certificate
+    if identity.ca is None or not endpoint.startswith("tls/"):
+        return False
+    return any(each.sentence == _SHOWS_NONE for each in look(endpoint, nobody, time.monotonic() + timeout_s))
+
+
 def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
     """Whether this machine's clock is within what its certificates are good for."""
     for path in (identity.ca, identity.certificate):
@@ -267,6 +275,7 @@ def _tls(connection: socket.socket, host: str, identity: Identity, end_s: float)
 
 
 _NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, all its files together"
+_SHOWS_NONE: Final = "the robot wants a certificate, and you show none"
 _GIVE_CERTIFICATE: Final = "give --zenoh-config NAME.json5, which `hexapod-gateway certs issue` made"
 _NO_TLS: Final = "does the gateway use certificates? Without them it is tcp/…, and on its own machine only"
 _CLOCK: Final = "set the clock (timedatectl set-ntp true)"
@@ -333,7 +342,7 @@ def _alert(error: ssl.SSLError) -> Finding:
             "hexapod-gateway certs renew NAME; or set the robot's clock (timedatectl set-ntp true)",
         )
     if "CERTIFICATE_REQUIRED" in reason:
-        return Finding(Step.CERTIFICATE, "the robot wants a certificate, and you show none", _GIVE_CERTIFICATE)
+        return Finding(Step.CERTIFICATE, _SHOWS_NONE, _GIVE_CERTIFICATE)
     if "ALERT" in reason:
         return Finding(Step.CERTIFICATE, f"the robot does not take your certificate ({reason})", _NEW_BUNDLE)
     return Finding(Step.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)

@@ -1,0 +1,41 @@
+"""Which emergency stop ROS may leave: one that ROS alone has engaged, while the bridge drove. Pure.
+
+The gateway numbers emergency stops. The bridge has read the latest number when it began to drive, while none was
+engaged; if the next number is its own request's, nobody else has engaged one in between.
+"""
+
+from typing import Final
+
+from schemas.telemetry import GatewayState
+
+_SAME_RUN_S: Final = 1.0
+"""A gateway that was started again counts from 1, so its start must be the same, give or take a slow answer."""
+
+
+class OwnStop:
+    """What is not certain counts as somebody else's: then a person leaves the emergency stop, at the robot."""
+
+    def __init__(self) -> None:
+        self._latest: int | None = None
+        """The emergency stop's number before the bridge's own; None: unknown."""
+        self._number: int | None = None
+        self._began_s = 0.0
+
+    def drives(self, state: GatewayState, now_s: float) -> None:
+        """The bridge begins to drive in this state, in which no emergency stop is engaged."""
+        self._latest, self._number, self._began_s = state.estop, None, now_s - state.uptime_s
+
+    def engaged(self, number: int | None, *, drove: bool) -> None:
+        """The gateway has given a request of ROS this number; `drove`: the bridge drove when it was sent."""
+        before = self._latest if drove else self._number
+        own = number if before is not None and number == before + 1 else None
+        self._latest = self._number = own
+
+    def forget(self) -> None:
+        """The bridge was released, or somebody else drives."""
+        self._latest = self._number = None
+
+    def may_leave(self, state: GatewayState, now_s: float) -> int | None:
+        """The number of the emergency stop that a reset may name; None: it must not be left from here."""
+        same_run = abs(now_s - state.uptime_s - self._began_s) <= _SAME_RUN_S
+        return self._number if same_run and state.estop == self._number else None
