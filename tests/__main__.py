@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
 
@@ -65,16 +65,17 @@ def _test(workers: int, *, everything: bool) -> bool:
     left.begin()
     only = "" if everything else " and not extended"
     beside = [_stage("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER + only)]
-    search = _command("searches", "-n", "auto", "-p", "no:cacheprovider", "-m", f"searches{only}")
-    with _behind(search, idle=True) as searches:
+    search = _command("searches", "-n", "auto", "-p", "no:cacheprovider", "-m", "searches")
+    with _behind(search, idle=True) if everything else nullcontext() as searches:
         beside.append(_stage("attended", "-n", "2", "-m", f"attended{only}"))
         green = all(beside)
         flaky: list[str] = []
         if not green and len(failed := _failed()) <= MOST_AGAIN and _stage(left.AGAIN, "--last-failed"):
             green, flaky = True, failed
         green = _stage("alone", "-m", f"alone{only}") and green
-    green = searches.returncode == pytest.ExitCode.OK and green
-    extended.leave(extended.commit())
+    if searches:
+        green = searches.returncode == pytest.ExitCode.OK and green
+        extended.leave(extended.commit())
     for test in flaky:
         print(f"FLAKY: {test} failed beside others and passed alone")
     return green

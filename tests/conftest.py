@@ -15,6 +15,7 @@ from hypothesis import settings as hypothesis_settings
 
 from tests.support import schedule
 from tests.support.descendants import Run
+from tests.support.lacks import skip_where_lacking
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(
@@ -39,9 +40,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup() -> None:
+def pytest_runtest_setup(item: pytest.Item) -> None:
     """pytest's hook."""
     _let_signals_interrupt()  # asyncio gives a signal back its default behind a loop that had it
+    skip_where_lacking(item)
 
 
 def _let_signals_interrupt() -> None:

@@ -1,5 +1,5 @@
-"""The emulated SPI device, for attacks that end at the wire; without its packages these are skipped."""
+"""The emulated SPI device, for attacks that end at the wire."""
 
-from tests.hil.conftest import pytest_runtest_setup, spi_testbed
+from tests.hil.conftest import spi_testbed
 
-__all__ = ["pytest_runtest_setup", "spi_testbed"]
+__all__ = ["spi_testbed"]

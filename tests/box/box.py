@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
+from tests.hil.bed import missing_packages
 from tests.support.child import Child
 from tests.support.closing import Closing
 
@@ -44,7 +45,9 @@ def lacks() -> str:
         return "a systemd in a box needs Debian's systemd"
     probe = ["unshare", "--fork", "--pid", "--mount", "--uts", "--ipc", "--net", "--cgroup", "mount", "-t", "cgroup2"]
     namespaces = subprocess.run([*probe, "none", "/mnt"], capture_output=True, text=True, check=False)
-    return f"a systemd in a box needs namespaces: {namespaces.stderr.strip()}" if namespaces.returncode else ""
+    if namespaces.returncode:
+        return f"a systemd in a box needs namespaces: {namespaces.stderr.strip()}"
+    return missing_packages()
 
 
 class Box(Closing):

@@ -6,19 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.box.box import Box, lacks
+from tests.box.box import Box
 from tests.box.installed import NAME, InstalledGateway
 from tests.box.machine import CONFIG_TXT, STOCK, Machine, Prepared
-from tests.hil.bed import SYSTEM_PYTHON, missing_packages
-from tests.support.lacks import skip_where
+from tests.hil.bed import SYSTEM_PYTHON
 
 REPOSITORY = Path(__file__).parents[2]
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip or fail in one line that says why."""
-    if item.get_closest_marker("systemd"):
-        skip_where(lacks() or missing_packages())
 
 
 @pytest.fixture(scope="session")

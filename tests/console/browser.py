@@ -66,6 +66,11 @@ HELD_UP: Final = re.compile(
 expect.set_options(timeout=LATE_MS)
 
 
+def lacks() -> str:
+    """What this machine lacks for a page, in one line; empty when nothing."""
+    return "" if CHROMIUM.exists() else "Debian package missing: chromium"
+
+
 def put_to_rest(gateway: Gateway) -> None:
     """Whatever a test left behind: the lease is taken, which stops all legs, and STOP ALL is left."""
     with gateway.client() as robot, robot.lease(take=True):

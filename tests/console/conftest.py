@@ -8,21 +8,11 @@ import pytest
 from playwright.sync_api import Browser, Playwright, sync_playwright
 
 from tests.console.browser import ARGUMENTS, CHROMIUM, HELD_UP, Visitor
-from tests.hil.bed import missing_packages
 from tests.support.console_process import Console, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.lacks import skip_where
 
 TRIES: Final = 3
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip or fail in one line that names what is missing."""
-    lack = "" if CHROMIUM.exists() else "Debian package missing: chromium"
-    if item.get_closest_marker("hil"):
-        lack = lack or missing_packages()
-    skip_where(lack)
 
 
 @pytest.fixture(scope="package")

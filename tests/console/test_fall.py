@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import Final
 
+import pytest
 from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
@@ -11,6 +12,8 @@ from tests.console.browser import Visitor
 from tests.support.console_process import Console
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
+
+pytestmark = pytest.mark.browser
 
 PATIENT: Final = patient(10_000)
 """A browser that draws on the processor leaves little of it to others."""

@@ -13,6 +13,8 @@ from tests.console.browser import LATE_MS, WITHOUT_WEBGL
 from tests.support.console_process import Console, SignedIn
 from tests.support.console_process import Page as Thief
 
+pytestmark = pytest.mark.browser
+
 
 @pytest.fixture
 def victim(browser: Browser, console: Console) -> Iterator[Page]:

@@ -6,16 +6,9 @@ from pathlib import Path
 import pytest
 
 from gateway.robot.protocol.framing import Framing
-from tests.hil.bed import SpiTestbed, missing_packages
+from tests.hil.bed import SpiTestbed
 from tests.hil.wire import Wire, start
 from tests.support.gateway_process import Gateway
-from tests.support.lacks import skip_where
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip or fail in one line that names the packages."""
-    if item.get_closest_marker("hil"):
-        skip_where(missing_packages())
 
 
 @pytest.fixture

@@ -6,14 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from tests.net.hosts import LaptopHost, RobotHost
-from tests.net.namespaces import Network, lacks
-from tests.support.lacks import skip_where
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip or fail in one line that says why."""
-    if item.get_closest_marker("net"):
-        skip_where(lacks())
+from tests.net.namespaces import Network
 
 
 @pytest.fixture(scope="module")

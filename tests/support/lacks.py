@@ -1,8 +1,30 @@
-"""What this machine lacks for a test."""
+"""What this machine lacks for a test, in one line: packages, or the rights of root."""
 
+import importlib
 import os
+from functools import cache
+from typing import Final
 
 import pytest
+
+LACKS: Final = {
+    "hil": "tests.hil.bed:missing_packages",
+    "net": "tests.net.namespaces:lacks",
+    "systemd": "tests.box.box:lacks",
+    "browser": "tests.console.browser:lacks",
+}
+"""By a test's mark: the function that knows; imported where such a test runs, since most runs have none of them."""
+
+
+def skip_where_lacking(item: pytest.Item) -> None:
+    """Skip a test that needs what is not here."""
+    skip_where("; ".join(filter(None, (_lack(mark.name) for mark in item.iter_markers()))))
+
+
+@cache
+def _lack(mark: str) -> str:
+    module, _, function = LACKS.get(mark, "").partition(":")
+    return str(getattr(importlib.import_module(module), function)()) if module else ""
 
 
 def skip_where(lack: str) -> None:
