@@ -117,7 +117,7 @@ def test_what_the_recorder_keeps(robot: InstalledGateway) -> None:
     robot.gateway("estop")
 
     restart_and_move(robot)
-    with robot.journal() as service, recorder_journal(recorder) as kept:
+    with robot.journal() as service, robot.journal(recorder) as kept:
         robot.unit.systemctl("kill", "--signal=SIGKILL")
         service.wait_for_output("Stop written to all six legs, 4 times each")
         robot.unit.systemctl("stop")
@@ -150,15 +150,6 @@ def starts_leg_3(data: bytes) -> bool:
 
 def has_started_hex(frame: str) -> bool:
     return any(command.op is Op.START for _, command in decode(bytes.fromhex(frame)).servos)
-
-
-@contextmanager
-def recorder_journal(recorder: Unit) -> Iterator[Child]:
-    """What the recorder says from now on."""
-    options = ("--follow", "--lines=0", "--output=cat", recorder.box.journal_option, f"--unit={recorder.name}")
-    journal = Child(("journalctl", *options), {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
-    yield journal
-    journal.close()
 
 
 BUSY = "for each in $(seq 40); do timeout 90 sh -c 'while :; do :; done' >/dev/null 2>&1 & echo $!; done"
