@@ -2,6 +2,7 @@
 
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,22 +39,27 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator
     made.layer.unlink()  # which is large
 
 
+@contextmanager
+def booted(folder: Path, wheels: Path, base: Path | None = None) -> Iterator[Machine]:
+    with Box(folder, base=base) as box:
+        yield Machine(box, wheels)
+        print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
+
+
 @pytest.fixture
 def bare(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator[Machine]:
     """One with nothing in it but this machine's Debian."""
-    with Box(tmp_path_factory.mktemp("bare")) as box:
-        box.write(CONFIG_TXT, STOCK)
-        yield Machine(box, wheels)
-        print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
+    with booted(tmp_path_factory.mktemp("bare"), wheels) as machine:
+        machine.box.write(CONFIG_TXT, STOCK)
+        yield machine
 
 
 @pytest.fixture
 def machine(tmp_path_factory: pytest.TempPathFactory, wheels: Path, prepared: Prepared) -> Iterator[Machine]:
     """One with the gateway installed, booted since, and its service not begun: there is no SPI device."""
-    with Box(tmp_path_factory.mktemp("machine"), base=prepared.layer) as box:
-        box.run("systemctl", "start", "hexapod-recorder")  # which a boot begins
-        yield Machine(box, wheels)
-        print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
+    with booted(tmp_path_factory.mktemp("machine"), wheels, prepared.layer) as machine:
+        machine.box.run("systemctl", "start", "hexapod-recorder")  # which a boot begins
+        yield machine
 
 
 @pytest.fixture(scope="module")

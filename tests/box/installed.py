@@ -2,8 +2,6 @@
 
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -97,18 +95,13 @@ class InstalledGateway(Closing):
         self.box.run("journalctl", "--sync")
         return self.box.run("journalctl", *self._journal_options(cursor)).stdout
 
-    @contextmanager
-    def journal(self) -> Iterator[Child]:
-        """The service's journal from now on, as a child whose lines can be waited for."""
-        command = ["journalctl", "--follow", self.box.journal_option, *self._journal_options(self.cursor())]
-        journal = Child(command, {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
-        try:
-            yield journal
-        finally:
-            journal.close()
+    def journal(self, unit: Unit | None = None) -> Child:
+        """A unit's journal from now on, by default the service's, as a child whose lines can be waited for."""
+        options = (self.box.journal_option, *self._journal_options(self.cursor(), unit))
+        return Child(["journalctl", "--follow", *options], {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
 
-    def _journal_options(self, cursor: str) -> tuple[str, ...]:
-        return f"--after-cursor={cursor}", "--no-pager", "--output=cat", f"--unit={self.unit.name}"
+    def _journal_options(self, cursor: str, unit: Unit | None = None) -> tuple[str, ...]:
+        return f"--after-cursor={cursor}", "--no-pager", "--output=cat", f"--unit={(unit or self.unit).name}"
 
     def wait_for_stops(self, since: int, timeout_s: float = 10) -> int:
         """Wait until each of the six legs got a Stop at transfer `since` or later; the number of transfers so far."""

@@ -13,12 +13,10 @@ from tests.support.console_process import SignedIn
 from tests.support.gateway_process import Gateway
 
 CHROMIUM: Final = Path("/usr/bin/chromium")
-ARGUMENTS: Final = (
-    "--no-sandbox",  # of the tests, which run as root
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-)
+ARGUMENTS: Final = ("--no-sandbox", "--disable-gpu")
+"""The tests run as root. Without WebGL a page takes half as much of a processor."""
+DRAWS: Final = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+"""With it: on the processor."""
 LATE_MS: Final = 20_000
 """How long is waited for what takes milliseconds: a busy machine must not fail a test."""
 
@@ -102,30 +100,46 @@ class Visitor(AbstractContextManager["Visitor"]):
     def open(
         self, *, webgl: bool = False, script: str = "", context: BrowserContext | None = None, **options: Any
     ) -> "Opened":
-        """A page that shows the robot. Without WebGL unless it is wanted: drawing takes a processor."""
-        is_plain = not (webgl or script or context or options)
-        if is_plain and self._idle.get(self._url):
-            opened = self._idle[self._url].pop()
+        """A page that shows the robot. Without WebGL unless it is wanted: a browser that draws, for this page alone."""
+        if webgl:
+            browser = self._browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
+            self._stack.callback(browser.close)
+            opened = self._page(self._prepared(browser.new_context(**options)))
+        elif context or options:
+            prepared = self._prepared(context or self._browser.new_context(**options), WITHOUT_WEBGL)
+            if context is None:
+                self._stack.callback(prepared.close)
+            opened = self._page(prepared, script)
         else:
-            opened = self._new(webgl, script, context or self._browser.new_context(**options))
-        if is_plain:
-            self._stack.callback(self._keep, opened)
-        elif context is None:
-            self._stack.callback(opened.context.close)
+            opened = self._used_again()
+            if script:
+                opened = self._page(opened.context, script)
+                self._stack.callback(opened.close)
         opened.page.goto(self._url)
         opened.expect_live()
         return opened
 
-    def _new(self, webgl: bool, script: str, context: BrowserContext) -> "Opened":
+    def _used_again(self) -> "Opened":
+        """One that a test before has left, or that another may have after this one."""
+        if self._idle.get(self._url):
+            opened = self._idle[self._url].pop()
+        else:
+            opened = self._page(self._prepared(self._browser.new_context(), WITHOUT_WEBGL))
+        self._stack.callback(self._keep, opened)
+        return opened
+
+    def _prepared(self, context: BrowserContext, *scripts: str) -> BrowserContext:
+        """Signed in."""
         context.set_default_timeout(LATE_MS)
-        context.add_init_script(self._keep_key)
         context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
-        context.add_init_script(LINES)
-        if not webgl:
-            context.add_init_script(WITHOUT_WEBGL)
-        if script:
+        for script in (self._keep_key, LINES, *scripts):
             context.add_init_script(script)
+        return context
+
+    def _page(self, context: BrowserContext, script: str = "") -> "Opened":
         page = context.new_page()
+        if script:
+            page.add_init_script(script)
         page.on("pageerror", lambda error: self.faults.append(str(error)))
         page.on("console", self._heard)
         return Opened(context, page)
@@ -183,9 +197,19 @@ class Opened:
             return False
         self.page.mouse.up()
         self.page.keyboard.up("h")
-        self.page.evaluate("localStorage.clear(); sessionStorage.clear()")  # the key comes again as the page is loaded
+        self._forget()
         self.page.goto("about:blank")
         return True
+
+    def close(self) -> None:
+        """And keep nothing."""
+        if not self.page.is_closed():
+            self._forget()
+            self.page.close()
+
+    def _forget(self) -> None:
+        if self.page.url != "about:blank":
+            self.page.evaluate("localStorage.clear(); sessionStorage.clear()")  # the key comes again with the page
 
     def __getitem__(self, name: str) -> Locator:
         """The element with this id."""

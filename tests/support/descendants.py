@@ -26,19 +26,19 @@ LOOK_S: Final = 0.5
 
 
 class Run(Closing):
-    """This process, and all that it and they start from now on; `close` ends what is left of these."""
+    """What this process starts from now on, and they in turn; `close` ends what is left of it."""
 
     def __init__(self) -> None:
         self.mark = f"{os.environ.get(MARK, '')}/{os.getpid()}-{secrets.token_hex(4)}"
         os.environ[MARK] = self.mark
 
     def processes(self) -> set[int]:
-        """What runs of it, without this process: what has the mark or was started by this process or by what has it."""
+        """What runs of it: what has the mark, and what was started by that."""
         parents = dict(_parents())
-        found = {pid for pid in parents if self._has_mark(pid)} | {os.getpid()}
+        found = {pid for pid in parents if self._has_mark(pid)}
         while more := {pid for pid, parent in parents.items() if parent in found} - found:
             found |= more
-        return found - {os.getpid()}
+        return found
 
     def close(self) -> None:
         for number, patience_s in PATIENCE_S.items():
@@ -52,7 +52,7 @@ class Run(Closing):
                 _wait_for_one_of(left)
 
     def pass_on(self) -> None:
-        """From now on, what ends this process by a signal ends what it has started, in order; and this behind it."""
+        """From now on, a signal that would end this process ends its children, in order; without one, this process."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._pass_on)
 
