@@ -129,19 +129,6 @@ def test_transfers_that_fail_once_and_ten_times(tmp_path: Path, wire: Wire, coun
         at.goes_on()
 
 
-def test_only_the_body_of_an_announced_frame_fails(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    """The controller awaits that body: without the preamble, the first Stops would be taken for it."""
-    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    with scene(tmp_path, wire) as at:
-        spi_testbed.fail(count=1, after=1)
-        assert at.client.set_leg(3, 91, 45, 120).reason is Reason.BUS_FAULT
-        at.heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED)
-        wire.expect_transfers([b"\x0e"])
-        wire.expect_transfers([bytes.fromhex(SET_3)], errno=errno.EIO)
-        wire.expect_opening(*STOPS)
-        at.goes_on()
-
-
 @pytest.mark.parametrize("batch", [True, False])
 def test_a_short_write_is_a_fault_like_any_other(tmp_path: Path, wire: Wire, batch: bool) -> None:
     """The kernel states how many bytes it wrote, of a list as of a single transfer."""

@@ -38,7 +38,10 @@ SHOWN_ELSEWHERE = {
     "zenoh.allow_insecure": "test_exposure.py",
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
+    "spi.framing": "test_bus.py",
+    "spi.batch": "test_bus_device.py",
     "spi.resync_ms": "test_bus.py",
+    "watchdog.scope": "test_conductor.py",
     "lease.required": "test_lease_conductor.py",
     "lease.ttl_ms": "test_lease_conductor.py",
     "lease.takeover": "test_lease_conductor.py",
@@ -155,16 +158,6 @@ async def test_timeout_ms(timeout_ms: float) -> None:
     assert robot.conductor.state().watchdog.timeout_ms == timeout_ms
 
 
-@pytest.mark.parametrize(("scope", "stopped"), [("leg", [3]), ("robot", [1, 3])])
-async def test_scope(scope: str, stopped: list[int]) -> None:
-    robot = await started_and_quiet(watchdog={"scope": scope, "repeats": 0})
-    robot.put(LEG_3, START)
-    for _ in range(13):
-        robot.put(LEG_1, START)
-        await asyncio.sleep(0.02)
-    assert [frame.leg for _, frame in robot.frames if frame.is_stop and frame.leg in (1, 3)] == stopped
-
-
 @pytest.mark.parametrize(("repeats", "repeat_interval_ms"), [(0, 20), (3, 20), (5, 7)])
 async def test_repeats_and_repeat_interval_ms(repeats: int, repeat_interval_ms: float) -> None:
     robot = await started_and_quiet(watchdog={"repeats": repeats, "repeat_interval_ms": repeat_interval_ms})
@@ -181,17 +174,6 @@ async def test_frames(frames: bool) -> None:
     robot = await started_and_quiet(telemetry={"frames": frames})
     robot.put(LEG_3, START)
     assert len(robot.records) == frames
-
-
-@pytest.mark.parametrize(("framing", "transfers"), [("plain", 1), ("length-prefixed", 18)])
-def test_framing(framing: str, transfers: int) -> None:
-    settings = Settings.model_validate({"spi": {"framing": framing}})
-    controller = SimulatedController(settings.spi.framing)
-    bus = Bus(settings.spi, lambda: controller)
-    bus.open()
-    bus.write([stop_leg(1)])
-    assert len(controller.transfers) == transfers
-    assert controller.executed == 1
 
 
 class Batches(SimulatedController):
@@ -214,17 +196,6 @@ def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
     bus.open()
     bus.write([stop_leg(number) for number in LEGS])
     assert [[each[1] for each in batch] for batch in controller.batches] == [[pause_us] * 6]
-
-
-@pytest.mark.parametrize(("batch", "calls"), [(True, 1), (False, 6)])
-def test_batch(batch: bool, calls: int) -> None:
-    settings = Settings.model_validate({"spi": {"batch": batch}})
-    controller = Batches()
-    bus = Bus(settings.spi, lambda: controller)
-    bus.open()
-    bus.write([stop_leg(number) for number in LEGS])
-    assert len(controller.batches) == calls
-    assert len(controller.transfers) == 6
 
 
 @pytest.mark.parametrize(

@@ -69,12 +69,6 @@ def test_off_loopback_it_does_not_start(tmp_path: Path) -> None:
         assert "would let anyone on the network move the robot" in line
 
 
-def test_allow_insecure_starts_it_with_a_warning(tmp_path: Path) -> None:
-    settings = {"zenoh": {"listen": [f"tcp/0.0.0.0:{free_port()}"], "allow_insecure": True}}
-    with Gateway(tmp_path, settings) as gateway:
-        gateway.child.wait_for_output("anyone who reaches")
-
-
 def test_a_password_is_enough(tmp_path: Path) -> None:
     (tmp_path / "users.txt").write_text("anna:secret\n")
     (tmp_path / "zenoh.json5").write_text('{ transport: { auth: { usrpwd: { dictionary_file: "users.txt" } } } }')

@@ -354,17 +354,10 @@ def test_a_button_whose_clock_runs_slow_stays_alive() -> None:
         assert due_ns == pytest.approx(at_ns(at_ms + TIMEOUT_MS), abs=2 * NS_PER_MS)
 
 
-# ---- the end, and a new start
+# ---- the end
 
 
 def test_at_the_end_requests_are_rejected() -> None:
     robot = watched()
     robot.end(10)
     assert robot.button(11, "alive", "kitchen", 2) == ["stopping"]
-
-
-def test_a_gateway_that_was_started_anew_knows_no_button() -> None:
-    robot = Steps(rules())
-    assert robot.button(1, "alive", "kitchen", 7) == ["unknown_button"]
-    assert robot.only(Answer).reason is Reason.UNKNOWN_BUTTON
-    assert robot.command(2, START) == [REFUSED]

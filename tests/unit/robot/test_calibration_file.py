@@ -1,6 +1,5 @@
 """The calibration on disk: what is written is read again, and what is broken in any way is an error."""
 
-import errno
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -104,24 +103,6 @@ def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
     write(path, OWN)
     assert read(path) == OWN
     assert (tmp_path / "calibration.broken.toml").read_text() == "half a"
-
-
-@pytest.mark.parametrize("broken_call", ["fsync", "replace"])
-def test_a_full_disk_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken_call: str) -> None:
-    path = tmp_path / "calibration.toml"
-    write(path, OWN)
-
-    def no_space(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", no_space) if broken_call == "fsync" else monkeypatch.setattr(
-        Path, "replace", no_space
-    )
-    with pytest.raises(ConfigError, match=r"No space left on device.*the old calibration stays"):
-        write(path, Calibration(4))
-    monkeypatch.undo()
-    assert read(path) == OWN
-    assert not list(tmp_path.glob(".*"))
 
 
 # ---- what a gateway starts with

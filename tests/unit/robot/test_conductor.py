@@ -64,17 +64,6 @@ async def test_a_servo_and_several_legs_have_frames_of_their_own() -> None:
     ]
 
 
-async def test_a_set_for_a_servo_that_does_not_run_rejects_the_whole_command() -> None:
-    robot = await started_and_quiet()
-    robot.ask(keys.servo_command(31), servo("start", 90))
-    ack = robot.ask(LEG_3, leg("set", 1, 2, 3), source="laptop")
-    assert (ack.accepted, ack.reason) == (False, Reason.SERVO_STOPPED)
-    assert ack.detail == "servo 32 does not run; start it before you set it"
-    assert len(robot.frames) == 1
-    (event,) = robot.events(Kind.COMMAND_REJECTED)
-    assert (event.source, event.key, event.reason, event.detail) == ("laptop", LEG_3, ack.reason, ack.detail)
-
-
 async def test_the_source_in_the_payload_goes_before_the_publishers_id() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, leg("set", 1, 2, 3, source="gait"), source="0123abc")

@@ -111,14 +111,6 @@ async def test_a_takeover_whose_stops_cannot_be_written_is_granted_and_the_fault
     assert robot.controller.energised == set()
 
 
-async def test_a_restart_forgets_it() -> None:
-    robot, ack = await driven_by_anna()
-    restarted = await started_and_quiet()
-    assert restarted.ask(LEG_3, with_token(START, ack)).reason == Reason.NOT_HOLDER
-    assert restarted.ask(LEG_3, START).accepted
-    assert robot.conductor.state().lease.holder is None, "she has been silent for a second"
-
-
 # ---- requests that are none
 
 TOKEN = "0123456789abcdef" * 2
