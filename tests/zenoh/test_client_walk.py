@@ -41,8 +41,6 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     quick = SimpleNamespace(monotonic=lambda: QUICKER * time.monotonic())
     monkeypatch.setattr("gateway.people.client.walk.time", quick)
-    monkeypatch.setattr("gateway.people.client.walk.HOLD_S", QUICKER * HOLD_S)
-    monkeypatch.setattr("gateway.people.client.walk.REST_S", QUICKER * REST_S)
 
 
 def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:
