@@ -12,7 +12,7 @@ import pytest
 from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, RejectedError, StoppedError, WalkError
 from gateway.people.client.walk import LONGEST_S
-from gateway.people.walking import HOLD_S, REST_S, STILL, Posture
+from gateway.people.walking import STILL, Posture
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, FrameRecord, GatewayState, Mode, Reason

@@ -173,14 +173,18 @@ class Engine:
         found = self._planner.found(angles_deg)
         self._state = _State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
 
-    def halt(self, legs: Iterable[int]) -> None:
-        """These legs were stopped by somebody else: put the others down, and stand still until `resume`."""
+    def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
+        """These legs were stopped by somebody else: put the others down, and stand still until `resume`.
+
+        `sent`: where they were sent last, unless that was by the latest step.
+        """
         lost = frozenset(legs)
         if not self.lost <= lost:
             self.resume()  # where those are that run again
-        self.lost = lost
         self._wanted.clear()
         state = self._state
+        state.pose |= {leg: angles for leg, angles in (sent or {}).items() if leg in lost - self.lost}
+        self.lost = lost
         state.brake_s = 0.0
         for leg in self.lost:
             state.swings.pop(leg, None)

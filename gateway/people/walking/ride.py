@@ -26,6 +26,7 @@ from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.people.walking.engine import Posture
+from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import STILL, Body, Velocity
 from gateway.people.walking.robot import Pose, Robot
 from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
@@ -138,6 +139,8 @@ class Ride:
         self._ours = False
         """Whether legs may run by it."""
         self._running: frozenset[int] = frozenset()
+        self._sent: dict[int, Angles] = {}
+        """Where each leg was sent last."""
         self._started_s = -math.inf
         self._said_s = self._pressed_s = now_s
         self._walker = self._new_walker(robot, gait, running or {})
@@ -190,8 +193,9 @@ class Ride:
 
     def leave(self, now_s: float) -> None:
         """Its driver wants no more: sit down now, and move nothing after that."""
-        self._leaving = True
-        self._sit_down(now_s)
+        if not self._leaving:
+            self._leaving = True
+            self._sit_down(now_s)
 
     def start_again(self) -> None:
         """A person says that it may go on after an error. Nothing starts by it but legs that were lost."""
@@ -260,6 +264,7 @@ class Ride:
     def sent(self, pose: Pose) -> None:
         """This pose was sent, and its starts were accepted."""
         self._running |= pose.keys()
+        self._sent |= pose
         if self.phase is Phase.STARTS and self._running == _ALL:
             self.phase = Phase.RUNS
             if self._walker.engine.lost:
@@ -276,7 +281,7 @@ class Ride:
         if not left or not stands:
             self.failed(StoppedError(str(error), _ALL - left if stands else error.legs))
             return frozenset()
-        self._walker.halt(_ALL - left)
+        self._walker.halt(_ALL - left, self._sent)
         self._running = left
         legs = ", ".join(map(str, sorted(engine.lost)))
         self._ends_by(StoppedError(f"leg {legs} is stopped, and the others stand still: {error}", engine.lost))

@@ -86,10 +86,10 @@ class Walker:
         self.sits = True
         self.engine.sit()
 
-    def halt(self, legs: frozenset[int]) -> None:
+    def halt(self, legs: frozenset[int], sent: Pose) -> None:
         """Somebody else has stopped these: what was commanded is over, and the others stand still."""
         self._velocity = STILL
-        self.engine.halt(legs)
+        self.engine.halt(legs, sent)
 
     def walk_as(self, gait: str, now_s: float) -> None:
         """Another gait. Raises WalkError."""
