@@ -1,7 +1,7 @@
 """A ride, its shell and a gateway in virtual time: no thread, no connection, no sleep.
 
 The gateway judges each start: whether it came too soon behind another leg's, and whether the body allows that
-angle: one that stands allows a leg the angle at which it was stopped, one that lies what pushes no foot below the ground.
+angle: one that stands allows a leg where it was stopped, one that lies allows what pushes no foot below the ground.
 """
 
 import copy

@@ -52,9 +52,9 @@ def test_a_word_in_time_is_no_silence_and_the_way_to_a_posture_neither() -> None
     ridden.ride.stand(Body(0.18), ridden.now_s)
     ridden.until(lambda: ridden.posture is Posture.STANDING)
     for _ in range(10):
-        ridden.ride.go(STILL, ridden.now_s)
         ridden.run(0.9)
         assert ridden.posture is Posture.STANDING
+        ridden.ride.go(STILL, ridden.now_s)
 
 
 def test_its_own_rest_is_no_stop_of_anybodys_and_the_next_word_goes_on() -> None:
