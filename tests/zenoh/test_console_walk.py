@@ -122,7 +122,7 @@ def is_idle(page: Page) -> None:
 def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_one_that_is_closed_sits(
     console: Console, session: SignedIn, robot: Client
 ) -> None:
-    """When: tests/unit/people/test_ride.py. A wish that was delayed counts as none. At the end the lease is given back."""
+    """When: tests/unit/people/test_ride.py. A wish that was delayed counts as none. At last the lease is given back."""
     with console.page(session) as page, console.page(session) as other:
         is_free(page)
         acquire(page)

@@ -232,5 +232,5 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.ridden.ride.error is not None
 
 
-AnyOrder.TestCase.settings = settings(max_examples=40, stateful_step_count=20, deadline=None)
+AnyOrder.TestCase.settings = settings(max_examples=25, stateful_step_count=16, deadline=None)
 TestAnyOrder = AnyOrder.TestCase
